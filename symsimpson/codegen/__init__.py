@@ -1,0 +1,1 @@
+"""From discrete equations to the text of a self-contained module."""

@@ -1,0 +1,140 @@
+"""A small target-neutral program: scalar definitions, rows of the workspace, indexed loops."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import sympy as sp
+
+from symsimpson.codegen.names import NameTable
+
+__all__ = [
+    "Assign",
+    "Call",
+    "Function",
+    "Kernel",
+    "Load",
+    "Loop",
+    "Module",
+    "Row",
+    "Section",
+    "SinCos",
+    "Statement",
+    "Store",
+    "When",
+]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the workspace: a named block and an index in it."""
+
+    block: str
+    index: int
+
+    def __str__(self) -> str:
+        return f"W[{self.block} + {self.index}, lane]" if self.index else f"W[{self.block}, lane]"
+
+
+@dataclass(frozen=True)
+class Load:
+    """``target = W[row, lane]``."""
+
+    target: sp.Symbol
+    row: Row
+
+
+@dataclass(frozen=True)
+class Store:
+    """``W[row, lane] = value``; with ``keep``, only on active lanes, the others keep that."""
+
+    row: Row
+    value: sp.Expr
+    keep: sp.Symbol | None = None
+
+
+@dataclass(frozen=True)
+class Assign:
+    """``target = value``."""
+
+    target: sp.Symbol
+    value: sp.Expr
+
+
+@dataclass(frozen=True)
+class SinCos:
+    """``sin, cos = sincos(angle)``."""
+
+    sin: sp.Symbol
+    cos: sp.Symbol
+    angle: sp.Expr
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of a function on the workspace, of which ``result`` takes the value."""
+
+    function: str
+    arguments: tuple[str, ...]
+    result: sp.Symbol | None = None
+
+
+@dataclass(frozen=True)
+class Section:
+    """A commented group of statements."""
+
+    title: str
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Loop:
+    """``for index in range(count)``; ``count`` is a named constant."""
+
+    index: str
+    count: str
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class When:
+    """Statements for active lanes only; loops over nodes need no vector lanes."""
+
+    body: tuple[Statement, ...]
+
+
+Statement = Load | Store | Assign | SinCos | Call | Section | Loop | When
+
+
+@dataclass(frozen=True)
+class Function:
+    """A part of kernels: a function ``(W, lane)`` on one lane."""
+
+    name: str
+    doc: str
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """One function ``(h, t, workspace)`` over all lanes of a block."""
+
+    name: str
+    doc: str
+    body: tuple[Statement, ...]
+
+
+@dataclass(frozen=True)
+class Module:
+    """Everything that an emitter needs to write a module.
+
+    ``layout`` gives the first row of each block of the workspace, ``rows`` their number.
+    """
+
+    names: NameTable
+    functions: tuple[Function, ...]
+    kernels: tuple[Kernel, ...]
+    constants: Mapping[sp.Symbol, sp.Expr]
+    layout: Mapping[str, int]
+    rows: int

@@ -1,0 +1,181 @@
+"""From discrete equations to kernels: what is computed where, and in which rows it is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store
+from symsimpson.codegen.levels import Definition, Graph, Level
+from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.template import JetTemplate, Point
+from symsimpson.discrete.equations import DiscreteEquations
+
+__all__ = ["Lowering"]
+
+
+class Lowering:
+    """Shares names, definitions and rows among the kernels of one module.
+
+    Base symbols stand for rows of the workspace. A definition that a kernel needs but does not
+    compute itself, because it was known before, gets a row among the hoisted values.
+    """
+
+    def __init__(self, equations: DiscreteEquations) -> None:
+        self.equations = equations
+        self.names = NameTable(equations.system)
+        self.graph = Graph(self.names)
+        self.rows: dict[sp.Symbol, Row] = {}
+        self.hoisted: dict[sp.Symbol, Row] = {}
+        coordinates = self.names.coordinates
+        self.h = self.graph.declare(equations.h, Level.RUN)
+        self.q = self._base(coordinates, "POSITION", Level.STEP)
+        self.q_low = self._base([f"{q}_low" for q in coordinates], "POSITION_LOW", Level.STEP)
+        self.p = self._base([f"p_{q}" for q in coordinates], "MOMENTUM", Level.STEP)
+        self.p_low = self._base([f"p_{q}_low" for q in coordinates], "MOMENTUM_LOW", Level.STEP)
+        self.metric = self._base([f"metric_{q}" for q in coordinates], "METRIC", Level.STEP)
+        self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
+        self.increments = [
+            self._base(
+                [f"{q}_X{k}" for q in coordinates], "INCREMENT", Level.ITERATION, (k - 1) * self.n
+            )
+            for k in range(1, equations.scheme.degree + 1)
+        ]
+        self.node_q = self._base([f"{q}_i" for q in coordinates], "NODE_POSITION", Level.ITERATION)
+        self.node_v = self._base(
+            [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
+        )
+        self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
+        self.template = JetTemplate(
+            equations.jet, equations.plain, self.graph, coordinates, self.names.parameters,
+            momenta=self.p,
+        )  # fmt: skip
+        for i, name in enumerate(self.names.parameters):
+            self.rows[sp.Symbol(name, real=True)] = Row("PARAMETER", i)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.names.coordinates)
+
+    def _base(
+        self, wishes: Sequence[str], block: str, level: Level, first: int = 0
+    ) -> tuple[sp.Symbol, ...]:
+        symbols = []
+        for i, wish in enumerate(wishes):
+            known = block in ("POSITION", "ACTIVE")  # these names are already given out
+            symbol = sp.Symbol(wish, real=True) if known else self.names.fresh(wish)
+            self.rows[symbol] = Row(block, first + i)
+            symbols.append(self.graph.declare(symbol, level))
+        return tuple(symbols)
+
+    def start_point(self) -> Point:
+        """Give the point q0; its suffix is that of a node standing there."""
+        scheme = self.equations.scheme
+        at_start = [i for i in range(scheme.stages) if self.equations.at_start(i)]
+        return Point(str(at_start[0]) if at_start else "start", self.q)
+
+    def statements(
+        self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None
+    ) -> tuple[Statement, ...]:
+        """Write the statements that a set of stores needs.
+
+        Definitions of the levels in ``computed`` are computed here, in their sections or under
+        one ``title``; all else that is needed is loaded from its row.
+        """
+        stores = tuple(stores)
+        levels = set(computed)
+        needed: set[sp.Symbol] = set()
+        work = [s for store in stores for s in self._symbols(store)]
+        while work:
+            symbol = work.pop()
+            if symbol in needed:
+                continue
+            needed.add(symbol)
+            definition = self.graph.definitions.get(symbol)
+            if definition is not None and definition.level in levels:
+                work.extend(definition.value.free_symbols)
+        inputs = [s for s in self.rows if s in needed]
+        used = [s for s, d in self.graph.definitions.items() if s in needed]
+        for symbol in used:
+            if self.graph.definitions[symbol].level not in levels:
+                self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
+                inputs.append(symbol)
+        defined = [
+            self.graph.definitions[s] for s in used if self.graph.definitions[s].level in levels
+        ]
+        reads = tuple(Load(s, self.rows.get(s) or self.hoisted[s]) for s in inputs)
+        return (
+            *((Section("known before", reads),) if reads else ()),
+            *_sections(list(dict.fromkeys(defined)), title),
+            *((Section("results", stores),) if stores else ()),
+        )
+
+    def hoisted_at(self, level: Level) -> list[tuple[sp.Symbol, Row]]:
+        """List the hoisted values of a level with their rows."""
+        return [
+            (symbol, row) for symbol, row in self.hoisted.items() if self.graph.levels[symbol] == level
+        ]
+
+    def moved(self, symbol: sp.Symbol, to: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
+        """Give the value that a step-level symbol takes when q and p move on as in ``to``."""
+        if symbol in to:
+            return to[symbol]
+        if self.graph.levels[symbol] != Level.STEP:
+            return symbol
+        definition = self.graph.definitions[symbol]
+        replaced = {s: self.moved(s, to) for s in definition.value.free_symbols}
+        value = definition.value.xreplace(replaced)
+        if definition.is_sincos:
+            wish = value.name if value.is_Symbol else f"angle_{symbol.name}_next"
+            pair = self.graph.define_sincos(wish, value, "the next left node")
+            return pair[definition.targets.index(symbol)]
+        return self.graph.define(f"{symbol.name}_next", value, "the next left node")
+
+    def compensated(
+        self, name: str, old: sp.Symbol, low: sp.Symbol, increment: sp.Expr
+    ) -> tuple[sp.Expr, sp.Expr]:
+        """Add an increment to a value with its low part: exact sum of two numbers (Knuth)."""
+        section = "compensated sums"
+        define = self.graph.define
+        total = define(f"{name}_step", increment + low, section)
+        new = define(f"{name}_next", old + total, section)
+        taken = define(f"{name}_taken", new - old, section)
+        rest = define(f"{name}_rest", new - taken, section)
+        lost_old = define(f"{name}_lost", old - rest, section)
+        lost_new = define(f"{name}_lost", total - taken, section)
+        return new, define(f"{name}_low_next", lost_old + lost_new, section)
+
+    def _symbols(self, store: Store) -> Iterable[sp.Symbol]:
+        yield from store.value.free_symbols
+        if store.keep is not None:
+            yield store.keep
+            yield self.active
+
+
+def _sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:
+    """Group consecutive definitions under their section's title, with its operation count."""
+    groups: list[tuple[str, list[Definition]]] = []
+    for definition in definitions:
+        title = common or definition.section
+        if not groups or groups[-1][0] != title:
+            groups.append((title, []))
+        groups[-1][1].append(definition)
+    sections = []
+    for title, members in groups:
+        body: list[Statement] = []
+        pairs = 0
+        operations = 0
+        for definition in members:
+            operations += count_operations(definition.value)
+            if definition.is_sincos:
+                pairs += 1
+                sine, cosine = definition.targets
+                body.append(SinCos(sine, cosine, definition.value))
+            else:
+                body.append(Assign(definition.targets[0], definition.value))
+        count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
+        sections.append(Section(f"{title}: {count}", tuple(body)))
+    return sections

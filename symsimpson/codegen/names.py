@@ -1,0 +1,75 @@
+"""Names in emitted code: the user's where they are safe, our own where they are not."""
+
+from __future__ import annotations
+
+import builtins
+import keyword
+import re
+
+import sympy as sp
+
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["NameTable"]
+
+#: Blocks of rows of the workspace, in their order; see :mod:`symsimpson.codegen.layout`.
+BLOCKS = (
+    "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "MASS_PIVOT", "ENERGY",
+    "STATUS", "CONTRACTION", "SCALE", "ITERATIONS",
+    "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "VELOCITY", "PARAMETER",
+    "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY", "NODE_L_Q", "NODE_L_V", "NODE_L_QQ",
+    "NODE_L_QV", "NODE_L_VV", "METRIC", "RESIDUAL", "JACOBIAN",
+)  # fmt: skip
+
+#: What an emitted module defines or imports; no symbol may take these names.
+RESERVED = frozenset(BLOCKS) | frozenset(
+    "math numpy np numba carray cfunc njit real pi sincos compiled W h t workspace lane node "
+    "LANES ROWS OPTIONS SIGNATURE INTERFACE SYSTEM SCHEME DIGEST ORDER DEGREE NODES DIMENSION "
+    "UNKNOWNS COORDINATES PARAMETERS DEFAULTS SIGNS INVARIANTS LAYOUT "
+    "ROW_ORDER COLUMN_ORDER WEIGHTS BASIS BASIS_SLOPE EXTRAPOLATION END_SLOPE START_SLOPE "
+    "prepare start legendre newton advance energy invariants equations newton_pivoted "
+    "path jet gradient mass straight assemble clear_momentum momentum accumulate solve_pivoted solve_mass close_step predict clear "
+    "update_increments kinetic_energy POINTS active "
+    "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt".split()
+)
+
+
+class NameTable:
+    """Gives every symbol of a module its own identifier.
+
+    A SymPy symbol's name is untrusted text. It is used only where it is a plain ASCII identifier
+    of moderate length that clashes with nothing; else ``q0``, ``a0``, ... stand for it.
+    """
+
+    def __init__(self, system: MechanicalSystem) -> None:
+        self._taken: set[str] = set()
+        self.coordinates = tuple(
+            self._user(q.func.__name__, f"q{i}") for i, q in enumerate(system.coordinates)
+        )
+        self.parameters = tuple(
+            self._user(a.name, f"a{i}") for i, a in enumerate(system.parameters)
+        )
+        self.invariants = tuple(
+            name if re.fullmatch(r"[A-Za-z][A-Za-z0-9_ ]{0,63}", name) else f"invariant {i}"
+            for i, name in enumerate(system.plain.invariants)
+        )
+
+    def _user(self, name: str, substitute: str) -> str:
+        safe = (
+            re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name)
+            and not keyword.iskeyword(name)
+            and not keyword.issoftkeyword(name)
+            and not hasattr(builtins, name)
+            and name not in RESERVED
+        )
+        return self.fresh(name if safe else substitute).name
+
+    def fresh(self, wish: str) -> sp.Symbol:
+        """Give a symbol with the wished name, or the wished name and a number."""
+        name, count = wish, 1
+        while name in self._taken or name in RESERVED:
+            count += 1
+            name = f"{wish}_{count}"
+        self._taken.add(name)
+        return sp.Symbol(name, real=True)
+

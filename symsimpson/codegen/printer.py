@@ -1,0 +1,92 @@
+"""SymPy expressions as Python text, from an allow-list of node types."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import sympy as sp
+from sympy.printing.precedence import PRECEDENCE
+from sympy.printing.str import StrPrinter
+
+from symsimpson.errors import GenerationError
+
+__all__ = ["FUNCTIONS", "Printer", "count_operations"]
+
+#: SymPy functions and their names in :mod:`math`; every binding supplies these names.
+FUNCTIONS = {
+    sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos",
+    sp.atan: "atan", sp.atan2: "atan2", sp.sinh: "sinh", sp.cosh: "cosh", sp.tanh: "tanh",
+    sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh", sp.exp: "exp", sp.log: "log",
+}  # fmt: skip
+
+
+class Printer(StrPrinter):
+    """Prints arithmetic, powers and the functions of :data:`FUNCTIONS`, and refuses the rest.
+
+    ``used`` collects the functions met. With ``exact`` set, integers in quotients become
+    ``real(...)``, so that a constant has the precision of the binding.
+    """
+
+    def __init__(self, *, exact: bool = False) -> None:
+        super().__init__({"order": "none"})
+        self.used: set[str] = set()
+        self._exact = exact
+
+    def _print_Rational(self, expr: sp.Rational) -> str:
+        return f"real({expr.p})/{expr.q}" if self._exact else f"{expr.p}/{expr.q}"
+
+    def _print_Float(self, expr: sp.Float) -> str:
+        return repr(float(expr))
+
+    def _print_Pi(self, expr: sp.Expr) -> str:
+        self.used.add("pi")
+        return "pi"
+
+    def _print_Exp1(self, expr: sp.Expr) -> str:
+        self.used.add("exp")
+        return "exp(real(1))"
+
+    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
+        base, exponent = expr.as_base_exp()
+        if exponent.is_Rational and exponent.q == 2:
+            self.used.add("sqrt")
+            argument = self._print(base)
+            root = f"sqrt(real({argument}))" if base.is_Integer else f"sqrt({argument})"
+            whole = abs(exponent) - sp.Rational(1, 2)
+            power = root if whole == 0 else f"{self._print(base**whole)}*{root}"
+            if exponent > 0:
+                return power if whole == 0 else f"({power})"
+            return f"1/{power}" if whole == 0 else f"1/({power})"
+        if exponent.is_Integer and exponent < 0:
+            return f"1/{self.parenthesize(base ** -exponent, PRECEDENCE['Pow'])}"
+        left = self.parenthesize(base, PRECEDENCE["Pow"], strict=False)
+        return f"{left}**{self.parenthesize(exponent, PRECEDENCE['Pow'], strict=False)}"
+
+    def _print_Function(self, expr: sp.Expr) -> str:
+        name = FUNCTIONS.get(expr.func)
+        if name is None:
+            return self.emptyPrinter(expr)
+        self.used.add(name)
+        return f"{name}({', '.join(self._print(a) for a in expr.args)})"
+
+    _print_sin = _print_cos = _print_exp = _print_log = _print_Function
+
+    def _print_Abs(self, expr: sp.Expr) -> str:
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_ExpBase(self, expr: sp.Expr) -> str:
+        return self._print_Function(expr)
+
+    def emptyPrinter(self, expr: Any) -> str:
+        """Refuse what no binding can evaluate."""
+        raise GenerationError(
+            f"cannot write {type(expr).__name__} {expr} as code.\n"
+            "Use elementary functions, powers and numbers in T and V."
+        )
+
+
+def count_operations(expression: sp.Expr) -> int:
+    """Count additions, multiplications, divisions, powers and function calls."""
+    return int(sp.count_ops(expression))
+
+

@@ -1,0 +1,90 @@
+"""What can go wrong, by whose hand.
+
+Every message says what is wrong, where, why it matters and what to do about it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.status import Status
+    from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = [
+    "ConvergenceError",
+    "GenerationError",
+    "InputError",
+    "Interrupted",
+    "ModelError",
+    "SchemeError",
+    "StaleKernelError",
+    "SymsimpsonError",
+]
+
+
+class SymsimpsonError(Exception):
+    """The base of every error that symsimpson raises on purpose."""
+
+
+class ModelError(SymsimpsonError):
+    """The declared system is not one that a variational step can integrate."""
+
+
+class SchemeError(SymsimpsonError):
+    """The scheme is unknown, or its tables make no method."""
+
+
+class GenerationError(SymsimpsonError):
+    """A module could not be written, or what was written is not what is declared."""
+
+
+class StaleKernelError(SymsimpsonError):
+    """A generated file belongs to another version of the kernel interface, or was edited."""
+
+
+class InputError(SymsimpsonError, ValueError):
+    """A run was asked for with states, steps or parameters that make no sense."""
+
+
+class ConvergenceError(SymsimpsonError):
+    """A step failed; everything computed before it is kept.
+
+    Attributes
+    ----------
+    trajectory : Trajectory
+        All stored states before the failure.
+    step : int
+        Number of the step that failed, counted from 0.
+    time : float
+        Time at the start of that step.
+    residual : float
+        Size of the last Newton correction relative to the step's increment.
+    status : Status
+        Why it failed.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        trajectory: Trajectory,
+        step: int,
+        time: float,
+        residual: float,
+        status: Status,
+    ) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
+        self.step = step
+        self.time = time
+        self.residual = residual
+        self.status = status
+
+
+class Interrupted(SymsimpsonError, KeyboardInterrupt):  # noqa: N818 (an interrupt is no error)
+    """Ctrl-C stopped a run; ``trajectory`` holds what was computed."""
+
+    def __init__(self, message: str, *, trajectory: Trajectory) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory

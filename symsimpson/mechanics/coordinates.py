@@ -1,0 +1,55 @@
+"""Coordinates, velocities and momenta as symbols."""
+
+from __future__ import annotations
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.physics.mechanics import dynamicsymbols
+
+__all__ = ["coordinates", "momenta"]
+
+
+def coordinates(names: str) -> tuple[AppliedUndef, ...]:
+    """Make generalized coordinates: functions of time whose velocities are ``q.diff()``.
+
+    Parameters
+    ----------
+    names : str
+        Names separated by spaces or commas; ``"q:3"`` stands for q0, q1, q2.
+
+    Returns
+    -------
+    tuple of sympy functions of ``dynamicsymbols._t``
+        Always a tuple, also for one name.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> q1, q2 = ss.coordinates("q1 q2")
+    >>> q1.diff()
+    Derivative(q1(t), t)
+    """
+    functions = dynamicsymbols(names)
+    return tuple(functions) if isinstance(functions, (tuple, list)) else (functions,)
+
+
+def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
+    """Give the symbols that stand for the conjugate momenta in ``invariants``.
+
+    Parameters
+    ----------
+    *coordinates : functions of time
+        As made by :func:`coordinates`.
+
+    Returns
+    -------
+    tuple of sympy.Symbol
+        Named ``p_<coordinate>``.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.momenta(*ss.coordinates("x y"))
+    (p_x, p_y)
+    """
+    return tuple(sp.Symbol(f"p_{q.func.__name__}", real=True) for q in coordinates)

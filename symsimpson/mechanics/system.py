@@ -1,0 +1,360 @@
+"""The declaration of a mechanical system: kinetic and potential energy, checked and frozen."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.physics.mechanics import dynamicsymbols
+
+from symsimpson.errors import ModelError
+from symsimpson.mechanics.checks import (
+    fail,
+    read_coordinates,
+    read_expression,
+    read_name,
+    read_parameters,
+    spell,
+)
+from symsimpson.mechanics.coordinates import momenta
+from symsimpson.mechanics.quadratic import (
+    check_mass_matrix,
+    gyroscopic_and_potential,
+    mass_matrix_of,
+)
+from symsimpson.mechanics.structure import Structure, analyse
+
+__all__ = ["MechanicalSystem", "Plain"]
+
+Matrix = sp.ImmutableDenseMatrix
+Positions = Mapping[str, Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A system in plain symbols: L = v.M(q).v/2 + a(q).v - V(q).
+
+    ``q``, ``v``, ``p`` and ``parameters`` are real symbols with names of our own, so that nothing
+    that is derived from them depends on what a user calls things.
+    """
+
+    q: tuple[sp.Symbol, ...]
+    v: tuple[sp.Symbol, ...]
+    p: tuple[sp.Symbol, ...]
+    parameters: tuple[sp.Symbol, ...]
+    mass: Matrix
+    gyroscopic: tuple[sp.Expr, ...]
+    potential: sp.Expr
+    invariants: Mapping[str, sp.Expr]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MechanicalSystem:
+    """A mechanical system, declared by its kinetic and its potential energy.
+
+    Parameters
+    ----------
+    name : str
+        Up to 64 ASCII letters, digits and underscores; names files and messages.
+    coordinates : sequence of functions of time
+        As made by :func:`symsimpson.coordinates`; velocities are their ``.diff()``.
+    kinetic : sympy expression
+        Quadratic in the velocities, T = v.M(q).v/2 with any M(q).
+    potential : sympy expression
+        V(q), without velocities.
+    parameters : mapping from symbol to number
+        Every other symbol of T and V, with its default value. Values are changed at run time
+        without compiling anew.
+    positions : mapping from str to sequence of expressions, optional
+        Points to draw: name to Cartesian components.
+    invariants : mapping from str to expression, optional
+        Quantities to watch, in coordinates, velocities and momenta (:func:`symsimpson.momenta`).
+    gyroscopic : sympy expression, optional
+        Terms linear in the velocities, a(q).v, as a magnetic field or a rotating frame gives.
+
+    Raises
+    ------
+    ModelError
+        If the declaration is not one that a variational step can integrate.
+
+    Notes
+    -----
+    The Lagrangian is L = T + a.v - V [1]_.
+
+    References
+    ----------
+    .. [1] J. E. Marsden and M. West, Discrete mechanics and variational integrators,
+       Acta Numerica 10 (2001), 357-514.
+
+    Examples
+    --------
+    >>> import sympy as sp, symsimpson as ss
+    >>> (x,) = ss.coordinates("x")
+    >>> m, k = sp.symbols("m k", positive=True)
+    >>> spring = ss.MechanicalSystem("spring", coordinates=(x,), kinetic=m*x.diff()**2/2,
+    ...                              potential=k*x**2/2, parameters={m: 1.0, k: 2.0})
+    >>> spring.n, spring.mass_matrix
+    (1, Matrix([[m]]))
+    """
+
+    name: str
+    coordinates: tuple[AppliedUndef, ...] = field(kw_only=True)
+    kinetic: sp.Expr = field(kw_only=True)
+    potential: sp.Expr = field(kw_only=True)
+    parameters: Mapping[sp.Symbol, float] = field(kw_only=True)
+    positions: Positions | None = field(kw_only=True, default=None)
+    invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
+    gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
+    plain: Plain = field(init=False)
+
+    def __post_init__(self) -> None:
+        name = read_name(self.name)
+        coordinates = read_coordinates(name, self.coordinates)
+        parameters = read_parameters(name, self.parameters, coordinates)
+        plain, positions, invariants = _read(name, coordinates, parameters, self)
+        for key, value in {
+            "coordinates": coordinates,
+            "kinetic": sp.sympify(self.kinetic),
+            "potential": sp.sympify(self.potential),
+            "gyroscopic": sp.sympify(self.gyroscopic),
+            "parameters": MappingProxyType(parameters),
+            "positions": positions,
+            "invariants": invariants,
+            "plain": plain,
+        }.items():
+            object.__setattr__(self, key, value)
+
+    @classmethod
+    def from_lagrangian(
+        cls,
+        name: str,
+        lagrangian: sp.Expr,
+        coordinates: Sequence[AppliedUndef],
+        parameters: Mapping[sp.Symbol, float],
+        *,
+        positions: Positions | None = None,
+        invariants: Mapping[str, sp.Expr] | None = None,
+    ) -> MechanicalSystem:
+        """Declare a system by its Lagrangian.
+
+        Parameters
+        ----------
+        name, coordinates, parameters, positions, invariants
+            As for :class:`MechanicalSystem`.
+        lagrangian : sympy expression
+            Quadratic in the velocities; linear terms are allowed.
+
+        Raises
+        ------
+        ModelError
+            If L is not a polynomial of degree two in the velocities, or as above.
+        """
+        name = read_name(name)
+        functions = read_coordinates(name, coordinates)
+        symbols = _Symbols(functions, read_parameters(name, parameters, functions))
+        plain = read_expression(
+            name, "Lagrangian", lagrangian, symbols.replace, (*symbols.q, *symbols.v, *symbols.a)
+        )
+        mass = mass_matrix_of(name, "Lagrangian", plain, symbols.v, symbols.back)
+        linear, potential = gyroscopic_and_potential(plain, symbols.v)
+        kinetic = sum(
+            (mass[i, j] * vi * vj for i, vi in enumerate(symbols.v) for j, vj in enumerate(symbols.v)),
+            sp.S.Zero,
+        ) / 2  # fmt: skip
+        return cls(
+            name,
+            coordinates=functions,
+            kinetic=symbols.restore(kinetic),
+            potential=symbols.restore(potential),
+            parameters=parameters,
+            positions=positions,
+            invariants=invariants,
+            gyroscopic=symbols.restore(
+                sum((a * v for a, v in zip(linear, symbols.v, strict=True)), sp.S.Zero)
+            ),
+        )
+
+    @classmethod
+    def from_lagranges_method(
+        cls, name: str, lm: Any, parameters: Mapping[sp.Symbol, float]
+    ) -> MechanicalSystem:
+        """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
+
+        Parameters
+        ----------
+        name, parameters
+            As for :class:`MechanicalSystem`.
+        lm : sympy.physics.mechanics.LagrangesMethod
+            Without forces and constraints: potential forces belong to its Lagrangian.
+
+        Raises
+        ------
+        ModelError
+            If ``lm`` has forces or constraints, or as above.
+        """
+        name = read_name(name)
+        try:
+            lagrangian, coordinates = lm._L[0], tuple(lm.q)
+            extras = {"forces": list(lm.forcelist or []), "constraints": list(lm.coneqs)}
+        except (AttributeError, TypeError, IndexError):
+            raise fail(
+                name,
+                f"{type(lm).__name__} is not a sympy.physics.mechanics.LagrangesMethod.",
+                "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
+            ) from None
+        for what, items in extras.items():
+            if items:
+                raise fail(
+                    name,
+                    f"the LagrangesMethod has {what}: {spell(items)}.",
+                    f"They would be ignored: {what} are not part of a Lagrangian system. "
+                    "Put potential forces into the Lagrangian (RigidBody.potential_energy), choose "
+                    "coordinates that satisfy the constraints, and drop the rest.",
+                )
+        return cls.from_lagrangian(name, lagrangian, coordinates, parameters)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @cached_property
+    def mass_matrix(self) -> Matrix:
+        """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
+        back = _Symbols(self.coordinates, self.parameters).back
+        return Matrix(self.plain.mass.xreplace(dict(back)))
+
+    @property
+    def lagrangian(self) -> sp.Expr:
+        """L = T + a.v - V in the user's own symbols."""
+        return self.kinetic + self.gyroscopic - self.potential
+
+    @cached_property
+    def structure(self) -> Structure:
+        """What the system has and lacks, and what the generator therefore skips."""
+        return analyse(self)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over names and equations, not over the parameters' values."""
+        plain = self.plain
+        content = [
+            self.name,
+            [str(q) for q in self.coordinates],
+            [sp.srepr(a) for a in self.parameters],
+            [sp.srepr(m) for m in plain.mass],
+            [sp.srepr(a) for a in plain.gyroscopic],
+            sp.srepr(plain.potential),
+            {key: sp.srepr(value) for key, value in plain.invariants.items()},
+        ]
+        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, MechanicalSystem):
+            return NotImplemented
+        return self.digest == other.digest and dict(self.parameters) == dict(other.parameters)
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __repr__(self) -> str:
+        names = ", ".join(q.func.__name__ for q in self.coordinates)
+        return f"MechanicalSystem({self.name!r}, coordinates=({names}))"
+
+    def _repr_latex_(self) -> str:
+        from sympy.physics.vector import vlatex
+
+        return rf"$\displaystyle L = {vlatex(self.lagrangian)}$"
+
+
+class _Symbols:
+    """The user's symbols and the plain ones that stand for them, both ways."""
+
+    def __init__(
+        self, coordinates: Sequence[AppliedUndef], parameters: Mapping[sp.Symbol, float]
+    ) -> None:
+        t = dynamicsymbols._t
+        n = len(coordinates)
+        self.q = tuple(sp.Symbol(f"q_{i}", real=True) for i in range(n))
+        self.v = tuple(sp.Symbol(f"v_{i}", real=True) for i in range(n))
+        self.p = tuple(sp.Symbol(f"p_{i}", real=True) for i in range(n))
+        self.a = tuple(_real(f"a_{i}", a) for i, a in enumerate(parameters))
+        self.replace: dict[sp.Basic, sp.Symbol] = {
+            **{q.diff(t): v for q, v in zip(coordinates, self.v, strict=True)},
+            **dict(zip(coordinates, self.q, strict=True)),
+            **dict(zip(parameters, self.a, strict=True)),
+        }
+        self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
+
+    def restore(self, plain: sp.Expr) -> sp.Expr:
+        """Write a plain expression in the user's symbols."""
+        return plain.xreplace(self.back)
+
+
+def _real(name: str, user: sp.Symbol) -> sp.Symbol:
+    """Give a real symbol with the sign that the user's symbol is assumed to have."""
+    signs = ("positive", "negative", "nonnegative", "nonpositive", "nonzero")
+    assumed = {sign: True for sign in signs if getattr(user, f"is_{sign}")}
+    return sp.Symbol(name, real=True, **assumed)
+
+
+def _read(
+    name: str,
+    coordinates: tuple[AppliedUndef, ...],
+    parameters: Mapping[sp.Symbol, float],
+    given: MechanicalSystem,
+) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
+    """Check the energies and write them in plain symbols."""
+    s = _Symbols(coordinates, parameters)
+    read = read_expression
+    kinetic = read(name, "kinetic energy", given.kinetic, s.replace, (*s.q, *s.v, *s.a))
+    potential = read(name, "potential", given.potential, s.replace, (*s.q, *s.a))
+    linear = read(name, "gyroscopic term", given.gyroscopic, s.replace, (*s.q, *s.v, *s.a))
+    mass = mass_matrix_of(name, "kinetic energy", kinetic, s.v, s.back)
+    rest = gyroscopic_and_potential(kinetic, s.v)
+    if any(rest[0]) or rest[1] != 0:
+        leftover = sum((a * v for a, v in zip(rest[0], s.v, strict=True)), -rest[1])
+        raise fail(
+            name,
+            f"the kinetic energy is not a quadratic form in the velocities: it contains "
+            f"{spell(s.restore(leftover))}.",
+            "Move terms without velocities to the potential (with the opposite sign) and linear "
+            "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
+        )
+    check_mass_matrix(name, mass, s.q, s.v, s.a, s.back)
+    gyroscopic, constant = gyroscopic_and_potential(linear, s.v)
+    if constant != 0 or any(linear.diff(u, w) != 0 for u in s.v for w in s.v):
+        raise fail(
+            name,
+            f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
+            "It must have the form a(q).v; put the rest into T or V.",
+        )
+    positions: dict[str, tuple[sp.Expr, ...]] = {}
+    for key, point in (given.positions or {}).items():
+        components = tuple(point) if isinstance(point, (tuple, list, sp.MatrixBase)) else (point,)
+        for component in components:
+            read(name, f"position {key!r}", component, s.replace, (*s.q, *s.a))
+        positions[str(key)] = tuple(sp.sympify(c) for c in components)
+    watch = {**s.replace, **dict(zip(momenta(*coordinates), s.p, strict=True))}
+    invariants: dict[str, sp.Expr] = {}
+    plain_invariants: dict[str, sp.Expr] = {}
+    for key, quantity in (given.invariants or {}).items():
+        if not isinstance(key, str):
+            raise ModelError(f"system '{name}': the invariant's name {key!r} is not a string.\n"
+                             "Write invariants={'angular momentum': ...}.")  # fmt: skip
+        plain_invariants[key] = read(
+            name, f"invariant {key!r}", quantity, watch, (*s.q, *s.v, *s.p, *s.a)
+        )
+        invariants[key] = sp.sympify(quantity)
+    plain = Plain(
+        q=s.q, v=s.v, p=s.p, parameters=s.a, mass=mass, gyroscopic=gyroscopic,
+        potential=potential, invariants=MappingProxyType(plain_invariants),
+    )  # fmt: skip
+    return plain, MappingProxyType(positions), MappingProxyType(invariants)

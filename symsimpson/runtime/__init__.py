@@ -1,0 +1,1 @@
+"""What runs a generated module: cache, loader, driver, stepper. Knows nothing of SymPy."""

@@ -1,0 +1,175 @@
+"""Compiled code on disk, found by content.
+
+An entry is a folder that holds a module under a name made of its hash, what numba compiled from
+it, and a digest of every file. It is built in a folder of its own and then renamed into place, so
+that processes that start together cannot see half an entry. An entry that does not match its
+digests is deleted and built again. The files hold machine code and pickles: the folder must
+belong to the user alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.util
+import json
+import os
+import shutil
+import stat
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TypeVar
+
+import llvmlite
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+from symsimpson.errors import GenerationError
+
+__all__ = ["cache_folder", "compiled"]
+
+Result = TypeVar("Result")
+
+_VARIABLE = "SYMSIMPSON_CACHE_DIR"
+_DIGESTS = "digests.json"
+_results: dict[str, object] = {}
+
+
+def cache_folder() -> Path:
+    """Give the folder of compiled code, made if need be and checked to be private.
+
+    ``$SYMSIMPSON_CACHE_DIR``, else ``$XDG_CACHE_HOME/symsimpson``, else ``~/.cache/symsimpson``.
+
+    Raises
+    ------
+    GenerationError
+        If others may write there: its files are executed.
+    """
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(os.environ.get(_VARIABLE) or Path(base) / "symsimpson")
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+        writable = os.access(folder, os.W_OK)
+    except OSError:
+        return _temporary_folder()
+    foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
+    if not stat.S_ISDIR(found.st_mode) or foreign or (os.name == "posix" and found.st_mode & 0o077):
+        raise GenerationError(
+            f"the cache folder {folder} is not private to you (mode {found.st_mode & 0o777:04o}).\n"
+            "Files in it are executed, so nobody else may write there. "
+            f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
+        )
+    return folder if writable else _temporary_folder()
+
+
+@cache
+def _temporary_folder() -> Path:
+    """Give a private folder for this process alone, where no other can be had."""
+    holder = tempfile.TemporaryDirectory(prefix="symsimpson-")
+    _results["temporary folder"] = holder  # removed when the process ends
+    return Path(holder.name)
+
+
+@cache
+def _machine() -> str:
+    """Name everything besides its text that compiled code depends on."""
+    parts = (
+        sys.version, numba.__version__, llvmlite.__version__, np.__version__,
+        llvm.get_process_triple(), llvm.get_host_cpu_name(),
+        str(llvm.get_host_cpu_features().flatten()),
+    )  # fmt: skip
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def compiled(text: str, label: str, use: Callable[[ModuleType], Result]) -> Result:
+    """Import a module from its text and compile what is used of it, or load that from disk.
+
+    Parameters
+    ----------
+    text : str
+        The module's text; it must be trusted.
+    label : str
+        Names what ``use`` takes of it; part of the key.
+    use : callable
+        Takes the module and compiles what it needs, with numba's ``cache=True``.
+
+    Returns
+    -------
+    object
+        What ``use`` gave; the same object for the same text and label in one process.
+    """
+    content = hashlib.sha256(f"{_machine()}\n{label}\n{text}".encode()).hexdigest()
+    if content not in _results:
+        _results[content] = _load_or_build(text, f"{label}_{content[:32]}", use)
+    return _results[content]  # type: ignore[return-value]
+
+
+def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> Result:
+    folder = cache_folder()
+    entry = folder / key
+    name = f"symsimpson_compiled_{key}"
+    if entry.is_dir():
+        if _intact(entry):
+            try:
+                return _import(entry / f"{name}.py", name, use)
+            except Exception:  # whatever a stale pickle may raise, the entry can be made again
+                sys.modules.pop(name, None)
+        shutil.rmtree(entry, ignore_errors=True)
+    building = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
+    try:
+        path = building / f"{name}.py"
+        path.write_text(text, encoding="utf-8")
+        result = _import(path, name, use)
+        (building / _DIGESTS).write_text(json.dumps(_digests(building)), encoding="utf-8")
+        with contextlib.suppress(OSError):  # another process was first
+            building.rename(entry)
+        return result
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def _digests(entry: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(entry)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(entry.rglob("*"))
+        if path.is_file() and path.name != _DIGESTS and path.suffix != ".pyc"
+    }
+
+
+def _intact(entry: Path) -> bool:
+    try:
+        if entry.is_symlink() or any(path.is_symlink() for path in entry.rglob("*")):
+            return False
+        expected = json.loads((entry / _DIGESTS).read_text(encoding="utf-8"))
+        return bool(expected) and expected == _digests(entry)
+    except (OSError, ValueError):
+        return False
+
+
+def _import(path: Path, name: str, use: Callable[[ModuleType], Result]) -> Result:
+    """Import a file under a name, registered before it runs: numba finds its cache by it."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    with _own_numba_cache():
+        spec.loader.exec_module(module)
+        return use(module)
+
+
+@contextlib.contextmanager
+def _own_numba_cache() -> Iterator[None]:
+    """Keep numba's files inside the entry, wherever the environment would put them."""
+    config = numba.core.config
+    elsewhere, bytecode = config.CACHE_DIR, sys.dont_write_bytecode
+    config.CACHE_DIR, sys.dont_write_bytecode = "", True
+    try:
+        yield
+    finally:
+        config.CACHE_DIR, sys.dont_write_bytecode = elsewhere, bytecode

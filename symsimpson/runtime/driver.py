@@ -1,0 +1,324 @@
+"""The compiled loop over steps: Newton, closing a step, catching what goes wrong.
+
+One piece of code drives every generated module. It calls kernels by address, with the step, the
+time and the workspace; everything that a run must remember stands in the workspace, so that a run
+can stop after any step and go on with the same bits. This file is compiled by itself and imports
+nothing of the package.
+"""
+# mypy: disable-error-code="no-untyped-def,no-untyped-call,misc"
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+# addresses of kernels
+PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
+# what the driver must know of the layout, in the order in which it comes
+ACTIVE, CORRECTION, INCREMENT_NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
+POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(8, 14)
+# values of Status
+NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE = 2, 3, 4
+
+MOST_ITERATIONS = 40
+#: The next correction would be below half a unit in the last place of the increment.
+NEGLIGIBLE = 2.0**-53
+#: Seen ratios of successive corrections count between these relative sizes, squared.
+SMALL, ROUND_OFF = 1e-2, 1e-24
+#: Corrections that stop shrinking below this relative size, squared, are round-off.
+STAGNATION = 1e-20
+#: Two solutions of a step are one if their relative distance is below this, squared.
+SAME_SOLUTION = 1e-12
+#: From a suspicious step the solution is followed from small steps in so many pieces.
+PIECES = 16
+
+
+OPTIONS = {"nogil": True, "error_model": "numpy"}
+KERNELS, PLACES, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
+STEPS, TIME, STATES = types.int64, types.float64, types.float64[:, :, ::1]
+
+
+@intrinsic
+def call(typing_context, address, h, t, workspace):
+    """Call a kernel ``void(double, double, double*)`` at an address."""
+    signature = types.void(types.int64, types.float64, types.float64, workspace)
+
+    def code(context, builder, signature, arguments):
+        double = ir.DoubleType()
+        function = ir.FunctionType(ir.VoidType(), [double, double, double.as_pointer()])
+        pointer = builder.inttoptr(arguments[0], function.as_pointer())
+        array = context.make_array(signature.args[3])(context, builder, arguments[3])
+        builder.call(pointer, [arguments[1], arguments[2], array.data])
+        return context.get_dummy_value()
+
+    return signature, code
+
+
+@njit(**OPTIONS)
+def solve(newton, h, t, W, at, relative):
+    """Iterate until every active lane has converged; give 0, or the status of a lane that failed.
+
+    ``relative`` (one number a lane) is left with the square of the last relative correction. The
+    correction after the present one is predicted by the largest ratio of a correction to the
+    square of the one before that was seen of late; where it would be lost in rounding, the lane
+    is done. Lanes that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
+    """
+    worst = 0
+    lanes = W.shape[1]
+    active, correction_row, increment_row = at[ACTIVE], at[CORRECTION], at[INCREMENT_NORM]
+    contraction, iterations = at[CONTRACTION], at[ITERATIONS]
+    for lane in range(lanes):
+        relative[lane] = np.inf
+    for _ in range(MOST_ITERATIONS):
+        call(newton, h, t, W)
+        busy = 0
+        for lane in range(lanes):
+            if W[active, lane] <= 0.0:
+                continue
+            W[iterations, lane] += 1.0
+            correction = W[correction_row, lane]
+            increment = W[increment_row, lane]
+            if not (correction < np.inf and increment < np.inf):
+                W[active, lane] = -NOT_FINITE
+                worst = NOT_FINITE
+                continue
+            if correction == 0.0:
+                W[active, lane] = 0.0
+                continue
+            before = relative[lane]
+            now = correction / increment
+            relative[lane] = now
+            if before < SMALL and now > ROUND_OFF:
+                observed = np.sqrt(now) / before
+                W[contraction, lane] = max(1.0, observed, 0.5 * W[contraction, lane])
+            predicted = W[contraction, lane] * now
+            if predicted <= NEGLIGIBLE or (now < STAGNATION and now >= 0.25 * before):
+                W[active, lane] = 0.0
+            else:
+                busy += 1
+        if busy == 0:
+            return worst
+    for lane in range(lanes):
+        if W[active, lane] > 0.0:
+            W[active, lane] = -NOT_CONVERGED
+            worst = NOT_CONVERGED
+    return worst
+
+
+@njit(**OPTIONS)
+def keep(W, first, last, lane, copy):
+    """Copy rows of a lane."""
+    for row in range(first, last):
+        copy[row - first, lane] = W[row, lane]
+
+
+@njit(**OPTIONS)
+def put_back(W, first, last, lane, copy):
+    """Restore rows of a lane."""
+    for row in range(first, last):
+        W[row, lane] = copy[row - first, lane]
+
+
+@njit(**OPTIONS)
+def activate_only(W, active, lane):
+    """Let kernels work on one lane."""
+    for other in range(W.shape[1]):
+        W[active, other] = 1.0 if other == lane else 0.0
+
+
+@njit(**OPTIONS)
+def distance(W, at, lane, a, b):
+    """Squared distance of two sets of increments in the metric of M(q0)'s diagonal."""
+    total = 0.0
+    for row in range(a.shape[0]):
+        gap = a[row, lane] - b[row, lane]
+        total += W[at[METRIC] + row % at[DIMENSION], lane] * gap * gap
+    return total
+
+
+@njit(**OPTIONS)
+def follow(kernels, h, t, W, at, relative, lane):
+    """Solve one lane's step by following the solution from small steps to h; give a status.
+
+    The state of the lane must be that at the start of the step. Only its increments change.
+    """
+    first, last = at[INCREMENT], at[STATE_END]
+    rows, lanes = W.shape
+    unknowns = last - first
+    whole = np.empty((rows, lanes))
+    for other in range(lanes):
+        keep(W, 0, rows, other, whole)
+    zero = np.zeros((unknowns, lanes))
+    straight = np.zeros((unknowns, lanes))
+    bend = np.zeros((unknowns, lanes))
+    bend_before = np.zeros((unknowns, lanes))
+    guess = np.zeros((unknowns, lanes))
+    found = np.zeros((unknowns, lanes))
+    largest = 0.0
+    status = 0
+    for piece in range(1, PIECES + 1):
+        part = h * piece / PIECES
+        activate_only(W, at[ACTIVE], lane)
+        W[at[CONTRACTION], lane] = 1.0
+        call(kernels[PREPARE], part, t, W)
+        call(kernels[START], part, t, W)
+        keep(W, first, last, lane, straight)
+        for row in range(unknowns):
+            extrapolated = 2.0 * bend[row, lane] - bend_before[row, lane]
+            guess[row, lane] = straight[row, lane] + extrapolated * part * part
+        put_back(W, first, last, lane, guess)
+        status = solve(kernels[NEWTON], part, t, W, at, relative)
+        if status != 0:
+            break
+        keep(W, first, last, lane, found)
+        largest = max(largest, distance(W, at, lane, found, zero))
+        if piece > 2 and distance(W, at, lane, found, guess) > 0.25 * largest:
+            status = STEP_TOO_LARGE  # it jumped to another solution
+            break
+        for row in range(unknowns):
+            bent = (found[row, lane] - straight[row, lane]) / (part * part)
+            bend_before[row, lane] = bent if piece == 1 else bend[row, lane]
+            bend[row, lane] = bent
+    whole[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
+    for other in range(lanes):
+        put_back(W, 0, rows, other, whole)
+    if status == 0:
+        put_back(W, first, last, lane, found)
+    return status
+
+
+@njit(**OPTIONS)
+def verify(kernels, h, t, W, at, relative, lane, before, increments):
+    """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
+    first, last = at[INCREMENT], at[STATE_END]
+    rows, lanes = W.shape
+    after = np.empty((rows, lanes))
+    for other in range(lanes):
+        keep(W, 0, rows, other, after)
+    finite = W[at[MISMATCH], lane] < np.inf
+    put_back(W, at[POSITION], last, lane, before)
+    if not finite:
+        W[at[STATUS], lane] = NOT_FINITE
+        return
+    if follow(kernels, h, t, W, at, relative, lane) != 0:
+        W[at[STATUS], lane] = STEP_TOO_LARGE
+        return
+    followed = np.zeros((last - first, lanes))
+    zero = np.zeros((last - first, lanes))
+    keep(W, first, last, lane, followed)
+    size = distance(W, at, lane, followed, zero)
+    after[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
+    if not distance(W, at, lane, followed, increments) <= SAME_SOLUTION * size:
+        activate_only(W, at[ACTIVE], lane)
+        call(kernels[START], h, t, W)
+        put_back(W, first, last, lane, followed)
+        call(kernels[ADVANCE], h, t, W)
+        keep(W, 0, rows, lane, after)
+        if not W[at[MISMATCH], lane] < np.inf:
+            after[at[STATUS], lane] = NOT_FINITE
+    for other in range(lanes):
+        put_back(W, 0, rows, other, after)
+
+
+@njit(types.void(KERNELS, types.int64, TIME, TIME, WORKSPACE, PLACES), cache=True, **OPTIONS)
+def begin(kernels, legendre, h, t, W, at):
+    """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
+    for lane in range(W.shape[1]):
+        W[at[ACTIVE], lane] = 1.0
+        W[at[STATUS], lane] = 0.0
+        W[at[CONTRACTION], lane] = 1.0
+        W[at[SCALE], lane] = 0.0
+        W[at[ITERATIONS], lane] = 0.0
+    call(kernels[PREPARE], h, t, W)
+    if legendre != 0:
+        call(legendre, h, t, W)
+    call(kernels[START], h, t, W)
+
+
+@njit(types.void(KERNELS, TIME, TIME, WORKSPACE, PLACES), cache=True, **OPTIONS)
+def switch(kernels, h, t, W, at):
+    """Go on with other kernels of the same layout, from the state and the predicted increments."""
+    first, last = at[INCREMENT], at[STATE_END]
+    increments = np.empty((last - first, W.shape[1]))
+    for lane in range(W.shape[1]):
+        keep(W, first, last, lane, increments)
+        W[at[STATUS], lane] = 0.0
+    call(kernels[PREPARE], h, t, W)
+    call(kernels[START], h, t, W)
+    for lane in range(W.shape[1]):
+        put_back(W, first, last, lane, increments)
+
+
+@njit(
+    STEPS(KERNELS, TIME, TIME, WORKSPACE, PLACES, STEPS, STEPS, STEPS, STATES, STATES,
+          types.int64[:, ::1]),
+    cache=True, **OPTIONS,
+)  # fmt: skip
+def run(kernels, h, t0, W, at, step, stop, every, q_out, p_out, iterations_out):
+    """Take the steps from ``step`` to ``stop``; give the number of the step that comes next.
+
+    States are stored after each ``every`` steps, none for ``every = 0``. It ends early only when
+    no lane is left: a lane that fails keeps its state at the start of the failed step and its
+    status, and is not touched again.
+    """
+    lanes = W.shape[1]
+    position, momentum, first, last = at[POSITION], at[MOMENTUM], at[INCREMENT], at[STATE_END]
+    active, status, scale, mismatch = at[ACTIVE], at[STATUS], at[SCALE], at[MISMATCH]
+    relative = np.empty(lanes)
+    before = np.empty((last - position, lanes))
+    increments = np.empty((last - first, lanes))
+    while step < stop:
+        t = t0 + h * step
+        alive = 0
+        for lane in range(lanes):
+            keep(W, position, last, lane, before)
+            W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            alive += W[status, lane] == 0.0
+        if alive == 0:
+            return step
+        if solve(kernels[NEWTON], h, t, W, at, relative) != 0:
+            for lane in range(lanes):
+                failure = -W[active, lane]
+                if failure > 0.0:
+                    put_back(W, position, last, lane, before)
+                    lost = follow(kernels, h, t, W, at, relative, lane)
+                    if lost != 0:
+                        W[status, lane] = lost if lost == STEP_TOO_LARGE else failure
+        for lane in range(lanes):
+            keep(W, first, last, lane, increments)
+            W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            W[scale, lane] = max(W[scale, lane], W[at[INCREMENT_NORM], lane])
+        call(kernels[ADVANCE], h, t, W)
+        for lane in range(lanes):
+            # the velocity at the end of the path should fit the new momentum
+            if W[status, lane] == 0.0 and not W[mismatch, lane] <= W[scale, lane]:
+                verify(kernels, h, t, W, at, relative, lane, before, increments)
+        step += 1
+        if every != 0 and step % every == 0:
+            place = step // every
+            for lane in range(lanes):
+                if W[status, lane] == 0.0:
+                    for a in range(at[DIMENSION]):
+                        q_out[place, a, lane] = W[position + a, lane]
+                        p_out[place, a, lane] = W[momentum + a, lane]
+                    iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
+                    W[at[ITERATIONS], lane] = 0.0
+    return step
+
+
+@njit(
+    types.void(types.int64, types.int64, TIME, WORKSPACE, PLACES, types.float64[:, ::1],
+               types.float64[:, ::1], types.int64, types.float64[:, ::1]),
+    cache=True, **OPTIONS,
+)  # fmt: skip
+def evaluate(prepare, kernel, h, W, at, q, p, block, out):
+    """Evaluate a kernel that maps (q, p) to the rows of a block, for each of many states."""
+    n = at[DIMENSION]
+    call(prepare, h, 0.0, W)
+    for i in range(q.shape[0]):
+        for a in range(n):
+            W[at[POSITION] + a, 0] = q[i, a]
+            W[at[MOMENTUM] + a, 0] = p[i, a]
+        call(kernel, h, 0.0, W)
+        for k in range(out.shape[1]):
+            out[i, k] = W[block + k, 0]

@@ -1,0 +1,167 @@
+"""Read a generated module: what it states of itself, and its compiled kernels."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType, ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import StaleKernelError
+from symsimpson.runtime.cache import compiled
+
+__all__ = ["INTERFACE", "Facts", "Kernels", "read_facts"]
+
+#: The kernel interface that this runtime drives.
+INTERFACE = 1
+
+_STEP = ("prepare", "start", "newton", "advance")
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a generated module states of itself, read without executing it."""
+
+    system: str
+    scheme: str
+    digest: str
+    order: int
+    degree: int
+    coordinates: tuple[str, ...]
+    parameters: tuple[str, ...]
+    defaults: tuple[float, ...]
+    signs: tuple[str, ...]
+    invariants: tuple[str, ...]
+    rows: int
+    row_order: tuple[int, ...]
+    column_order: tuple[int, ...]
+    layout: Mapping[str, int]
+    functions: tuple[str, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """What the driver must know of the layout, in its order."""
+        names = (
+            "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "STATUS",
+            "CONTRACTION", "SCALE", "ITERATIONS", "POSITION", "MOMENTUM", "INCREMENT",
+        )  # fmt: skip
+        rows = [self.layout[name] for name in names]
+        end = self.layout["INCREMENT"] + self.degree * self.n
+        return np.array([*rows, end, self.layout["METRIC"], self.n], dtype=np.int64)
+
+
+def read_facts(text: str, where: str) -> Facts:
+    """Read the constants of a generated module from its syntax tree.
+
+    Raises
+    ------
+    StaleKernelError
+        If the text is not a module that this version's generator wrote, unchanged.
+    """
+    _check_digest(text, where)
+    constants: dict[str, Any] = {}
+    functions: list[str] = []
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            try:
+                constants[node.targets[0].id] = ast.literal_eval(node.value)
+            except ValueError:
+                continue
+        elif isinstance(node, ast.FunctionDef):
+            functions.append(node.name)
+    if constants.get("INTERFACE") != INTERFACE:
+        raise StaleKernelError(
+            f"{where}: the module has kernel interface {constants.get('INTERFACE')}, "
+            f"this symsimpson drives interface {INTERFACE}.\n"
+            "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
+        )
+    names = {
+        "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
+        "degree": "DEGREE", "coordinates": "COORDINATES", "parameters": "PARAMETERS",
+        "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS", "rows": "ROWS",
+        "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
+    }  # fmt: skip
+    blocks = {
+        name: value
+        for name, value in constants.items()
+        if isinstance(value, int) and re.fullmatch(r"[A-Z][A-Z_]+", name)
+    }
+    return Facts(
+        **{field: constants[name] for field, name in names.items()},
+        layout=MappingProxyType(blocks),
+        functions=tuple(functions),
+    )
+
+
+def _check_digest(text: str, where: str) -> None:
+    found = re.search(r"^# sha256 of what follows: ([0-9a-f]{64})\n", text, re.MULTILINE)
+    if found is None:
+        raise StaleKernelError(
+            f"{where}: this is no module that symsimpson generated: its banner has no digest.\n"
+            "Only generated modules are loaded, because loading executes them. Generate one with "
+            "symsimpson.generate(system, scheme)."
+        )
+    if hashlib.sha256(text[found.end() :].encode()).hexdigest() != found[1]:
+        raise StaleKernelError(
+            f"{where}: the module does not match the digest in its banner: it was edited or "
+            "damaged.\nIts equations can no longer be trusted. Change the system, not the file, "
+            "and generate it anew."
+        )
+
+
+class Kernels:
+    """The kernels of one module, compiled or loaded from the cache when first asked for."""
+
+    def __init__(self, text: str, facts: Facts) -> None:
+        # run-time values are no part of what is compiled, nor is the banner above the module
+        body = text[text.index('"""') :]
+        self._text = re.sub(r"^DEFAULTS = \([^)]*\)\n", "", body, count=1, flags=re.MULTILINE)
+        self._facts = facts
+
+    @cached_property
+    def step(self) -> NDArray[np.int64]:
+        """Addresses of prepare, start, newton and advance."""
+        return self._addresses(self._text, "step", _STEP)
+
+    @cached_property
+    def robust(self) -> NDArray[np.int64]:
+        """Addresses of the same with row pivoting and the library's sine and cosine.
+
+        They take any angle and meet no singular pivot, at several times the cost.
+        """
+        start = self._text.index("@compiled\ndef sincos(x):")
+        end = self._text.index("\n\n\n", start)
+        plain = "@compiled\ndef sincos(x):\n    return sin(x), cos(x)"
+        text = self._text[:start] + plain + self._text[end:]
+        text = text.replace("from numba import", "from math import cos, sin\n\nfrom numba import", 1)
+        pivoted = "newton_pivoted" if "newton_pivoted" in self._facts.functions else "newton"
+        return self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
+
+    def address(self, name: str) -> int:
+        """Give the address of one kernel."""
+        return int(self._addresses(self._text, name, (name,))[0])
+
+    @staticmethod
+    def _addresses(text: str, label: str, names: tuple[str, ...]) -> NDArray[np.int64]:
+        def compile_kernels(module: ModuleType) -> tuple[list[Any], NDArray[np.int64]]:
+            from numba import cfunc
+
+            kernels = [
+                cfunc(module.SIGNATURE, cache=True, **module.OPTIONS)(getattr(module, name))
+                for name in names
+            ]
+            return kernels, np.array([kernel.address for kernel in kernels], dtype=np.int64)
+
+        return compiled(text, label, compile_kernels)[1]

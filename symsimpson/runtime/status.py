@@ -1,0 +1,40 @@
+"""How a run ended."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+__all__ = ["Status"]
+
+
+class Status(IntEnum):
+    """How a run ended; 0 is success. ``message`` says it in a sentence, with what to do."""
+
+    SUCCESS = 0
+    INTERRUPTED = 1
+    NOT_CONVERGED = 2
+    NOT_FINITE = 3
+    STEP_TOO_LARGE = 4
+
+    @property
+    def message(self) -> str:
+        """The outcome as a sentence."""
+        return _MESSAGES[self]
+
+
+_MESSAGES = {
+    Status.SUCCESS: "The run reached its end.",
+    Status.INTERRUPTED: "The run was interrupted; what was computed is kept.",
+    Status.NOT_CONVERGED: (
+        "Newton's method did not converge. The step is too large for this motion, or the mass "
+        "matrix is nearly singular there: try a smaller h."
+    ),
+    Status.NOT_FINITE: (
+        "A NaN or an infinity came up. The motion left the domain of T or V, reached a singular "
+        "point, or the step is far too large: check the state before the step, try a smaller h."
+    ),
+    Status.STEP_TOO_LARGE: (
+        "The equations of the step have a solution, but not one connected to the state by smaller "
+        "steps. The step is too large for this motion: try a smaller h."
+    ),
+}

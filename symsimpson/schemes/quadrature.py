@@ -1,0 +1,89 @@
+"""Gauss and Lobatto quadrature on [0, 1], with exact nodes and weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import sympy as sp
+
+from symsimpson.errors import SchemeError
+
+__all__ = ["Quadrature", "gauss", "lagrange_basis", "lobatto"]
+
+#: Roots of Legendre polynomials and of their derivatives are written in radicals up to here.
+CLOSED_FORM = {"gauss": 5, "lobatto": 6}
+
+_x = sp.Symbol("x", real=True)
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """A quadrature rule on [0, 1].
+
+    Attributes
+    ----------
+    kind : str
+        ``"gauss"`` or ``"lobatto"``.
+    nodes, weights : tuple of sympy numbers
+        c_i in increasing order, and b_i.
+    order : int
+        Polynomials of degree ``order - 1`` are integrated exactly.
+    """
+
+    kind: str
+    nodes: tuple[sp.Expr, ...]
+    weights: tuple[sp.Expr, ...]
+    order: int
+
+
+@cache
+def gauss(nodes: int) -> Quadrature:
+    """Give the Gauss rule: the zeros of the Legendre polynomial, order 2s."""
+    _check("gauss", nodes, 1)
+    points = _unit_roots(sp.legendre(nodes, _x))
+    return Quadrature("gauss", points, _weights(points), 2 * nodes)
+
+
+@cache
+def lobatto(nodes: int) -> Quadrature:
+    """Give the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
+    _check("lobatto", nodes, 2)
+    inner = _unit_roots(sp.diff(sp.legendre(nodes - 1, _x), _x)) if nodes > 2 else ()
+    points = (sp.S.Zero, *inner, sp.S.One)
+    return Quadrature("lobatto", points, _weights(points), 2 * nodes - 2)
+
+
+def lagrange_basis(points: tuple[sp.Expr, ...], x: sp.Expr) -> tuple[sp.Expr, ...]:
+    """Give the Lagrange polynomials l_k(x) of the points, with l_k(points[j]) = 1 if j = k."""
+    return tuple(
+        sp.prod([(x - other) / (point - other) for other in points if other != point])
+        for point in points
+    )
+
+
+def _check(kind: str, nodes: int, least: int) -> None:
+    if isinstance(nodes, bool) or not isinstance(nodes, int) or nodes < least:
+        raise SchemeError(
+            f"a {kind} quadrature has at least {least} node(s), not {nodes!r}.\n"
+            f"Choose nodes={least} or more."
+        )
+    if nodes > CLOSED_FORM[kind]:
+        raise SchemeError(
+            f"the {kind} nodes are known in closed form up to nodes={CLOSED_FORM[kind]}, "
+            f"not {nodes}.\nExact tables keep a scheme symplectic to round-off. Use fewer nodes."
+        )
+
+
+def _unit_roots(polynomial: sp.Expr) -> tuple[sp.Expr, ...]:
+    """Give the real roots on [-1, 1], moved to [0, 1] and sorted."""
+    roots = sorted(sp.roots(polynomial, _x), key=lambda root: float(sp.N(root, 30)))
+    return tuple(sp.radsimp(sp.expand((1 + root) / 2)) for root in roots)
+
+
+def _weights(points: tuple[sp.Expr, ...]) -> tuple[sp.Expr, ...]:
+    """Integrate the Lagrange polynomials over [0, 1]."""
+    return tuple(
+        sp.radsimp(sp.expand(sp.integrate(sp.expand(basis), (_x, 0, 1))))
+        for basis in lagrange_basis(points, _x)
+    )

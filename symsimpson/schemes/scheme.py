@@ -1,0 +1,209 @@
+"""Galerkin variational integrators as tables."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+
+import sympy as sp
+
+from symsimpson.errors import SchemeError
+from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto
+
+__all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin", "read_scheme"]
+
+Table = tuple[tuple[sp.Expr, ...], ...]
+_QUADRATURES = {"gauss": gauss, "lobatto": lobatto}
+
+
+def _number(expression: sp.Expr) -> sp.Expr:
+    return sp.radsimp(sp.expand(expression))
+
+
+@dataclass(frozen=True, repr=False)
+class Scheme:
+    r"""A Galerkin variational integrator.
+
+    The path over one step is a polynomial of degree d through control points X_0 = q0, ...,
+    X_d = q1 at the Lobatto points; the action is summed by a quadrature (b_i, c_i):
+
+    .. math:: L_d = h \sum_i b_i L\bigl(\sum_k A_{ik} X_k, \tfrac1h \sum_k B_{ik} X_k\bigr).
+
+    Attributes
+    ----------
+    name : str
+        As given to ``compile`` and used in file names.
+    quadrature : Quadrature
+        Nodes c_i and weights b_i, i = 1..s.
+    degree : int
+        Degree d of the path.
+
+    References
+    ----------
+    .. [1] J. E. Marsden and M. West, Acta Numerica 10 (2001), section 2.2.6.
+    .. [2] S. Ober-Bloebaum, Galerkin variational integrators and modified symplectic Runge-Kutta
+       methods, IMA J. Numer. Anal. 37 (2017), 375-406.
+    """
+
+    name: str
+    quadrature: Quadrature = field(repr=False)
+    degree: int
+
+    @property
+    def stages(self) -> int:
+        """Number s of quadrature nodes."""
+        return len(self.quadrature.nodes)
+
+    @property
+    def order(self) -> int:
+        """Order of consistency: min(2d, order of the quadrature)."""
+        return min(2 * self.degree, self.quadrature.order)
+
+    @cached_property
+    def points(self) -> tuple[sp.Expr, ...]:
+        """Lobatto points of the control points, d + 1 of them."""
+        return lobatto(self.degree + 1).nodes
+
+    @cached_property
+    def A(self) -> Table:  # noqa: N802 (the table's name in the literature)
+        """A_ik = l_k(c_i), s by d + 1."""
+        return tuple(
+            tuple(_number(value) for value in lagrange_basis(self.points, c))
+            for c in self.quadrature.nodes
+        )
+
+    @cached_property
+    def B(self) -> Table:  # noqa: N802
+        """B_ik = l_k'(c_i), s by d + 1."""
+        return tuple(self._slopes(c) for c in self.quadrature.nodes)
+
+    @cached_property
+    def extrapolation(self) -> Table:
+        """E_kj: the last step's path at 1 + c_k from its increments X_j - X_0, k, j = 1..d."""
+        d = self.degree
+        rows = [lagrange_basis(self.points, 1 + c) for c in self.points[1:]]
+        return tuple(
+            tuple(_number(row[j] - (1 if j == d else 0)) for j in range(1, d + 1)) for row in rows
+        )
+
+    @cached_property
+    def end_slope(self) -> tuple[sp.Expr, ...]:
+        """l_j'(1), j = 1..d: h times the velocity at the end of a step from its increments."""
+        return self._slopes(sp.S.One)[1:]
+
+    @cached_property
+    def correction(self) -> tuple[sp.Expr, ...]:
+        """g_k, k = 1..d: what one unit of slope at the start adds to the extrapolation.
+
+        The predictor is the polynomial of degree d + 1 through the last step's control points
+        with the slope h v0 at the new start: X_k = sum_j E_kj X_j' + g_k (h v0 - slope').
+        """
+        x = sp.Symbol("x", real=True)
+        omega = sp.prod([x - (point - 1) for point in self.points])
+        slope = sp.diff(omega, x).subs(x, 0)
+        return tuple(_number(omega.subs(x, c) / slope) for c in self.points[1:])
+
+    def _slopes(self, c: sp.Expr) -> tuple[sp.Expr, ...]:
+        x = sp.Symbol("x", real=True)
+        basis = lagrange_basis(self.points, x)
+        return tuple(_number(sp.diff(sp.expand(value), x).subs(x, c)) for value in basis)
+
+    def __repr__(self) -> str:
+        kind = self.quadrature.kind.capitalize()
+        return (
+            f"Scheme({self.name!r}: {kind} quadrature with {self.stages} nodes, "
+            f"degree {self.degree}, order {self.order})"
+        )
+
+
+@cache
+def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
+    """Make a scheme from its quadrature and the degree of its path.
+
+    Parameters
+    ----------
+    quadrature : {"lobatto", "gauss"}
+    nodes : int
+        Number s of quadrature nodes.
+    degree : int
+        Degree d of the path, at most s.
+
+    Returns
+    -------
+    Scheme
+        Of order min(2d, order of the quadrature).
+
+    Raises
+    ------
+    SchemeError
+        If there is no such quadrature, or the degree exceeds the number of nodes.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.galerkin(quadrature="lobatto", nodes=3, degree=2) is ss.SIMPSON
+    True
+    >>> ss.galerkin("gauss", 2, 2).order
+    4
+    """
+    if quadrature not in _QUADRATURES:
+        raise SchemeError(
+            f"there is no quadrature {quadrature!r}.\nChoose 'lobatto' or 'gauss'."
+        )
+    rule = _QUADRATURES[quadrature](nodes)
+    if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
+        raise SchemeError(f"the degree of a path is at least 1, not {degree!r}.\nUse degree=1.")
+    if degree > nodes:
+        raise SchemeError(
+            f"a path of degree {degree} is not determined by {nodes} quadrature nodes.\n"
+            "The order would drop and the Newton matrix be singular for free motion. "
+            f"Use degree={nodes} or less, or more nodes."
+        )
+    return Scheme(_name(quadrature, nodes, degree), rule, degree)
+
+
+def _name(quadrature: str, nodes: int, degree: int) -> str:
+    """Name a scheme: the two of the paper, the family by order, the rest by its tables."""
+    if (quadrature, nodes, degree) == ("gauss", 1, 1):
+        return "midpoint"
+    if (quadrature, nodes, degree) == ("lobatto", 3, 2):
+        return "simpson"
+    if quadrature == "gauss" and degree == nodes:
+        return f"gauss{2 * nodes}"
+    if quadrature == "lobatto" and degree == nodes - 1:
+        return f"lobatto{2 * nodes - 2}"
+    return f"{quadrature}_{nodes}_{degree}"
+
+
+#: Order 2: one Gauss node, straight path (the implicit midpoint rule).
+MIDPOINT = galerkin("gauss", 1, 1)
+#: Order 4: Simpson's rule, parabolic path.
+SIMPSON = galerkin("lobatto", 3, 2)
+
+
+def read_scheme(scheme: str | Scheme) -> Scheme:
+    """Find a scheme by its name.
+
+    Raises
+    ------
+    SchemeError
+        If no scheme has this name.
+    """
+    if isinstance(scheme, Scheme):
+        return scheme
+    named = {s.name: s for s in (MIDPOINT, SIMPSON)}
+    if isinstance(scheme, str):
+        if scheme in named:
+            return named[scheme]
+        if found := re.fullmatch(r"(gauss|lobatto)([1-9][0-9]?)", scheme):
+            kind, order = found[1], int(found[2])
+            if order % 2 == 0:
+                nodes = order // 2 + (kind == "lobatto")
+                return galerkin(kind, nodes, nodes - (kind == "lobatto"))
+        if found := re.fullmatch(r"(gauss|lobatto)_([1-9])_([1-9])", scheme):
+            return galerkin(found[1], int(found[2]), int(found[3]))
+    raise SchemeError(
+        f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "
+        "(the family by its even order), or make one with symsimpson.galerkin."
+    )
