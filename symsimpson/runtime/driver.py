@@ -16,7 +16,9 @@ from numba.extending import intrinsic
 PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, CORRECTION, INCREMENT_NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
-POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(8, 14)
+POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DOUBTFUL, DIMENSION = range(8, 15)
+# why run stopped before the end
+FAILED, SUSPICIOUS = 1, 2
 # values of Status
 NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE = 2, 3, 4
 
@@ -29,13 +31,33 @@ SMALL, ROUND_OFF = 1e-2, 1e-24
 STAGNATION = 1e-20
 #: Two solutions of a step are one if their relative distance is below this, squared.
 SAME_SOLUTION = 1e-12
+#: A path whose end has a velocity off by more than this, squared, in units of the largest
+#: increment so far is verified. Midpoint leaves rest with 1.
+DOUBT = 4.0
 #: From a suspicious step the solution is followed from small steps in so many pieces.
 PIECES = 16
 
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}
 KERNELS, PLACES, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
-STEPS, TIME, STATES = types.int64, types.float64, types.float64[:, :, ::1]
+NUMBERS, STATES, COUNTS = types.float64[::1], types.float64[:, :, ::1], types.int64[:, ::1]
+#: What is called from Python, each compiled by itself when it is first needed.
+SIGNATURES = {
+    "begin": types.void(KERNELS, types.int64, types.float64, types.float64, WORKSPACE, PLACES),
+    "switch": types.void(KERNELS, types.float64, types.float64, WORKSPACE, PLACES),
+    "run": types.void(
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, WORKSPACE, WORKSPACE,
+        types.int64[::1], types.int64, types.int64, STATES, STATES, COUNTS,
+    ),
+    "mend": types.void(
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, WORKSPACE, WORKSPACE,
+        types.int64,
+    ),
+    "evaluate": types.void(
+        types.int64, types.int64, types.float64, WORKSPACE, PLACES, types.float64[:, :],
+        types.float64[:, :], types.int64, WORKSPACE,
+    ),
+}  # fmt: skip
 
 
 @intrinsic
@@ -188,6 +210,28 @@ def follow(kernels, h, t, W, at, relative, lane):
 
 
 @njit(**OPTIONS)
+def far_from_predicted(W, at, lane, before):
+    """Tell whether the increments are further from the predicted ones than any was from zero.
+
+    The first step of a run has nothing to compare with.
+    """
+    first, last = at[INCREMENT], at[STATE_END]
+    shift = at[INCREMENT] - at[POSITION]
+    total = 0.0
+    for row in range(last - first):
+        gap = W[first + row, lane] - before[shift + row, lane]
+        total += W[at[METRIC] + row % at[DIMENSION], lane] * gap * gap
+    return W[at[SCALE], lane] > 0.0 and not total <= W[at[SCALE], lane]
+
+
+@njit(**OPTIONS)
+def mismatched(W, at, lane):
+    """Tell whether the velocity at the end of the path is far from that of the new momentum."""
+    scale = max(W[at[SCALE], lane], W[at[INCREMENT_NORM], lane])
+    return not W[at[MISMATCH], lane] <= DOUBT * scale
+
+
+@njit(**OPTIONS)
 def verify(kernels, h, t, W, at, relative, lane, before, increments):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -207,6 +251,7 @@ def verify(kernels, h, t, W, at, relative, lane, before, increments):
     zero = np.zeros((last - first, lanes))
     keep(W, first, last, lane, followed)
     size = distance(W, at, lane, followed, zero)
+    after[at[SCALE], lane] = max(after[at[SCALE], lane], size)
     after[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
     if not distance(W, at, lane, followed, increments) <= SAME_SOLUTION * size:
         activate_only(W, at[ACTIVE], lane)
@@ -220,7 +265,34 @@ def verify(kernels, h, t, W, at, relative, lane, before, increments):
         put_back(W, 0, rows, other, after)
 
 
-@njit(types.void(KERNELS, types.int64, TIME, TIME, WORKSPACE, PLACES), cache=True, **OPTIONS)
+@njit(**OPTIONS)
+def mend(kernels, h, t, W, at, relative, before, increments, event):
+    """Finish a step at which ``run`` stopped: lanes that failed, or whose solution is suspicious.
+
+    ``before``, ``increments`` and ``relative`` are as ``run`` left them.
+    """
+    first, last = at[INCREMENT], at[STATE_END]
+    lanes = W.shape[1]
+    if event == FAILED:
+        for lane in range(lanes):
+            failure = -W[at[ACTIVE], lane]
+            if failure > 0.0:
+                put_back(W, at[POSITION], last, lane, before)
+                lost = follow(kernels, h, t, W, at, relative, lane)
+                if lost != 0:
+                    W[at[STATUS], lane] = lost if lost == STEP_TOO_LARGE else failure
+        for lane in range(lanes):
+            keep(W, first, last, lane, increments)
+            alive = W[at[STATUS], lane] == 0.0
+            W[at[ACTIVE], lane] = 1.0 if alive else 0.0
+            W[at[DOUBTFUL], lane] = 1.0 if alive and far_from_predicted(W, at, lane, before) else 0.0
+        call(kernels[ADVANCE], h, t, W)
+    for lane in range(lanes):
+        if W[at[STATUS], lane] == 0.0 and (W[at[DOUBTFUL], lane] != 0.0 or mismatched(W, at, lane)):
+            verify(kernels, h, t, W, at, relative, lane, before, increments)
+
+
+@njit(**OPTIONS)
 def begin(kernels, legendre, h, t, W, at):
     """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
     for lane in range(W.shape[1]):
@@ -235,7 +307,7 @@ def begin(kernels, legendre, h, t, W, at):
     call(kernels[START], h, t, W)
 
 
-@njit(types.void(KERNELS, TIME, TIME, WORKSPACE, PLACES), cache=True, **OPTIONS)
+@njit(**OPTIONS)
 def switch(kernels, h, t, W, at):
     """Go on with other kernels of the same layout, from the state and the predicted increments."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -249,50 +321,57 @@ def switch(kernels, h, t, W, at):
         put_back(W, first, last, lane, increments)
 
 
-@njit(
-    STEPS(KERNELS, TIME, TIME, WORKSPACE, PLACES, STEPS, STEPS, STEPS, STATES, STATES,
-          types.int64[:, ::1]),
-    cache=True, **OPTIONS,
-)  # fmt: skip
-def run(kernels, h, t0, W, at, step, stop, every, q_out, p_out, iterations_out):
-    """Take the steps from ``step`` to ``stop``; give the number of the step that comes next.
+@njit(**OPTIONS)
+def run(
+    kernels, h, t0, W, at, relative, before, increments, progress, stop, every,
+    q_out, p_out, iterations_out,
+):  # fmt: skip
+    """Take steps until ``stop``, an event, or no lane is left; ``progress`` is (step, event).
 
-    States are stored after each ``every`` steps, none for ``every = 0``. It ends early only when
-    no lane is left: a lane that fails keeps its state at the start of the failed step and its
-    status, and is not touched again.
+    States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
+    other than 0 is not touched. At an event the step is not finished: ``mend`` does that, and
+    ``run`` goes on. ``relative``, ``before`` and ``increments`` are scratch for a number, a state
+    and increments a lane.
     """
     lanes = W.shape[1]
     position, momentum, first, last = at[POSITION], at[MOMENTUM], at[INCREMENT], at[STATE_END]
-    active, status, scale, mismatch = at[ACTIVE], at[STATUS], at[SCALE], at[MISMATCH]
-    relative = np.empty(lanes)
-    before = np.empty((last - position, lanes))
-    increments = np.empty((last - first, lanes))
+    active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[INCREMENT_NORM]
+    doubt = at[DOUBTFUL]
+    step, mended = progress[0], progress[1] != 0
+    progress[1] = 0
     while step < stop:
-        t = t0 + h * step
-        alive = 0
-        for lane in range(lanes):
-            keep(W, position, last, lane, before)
-            W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            alive += W[status, lane] == 0.0
-        if alive == 0:
-            return step
-        if solve(kernels[NEWTON], h, t, W, at, relative) != 0:
+        if not mended:
+            t = t0 + h * step
+            alive = 0
             for lane in range(lanes):
-                failure = -W[active, lane]
-                if failure > 0.0:
-                    put_back(W, position, last, lane, before)
-                    lost = follow(kernels, h, t, W, at, relative, lane)
-                    if lost != 0:
-                        W[status, lane] = lost if lost == STEP_TOO_LARGE else failure
-        for lane in range(lanes):
-            keep(W, first, last, lane, increments)
-            W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            W[scale, lane] = max(W[scale, lane], W[at[INCREMENT_NORM], lane])
-        call(kernels[ADVANCE], h, t, W)
-        for lane in range(lanes):
-            # the velocity at the end of the path should fit the new momentum
-            if W[status, lane] == 0.0 and not W[mismatch, lane] <= W[scale, lane]:
-                verify(kernels, h, t, W, at, relative, lane, before, increments)
+                keep(W, position, last, lane, before)
+                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+                alive += W[status, lane] == 0.0
+            if alive == 0:
+                break
+            if solve(kernels[NEWTON], h, t, W, at, relative) != 0:
+                progress[1] = FAILED
+                break
+            doubts = 0
+            for lane in range(lanes):
+                keep(W, first, last, lane, increments)
+                if W[status, lane] == 0.0:
+                    W[active, lane] = 1.0
+                    W[doubt, lane] = 1.0 if far_from_predicted(W, at, lane, before) else 0.0
+                else:
+                    W[active, lane] = 0.0
+            call(kernels[ADVANCE], h, t, W)
+            for lane in range(lanes):
+                if W[status, lane] == 0.0:
+                    if W[doubt, lane] != 0.0 or mismatched(W, at, lane):
+                        W[doubt, lane] = 1.0
+                        doubts += 1
+                    else:
+                        W[scale, lane] = max(W[scale, lane], W[norms, lane])
+            if doubts > 0:
+                progress[1] = SUSPICIOUS
+                break
+        mended = False
         step += 1
         if every != 0 and step % every == 0:
             place = step // every
@@ -303,14 +382,10 @@ def run(kernels, h, t0, W, at, step, stop, every, q_out, p_out, iterations_out):
                         p_out[place, a, lane] = W[momentum + a, lane]
                     iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
                     W[at[ITERATIONS], lane] = 0.0
-    return step
+    progress[0] = step
 
 
-@njit(
-    types.void(types.int64, types.int64, TIME, WORKSPACE, PLACES, types.float64[:, ::1],
-               types.float64[:, ::1], types.int64, types.float64[:, ::1]),
-    cache=True, **OPTIONS,
-)  # fmt: skip
+@njit(**OPTIONS)
 def evaluate(prepare, kernel, h, W, at, q, p, block, out):
     """Evaluate a kernel that maps (q, p) to the rows of a block, for each of many states."""
     n = at[DIMENSION]

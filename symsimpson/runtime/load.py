@@ -59,7 +59,8 @@ class Facts:
         )  # fmt: skip
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
-        return np.array([*rows, end, self.layout["METRIC"], self.n], dtype=np.int64)
+        metric, doubtful = self.layout["METRIC"], self.layout["DOUBTFUL"]
+        return np.array([*rows, end, metric, doubtful, self.n], dtype=np.int64)
 
 
 def read_facts(text: str, where: str) -> Facts:

@@ -1,0 +1,102 @@
+"""Variational integrators from kinetic and potential energy.
+
+Declare T and V in SymPy; get a compiled, symplectic stepper of order two, four or more.
+
+>>> import symsimpson as ss
+>>> stepper = ss.compile(ss.systems.double_pendulum(), scheme="simpson")
+>>> run = stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.01, t_end=10.0)
+>>> run
+Trajectory(double_pendulum, simpson: 1000 steps of h=0.01, 1001 states stored, SUCCESS)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from symsimpson.api import compile, generate, load  # noqa: A004
+    from symsimpson.errors import (
+        ConvergenceError,
+        GenerationError,
+        InputError,
+        Interrupted,
+        ModelError,
+        SchemeError,
+        StaleKernelError,
+        SymsimpsonError,
+    )
+    from symsimpson.mechanics import catalogue as systems
+    from symsimpson.mechanics.coordinates import coordinates, momenta
+    from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.runtime.status import Status
+    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
+
+__version__ = "0.1.0"
+
+#: Where each public name lives; it is imported when first used, so that the core starts fast.
+_HOME = {
+    "compile": "api",
+    "generate": "api",
+    "load": "api",
+    "ConvergenceError": "errors",
+    "GenerationError": "errors",
+    "InputError": "errors",
+    "Interrupted": "errors",
+    "ModelError": "errors",
+    "SchemeError": "errors",
+    "StaleKernelError": "errors",
+    "SymsimpsonError": "errors",
+    "coordinates": "mechanics.coordinates",
+    "momenta": "mechanics.coordinates",
+    "MechanicalSystem": "mechanics.system",
+    "Status": "runtime.status",
+    "Stepper": "runtime.stepper",
+    "Trajectory": "runtime.trajectory",
+    "MIDPOINT": "schemes.scheme",
+    "SIMPSON": "schemes.scheme",
+    "Scheme": "schemes.scheme",
+    "galerkin": "schemes.scheme",
+}
+
+__all__ = [
+    "MIDPOINT",
+    "SIMPSON",
+    "ConvergenceError",
+    "GenerationError",
+    "InputError",
+    "Interrupted",
+    "MechanicalSystem",
+    "ModelError",
+    "Scheme",
+    "SchemeError",
+    "StaleKernelError",
+    "Status",
+    "Stepper",
+    "SymsimpsonError",
+    "Trajectory",
+    "compile",
+    "coordinates",
+    "galerkin",
+    "generate",
+    "load",
+    "momenta",
+    "systems",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "systems":
+        value: Any = importlib.import_module("symsimpson.mechanics.catalogue")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(f"symsimpson.{_HOME[name]}"), name)
+    else:
+        raise AttributeError(f"module 'symsimpson' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -1,0 +1,144 @@
+"""Check what a run is asked for, once, before anything is computed."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+
+__all__ = ["read_every", "read_number", "read_parameters", "read_steps", "read_vector"]
+
+#: The end of a run may miss a whole number of steps by so much of a step.
+STEP_FRACTION = 1e-6
+#: More steps than this cannot be counted exactly in a float.
+MOST_STEPS = 2**53
+
+
+def read_vector(name: str, value: ArrayLike, coordinates: tuple[str, ...]) -> NDArray[np.float64]:
+    """Read one finite number for each coordinate."""
+    vector = _floats(name, value)
+    n = len(coordinates)
+    if vector.shape != (n,):
+        raise InputError(
+            f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
+            f"{', '.join(coordinates)}.\nThe order is that of the coordinates in the declaration."
+        )
+    if not np.isfinite(vector).all():
+        where = coordinates[int(np.argmin(np.isfinite(vector)))]
+        raise InputError(
+            f"{name} is not finite for {where}: {value!r}.\n"
+            "A run must begin at a finite state. Look where the number comes from."
+        )
+    return vector
+
+
+def read_number(name: str, value: Any) -> float:
+    """Read one finite real number."""
+    array = _floats(name, value)
+    if array.shape != () or not math.isfinite(float(array)):
+        raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
+    return float(array)
+
+
+def _floats(name: str, value: Any) -> NDArray[np.float64]:
+    try:
+        array = np.array(value)
+        if array.dtype.kind not in "fiuO":
+            raise TypeError(array.dtype)
+        return array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{name} is {_short(value)}, not real numbers.\nPass a list or an array of floats."
+        ) from None
+
+
+def read_steps(h: Any, t_end: Any, steps: Any, t0: Any) -> tuple[float, int, float]:
+    """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
+    h, t0 = read_number("h", h), read_number("t0", t0)
+    if h == 0.0:
+        raise InputError("the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards.")
+    if (t_end is None) == (steps is None):
+        given = "neither" if t_end is None else "both"
+        raise InputError(
+            f"a run needs exactly one of t_end and steps, and has {given}.\n"
+            "Pass t_end=10.0 or steps=1000."
+        )
+    if steps is not None:
+        return h, _count("steps", steps, least=0), t0
+    end = read_number("t_end", t_end)
+    exact = (end - t0) / h
+    if exact < 0:
+        raise InputError(
+            f"t_end={end:g} is not reached from t0={t0:g} with h={h:g}.\n"
+            "Use a negative h to run backwards."
+        )
+    number = round(exact)
+    if number > MOST_STEPS:
+        raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
+    if abs(exact - number) > STEP_FRACTION:
+        raise InputError(
+            f"t_end={end:g} is not a whole number of steps of h={h:g} from t0={t0:g}: it is "
+            f"{exact:.6g}.\nA fixed step keeps the method symplectic. Use "
+            f"h={(end - t0) / max(number, 1):.17g}, or steps={number}."
+        )
+    return h, number, t0
+
+
+def read_every(every: Any) -> int:
+    """Read the stride of storage; None, for the last state only, becomes 0."""
+    return 0 if every is None else _count("every", every, least=1)
+
+
+def _count(name: str, value: Any, least: int) -> int:
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise TypeError
+        number = operator.index(value)
+    except TypeError:
+        raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.") from None
+    if not least <= number <= MOST_STEPS:
+        raise InputError(f"{name} is {number}.\nPass a whole number from {least} to 2**53.")
+    return number
+
+
+def read_parameters(
+    names: tuple[str, ...],
+    aliases: Mapping[str, int],
+    signs: tuple[str, ...],
+    defaults: NDArray[np.float64],
+    given: Mapping[Any, Any] | None,
+) -> NDArray[np.float64]:
+    """Merge run-time values, by symbol or by name, into the defaults."""
+    values = defaults.copy()
+    if given is None:
+        return values
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"parameters is {_short(given)}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        )
+    for key, value in given.items():
+        slot = aliases.get(str(key))
+        if slot is None:
+            raise InputError(
+                f"there is no parameter {_short(str(key))}.\n"
+                f"The system has {', '.join(names) or 'none'}."
+            )
+        number = read_number(f"parameter {names[slot]}", value)
+        if (signs[slot] == "positive" and number <= 0) or (signs[slot] == "negative" and number >= 0):
+            raise InputError(
+                f"parameter {names[slot]} is declared {signs[slot]} and given as {number:g}.\n"
+                "The equations were simplified with that sign. Change the value or the declaration."
+            )
+        values[slot] = number
+    return values
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,158 @@
+"""The driver, compiled or loaded; and one run of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import cache
+from importlib import resources
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.cache import compiled
+from symsimpson.runtime.load import Facts, Kernels
+from symsimpson.runtime.status import Status
+
+__all__ = ["Run", "driver"]
+
+#: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: Steps of the first stretch, before their cost is known.
+FIRST_STRETCH = 4096
+#: After a step that only the robust kernels could take, so many more are taken with them.
+ROBUST_STRETCH = 64
+
+
+@cache
+def driver(name: str) -> Callable[..., Any]:
+    """Give a function of the driver, compiled by itself."""
+    text = resources.files("symsimpson.runtime").joinpath("driver.py").read_text("utf-8")
+
+    def build(module: ModuleType) -> Callable[..., Any]:
+        from numba import njit
+
+        function = getattr(module, name).py_func
+        made: Callable[..., Any] = njit(
+            module.SIGNATURES[name], cache=True, **module.OPTIONS
+        )(function)  # fmt: skip
+        return made
+
+    return compiled(text, f"driver-{name}", build)
+
+
+class Run:
+    """A trajectory under way: its workspace, and the arrays in which states are stored.
+
+    ``advance(a)`` and then ``advance(b)`` leave the same bits as ``advance(b)`` alone.
+    """
+
+    def __init__(
+        self,
+        facts: Facts,
+        kernels: Kernels,
+        parameters: NDArray[np.float64],
+        h: float,
+        t0: float,
+        every: int,
+        stored: int,
+    ) -> None:
+        layout, n = facts.layout, facts.n
+        self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
+        self.W = np.zeros((facts.rows, 1))
+        first = layout["PARAMETER"]
+        self.W[first : first + parameters.size, 0] = parameters
+        self.q = np.empty((stored, n, 1))
+        self.p = np.empty((stored, n, 1))
+        self.iterations = np.zeros((stored, 1), dtype=np.int64)
+        unknowns = facts.degree * n
+        self._scratch = (np.empty(1), np.empty((4 * n + unknowns, 1)), np.empty((unknowns, 1)))
+        self._progress = np.zeros(2, dtype=np.int64)
+        self._robust_until = -1
+        self._stretch = FIRST_STRETCH
+
+    def begin(self, q: NDArray[np.float64], other: NDArray[np.float64], *, velocity: bool) -> None:
+        """Begin at (q, p), or at (q, v)."""
+        layout, n = self.facts.layout, self.facts.n
+        legendre = 0
+        second = layout["MOMENTUM"]
+        if velocity:
+            legendre, second = self.kernels.address("legendre"), layout["VELOCITY"]
+        self.W[layout["POSITION"] : layout["POSITION"] + n, 0] = q
+        self.W[second : second + n, 0] = other
+        driver("begin")(self.kernels.step, legendre, self.h, self.t0, self.W, self.facts.places)
+        self.store(0)
+
+    def store(self, place: int) -> None:
+        """Store the present state."""
+        layout, n = self.facts.layout, self.facts.n
+        self.q[place, :, 0] = self.rows("POSITION", n)
+        self.p[place, :, 0] = self.rows("MOMENTUM", n)
+
+    def rows(self, block: str, count: int) -> NDArray[np.float64]:
+        """Give rows of the workspace."""
+        first = self.facts.layout[block]
+        return self.W[first : first + count, 0]
+
+    @property
+    def step(self) -> int:
+        """Number of steps done."""
+        return int(self._progress[0])
+
+    @property
+    def status(self) -> Status:
+        """The state of the run."""
+        return Status(int(self.W[self.facts.layout["STATUS"], 0]))
+
+    @property
+    def last_correction(self) -> float:
+        """Size of the last Newton correction relative to the increment."""
+        return float(np.sqrt(self._scratch[0][0]))
+
+    @property
+    def last_iterations(self) -> int:
+        """Newton iterations since the last stored state."""
+        return int(self.W[self.facts.layout["ITERATIONS"], 0])
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
+        while self.step < stop and self.status is Status.SUCCESS:
+            until = min(stop, self.step + self._stretch)
+            robust = self.step < self._robust_until
+            if robust:
+                until = min(until, self._robust_until)
+            before, start = self.step, time.perf_counter()
+            self._stretch_until(self.kernels.robust if robust else self.kernels.step, until)
+            spent = time.perf_counter() - start
+            if self.step > before and spent > PATIENCE / 8:
+                self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
+            if self.status is not Status.SUCCESS and not robust:
+                self._robust_until = self.step + ROBUST_STRETCH
+                self._switch(self.kernels.robust)
+            elif robust and self.step == self._robust_until:
+                self._switch(self.kernels.step)
+
+    def _switch(self, kernels: NDArray[np.int64]) -> None:
+        driver("switch")(kernels, self.h, self._time(), self.W, self.facts.places)
+
+    def _time(self) -> float:
+        return self.t0 + self.h * self.step
+
+    def _stretch_until(self, kernels: NDArray[np.int64], stop: int) -> None:
+        """Run compiled, mending the steps at which the loop stops."""
+        at, W = self.facts.places, self.W
+        run = driver("run")
+        while True:
+            run(
+                kernels, self.h, self.t0, W, at, *self._scratch, self._progress, stop, self.every,
+                self.q, self.p, self.iterations,
+            )  # fmt: skip
+            event = self._progress[1]
+            if event == 0:
+                return
+            driver("mend")(kernels, self.h, self._time(), W, at, *self._scratch, event)
+            if self.status is not Status.SUCCESS:
+                self._progress[1] = 0
+                return

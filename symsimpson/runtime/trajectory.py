@@ -1,0 +1,88 @@
+"""The result of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Trajectory"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
+    """States of a run, and how it ended.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N + 1,)
+        Times of the stored states.
+    q, p : ndarray, shape (N + 1, n)
+        Positions and conjugate momenta.
+    newton_iterations : ndarray of int, shape (N + 1,)
+        Iterations since the state stored before; 0 for the first.
+    h : float
+        The step.
+    steps : int
+        Steps done.
+    status : Status
+        0 is success.
+    message : str
+        The outcome in words.
+    parameters : mapping from str to float
+        Values the run used.
+    """
+
+    t: NDArray[np.float64]
+    q: NDArray[np.float64]
+    p: NDArray[np.float64]
+    newton_iterations: NDArray[np.int64]
+    h: float
+    steps: int
+    status: Status
+    message: str
+    parameters: Mapping[str, float]
+    _stepper: Stepper = field(repr=False)
+    _values: NDArray[np.float64] = field(repr=False)
+
+    @cached_property
+    def energy(self) -> NDArray[np.float64]:
+        """H at the stored states, shape (N + 1,); computed when first asked for."""
+        return self._stepper._evaluate("energy", "ENERGY", 1, self.q, self.p, self._values)[:, 0]
+
+    @cached_property
+    def energy_error(self) -> NDArray[np.float64]:
+        """(H - H0)/|H0|, or H - H0 where H0 = 0; shape (N + 1,)."""
+        change = self.energy - self.energy[0]
+        start = abs(float(self.energy[0]))
+        return change / start if start > 0 else change
+
+    @cached_property
+    def invariants(self) -> dict[str, NDArray[np.float64]]:
+        """The system's named invariants at the stored states, each of shape (N + 1,)."""
+        names = self._stepper.invariants
+        if not names:
+            return {}
+        found = self._stepper._evaluate(
+            "invariants", "INVARIANT", len(names), self.q, self.p, self._values
+        )
+        return {name: found[:, i] for i, name in enumerate(names)}
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def __repr__(self) -> str:
+        stepper = self._stepper
+        return (
+            f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of h={self.h:g}, "
+            f"{self.t.size} states stored, {self.status.name})"
+        )
