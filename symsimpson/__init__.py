@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from symsimpson.api import compile, generate, load  # noqa: A004
+    from symsimpson.api import compile, generate, load
     from symsimpson.errors import (
         ConvergenceError,
         GenerationError,

@@ -14,7 +14,7 @@ from symsimpson.schemes.scheme import Scheme, read_scheme
 __all__ = ["compile", "generate", "load"]
 
 
-def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepper:  # noqa: A001
+def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepper:
     """Derive, emit and compile the integrator of a system.
 
     Parameters

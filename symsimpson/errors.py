@@ -82,7 +82,7 @@ class ConvergenceError(SymsimpsonError):
         self.status = status
 
 
-class Interrupted(SymsimpsonError, KeyboardInterrupt):  # noqa: N818 (an interrupt is no error)
+class Interrupted(SymsimpsonError, KeyboardInterrupt):
     """Ctrl-C stopped a run; ``trajectory`` holds what was computed."""
 
     def __init__(self, message: str, *, trajectory: Trajectory) -> None:

@@ -17,7 +17,10 @@ import mpmath
 
 __all__ = ["bind", "bind_complex", "bind_float", "bind_mpmath"]
 
-_MATH = "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log sqrt pi".split()
+_MATH = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+    "exp", "log", "sqrt", "pi",
+)  # fmt: skip
 
 
 def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:

@@ -53,13 +53,18 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     """
     printer = Printer()
     body = "\n\n\n".join(
-        [*(_function(f, printer) for f in module.functions), *(_kernel(k, printer) for k in module.kernels)]
+        [
+            *(_function(f, printer) for f in module.functions),
+            *(_kernel(k, printer) for k in module.kernels),
+        ]
     )
     constants = _constants(module, printer)
     tables = _tables(equations, printer)
     library = _library(body)
     numbers = "\n".join(
-        part for part in (_imports(printer.used), _facts(equations, module), _layout(module)) if part
+        part
+        for part in (_imports(printer.used), _facts(equations, module), _layout(module))
+        if part
     )
     text = "\n".join(
         [
@@ -105,7 +110,7 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
     lines += [
         "",
         "    L_d(X_0, ..., X_d) = h sum_i b_i L(sum_k A_ik X_k, 1/h sum_k B_ik X_k),",
-        f"    d = {scheme.degree}, {kind} quadrature with {scheme.stages} node(s), X_0 = q0, X_d = q1",
+        f"    d = {scheme.degree}, X_0 = q0, X_d = q1, {kind} quadrature, {scheme.stages} nodes,",
         "    p0 = -D_0 L_d,  D_k L_d = 0 for 0 < k < d,  p1 = D_d L_d",
         "",
         *_folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
@@ -171,7 +176,8 @@ def _tables(equations: DiscreteEquations, printer: Printer) -> str:
     exact = Printer(exact=True)
 
     def number(value: sp.Expr) -> str:
-        return exact.doprint(value)
+        # all of one type, because compiled code takes them in loops
+        return f"real({value})" if value.is_Integer else exact.doprint(value)
 
     def row(values: Iterable[sp.Expr]) -> str:
         return _literal_tuple(number(value) for value in values)

@@ -51,7 +51,9 @@ def lower(equations: DiscreteEquations) -> Module:
     # the last, because only now it is known what the others want computed once a run
     stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
-    kernels.insert(0, Kernel("prepare", doc, lanes(low.statements(stores, (Level.RUN,), "constants"))))
+    kernels.insert(
+        0, Kernel("prepare", doc, lanes(low.statements(stores, (Level.RUN,), "constants")))
+    )
     first, rows = layout(
         low.n,
         equations.scheme.degree,
@@ -85,5 +87,3 @@ def _invariants(low: Lowering) -> Kernel:
     ]
     doc = "Quantities that the exact flow conserves, at (q, p)."
     return Kernel("invariants", doc, lanes(low.statements(stores, STATE)))
-
-

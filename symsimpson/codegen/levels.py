@@ -80,7 +80,7 @@ class Graph:
                 self.definitions[target] = definition
                 self.levels[target] = definition.level
             self._known[key] = sine
-        return self.definitions[self._known[key]].targets  # type: ignore[return-value]
+        return self.definitions[self._known[key]].targets
 
     def level(self, expression: sp.Expr) -> Level:
         """Tell when an expression is known."""
@@ -132,9 +132,11 @@ class Graph:
         """Give the symbol that stands for a value already split; signs are pulled out."""
         if value.could_extract_minus_sign() and -value in self._known:
             return -self._known[-value]
+        level = self.level(value)
+        if level == Level.CONSTANT:
+            return self._number(value.xreplace(self.constants))
         if value not in self._known:
             symbol = self.names.fresh(wish)
-            level = self.level(value)
             self.definitions[symbol] = Definition((symbol,), value, level, section)
             self.levels[symbol] = level
             self._known[value] = symbol

@@ -3,7 +3,6 @@
 The emitter copies their text. The names declared here are constants of the emitted module: the
 blocks of the workspace and the scheme's tables. Nothing in this file runs in the package itself.
 """
-# mypy: disable-error-code="no-untyped-def,no-untyped-call"
 
 from collections.abc import Callable
 from typing import Any
@@ -212,7 +211,7 @@ def close_step(W, lane):
 
 @compiled
 def solve_mass(W, lane):
-    """Velocity v of M v = p - a by L D L^T; MASS_PIVOT is negative if M is not positive definite."""
+    """Solve M v = p - a by L D L^T; MASS_PIVOT < 0 if M is not positive definite."""
     deficit = real(0)
     for i in range(DIMENSION):
         W[METRIC + i, lane] = W[NODE_L_VV + i * DIMENSION + i, lane]
@@ -226,13 +225,9 @@ def solve_mass(W, lane):
             # L D above the diagonal, L below it, D on it
             W[NODE_L_VV + j * DIMENSION + i, lane] = entry
         for j in range(i):
-            entry = (
-                W[NODE_L_VV + j * DIMENSION + i, lane] / W[NODE_L_VV + j * DIMENSION + j, lane]
-            )
+            entry = W[NODE_L_VV + j * DIMENSION + i, lane] / W[NODE_L_VV + j * DIMENSION + j, lane]
             W[NODE_L_VV + i * DIMENSION + j, lane] = entry
-            W[NODE_L_VV + i * DIMENSION + i, lane] -= (
-                entry * W[NODE_L_VV + j * DIMENSION + i, lane]
-            )
+            W[NODE_L_VV + i * DIMENSION + i, lane] -= entry * W[NODE_L_VV + j * DIMENSION + i, lane]
             v -= entry * W[VELOCITY + j, lane]
         pivot = W[NODE_L_VV + i * DIMENSION + i, lane]
         deficit += pivot - abs(pivot)

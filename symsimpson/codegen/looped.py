@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-
 import sympy as sp
 
 from symsimpson.codegen.ir import Call, Function, Kernel, Loop, Row, Statement, Store, When
@@ -131,5 +130,3 @@ def general_kernels(*, alone: bool) -> list[Kernel]:
     doc = "Residual and Jacobian of the step, rows in the order of elimination."
     equations = Kernel("equations", doc, lanes(equations_body()))
     return [equations] if alone else [equations, newton_kernel("newton_pivoted")]
-
-

@@ -32,9 +32,11 @@ class Lowering:
         coordinates = self.names.coordinates
         self.h = self.graph.declare(equations.h, Level.RUN)
         self.q = self._base(coordinates, "POSITION", Level.STEP)
-        self.q_low = self._base([f"{q}_low" for q in coordinates], "POSITION_LOW", Level.STEP)
+        self.q_low = self._base([f"{q}_low" for q in coordinates], "POSITION_LOW", Level.ITERATION)
         self.p = self._base([f"p_{q}" for q in coordinates], "MOMENTUM", Level.STEP)
-        self.p_low = self._base([f"p_{q}_low" for q in coordinates], "MOMENTUM_LOW", Level.STEP)
+        self.p_low = self._base(
+            [f"p_{q}_low" for q in coordinates], "MOMENTUM_LOW", Level.ITERATION
+        )
         self.metric = self._base([f"metric_{q}" for q in coordinates], "METRIC", Level.STEP)
         self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
         self.increments = [
@@ -101,6 +103,7 @@ class Lowering:
         used = [s for s, d in self.graph.definitions.items() if s in needed]
         for symbol in used:
             if self.graph.definitions[symbol].level not in levels:
+                assert self.graph.levels[symbol] in (Level.RUN, Level.STEP)
                 self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
                 inputs.append(symbol)
         defined = [
@@ -116,7 +119,9 @@ class Lowering:
     def hoisted_at(self, level: Level) -> list[tuple[sp.Symbol, Row]]:
         """List the hoisted values of a level with their rows."""
         return [
-            (symbol, row) for symbol, row in self.hoisted.items() if self.graph.levels[symbol] == level
+            (symbol, row)
+            for symbol, row in self.hoisted.items()
+            if self.graph.levels[symbol] == level
         ]
 
     def moved(self, symbol: sp.Symbol, to: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:

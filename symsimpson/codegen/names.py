@@ -23,14 +23,95 @@ BLOCKS = (
 
 #: What an emitted module defines or imports; no symbol may take these names.
 RESERVED = frozenset(BLOCKS) | frozenset(
-    "math numpy np numba carray cfunc njit real pi sincos compiled W h t workspace lane node "
-    "LANES ROWS OPTIONS SIGNATURE INTERFACE SYSTEM SCHEME DIGEST ORDER DEGREE NODES DIMENSION "
-    "UNKNOWNS COORDINATES PARAMETERS DEFAULTS SIGNS INVARIANTS LAYOUT "
-    "ROW_ORDER COLUMN_ORDER WEIGHTS BASIS BASIS_SLOPE EXTRAPOLATION END_SLOPE START_SLOPE "
-    "prepare start legendre newton advance energy invariants equations newton_pivoted "
-    "path jet gradient mass straight assemble clear_momentum momentum accumulate solve_pivoted solve_mass close_step predict clear "
-    "update_increments kinetic_energy POINTS active "
-    "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp log sqrt".split()
+    [
+        "math",
+        "numpy",
+        "np",
+        "numba",
+        "carray",
+        "cfunc",
+        "njit",
+        "real",
+        "pi",
+        "sincos",
+        "compiled",
+        "W",
+        "h",
+        "t",
+        "workspace",
+        "lane",
+        "node",
+        "LANES",
+        "ROWS",
+        "OPTIONS",
+        "SIGNATURE",
+        "INTERFACE",
+        "SYSTEM",
+        "SCHEME",
+        "DIGEST",
+        "ORDER",
+        "DEGREE",
+        "NODES",
+        "DIMENSION",
+        "UNKNOWNS",
+        "COORDINATES",
+        "PARAMETERS",
+        "DEFAULTS",
+        "SIGNS",
+        "INVARIANTS",
+        "LAYOUT",
+        "ROW_ORDER",
+        "COLUMN_ORDER",
+        "WEIGHTS",
+        "BASIS",
+        "BASIS_SLOPE",
+        "EXTRAPOLATION",
+        "END_SLOPE",
+        "START_SLOPE",
+        "prepare",
+        "start",
+        "legendre",
+        "newton",
+        "advance",
+        "energy",
+        "invariants",
+        "equations",
+        "newton_pivoted",
+        "path",
+        "jet",
+        "gradient",
+        "mass",
+        "straight",
+        "assemble",
+        "clear_momentum",
+        "momentum",
+        "accumulate",
+        "solve_pivoted",
+        "solve_mass",
+        "close_step",
+        "predict",
+        "clear",
+        "update_increments",
+        "kinetic_energy",
+        "POINTS",
+        "active",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "exp",
+        "log",
+        "sqrt",
+    ]
 )
 
 
@@ -72,4 +153,3 @@ class NameTable:
             name = f"{wish}_{count}"
         self._taken.add(name)
         return sp.Symbol(name, real=True)
-

@@ -58,7 +58,7 @@ class Printer(StrPrinter):
                 return power if whole == 0 else f"({power})"
             return f"1/{power}" if whole == 0 else f"1/({power})"
         if exponent.is_Integer and exponent < 0:
-            return f"1/{self.parenthesize(base ** -exponent, PRECEDENCE['Pow'])}"
+            return f"1/{self.parenthesize(base**-exponent, PRECEDENCE['Pow'])}"
         left = self.parenthesize(base, PRECEDENCE["Pow"], strict=False)
         return f"{left}**{self.parenthesize(exponent, PRECEDENCE['Pow'], strict=False)}"
 
@@ -88,5 +88,3 @@ class Printer(StrPrinter):
 def count_operations(expression: sp.Expr) -> int:
     """Count additions, multiplications, divisions, powers and function calls."""
     return int(sp.count_ops(expression))
-
-

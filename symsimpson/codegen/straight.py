@@ -38,8 +38,9 @@ def velocity(
     right = [p[i] - entry(point, section, "a", i) for i in range(n)]
     wishes = [f"v_{name}_{point.suffix}" for name in low.names.coordinates]
     v, pivots = solve_symmetric(low.graph, mass, right, wishes, section)
-    deficit = sp.Add(*(pivot - sp.Abs(pivot, evaluate=False) for pivot in pivots))
-    return v, low.graph.define("deficit", deficit, section)
+    define = low.graph.define
+    deficits = [define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots]
+    return v, define("deficit", sp.Add(*deficits), section)
 
 
 def _node(low: Lowering, i: int, end: Point | None = None) -> Point:
@@ -67,6 +68,7 @@ def _newton(low: Lowering) -> Kernel:
     scheme, names = eqs.scheme, low.names.coordinates
     points = [_node(low, i) for i in range(scheme.stages)]
     nodes = list(enumerate(points))
+
     def entry(i: int, what: str, *index: int) -> sp.Expr:
         return low.template.entry(points[i], f"node {i}", what, *index)
 

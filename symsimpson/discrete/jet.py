@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import sympy as sp
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["Jet", "derive_jet"]
 
 Vector = tuple[sp.Expr, ...]
-Matrix = sp.ImmutableDenseMatrix
+Matrix: TypeAlias = sp.ImmutableDenseMatrix
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,7 @@ def read_parameters(
         if symbol.name in names:
             raise fail(
                 system,
-                f"two symbols of one name, '{symbol.name}': a parameter and "
-                f"{names[symbol.name]}.",
+                f"two symbols of one name, '{symbol.name}': a parameter and {names[symbol.name]}.",
                 "SymPy holds them apart by their assumptions, a reader cannot. "
                 "Make the symbol once and use it everywhere, or rename one of them.",
             )
@@ -244,7 +243,8 @@ def check_content(system: str, what: str, plain: sp.Expr) -> None:
                 "differentiated twice and compiled.",
                 "Newton's method needs two continuous derivatives. Use a smooth form, such as "
                 "sqrt(x**2 + eps**2) for |x|, or one of "
-                + ", ".join(sorted(f.__name__ for f in SMOOTH)) + ".",
+                + ", ".join(sorted(f.__name__ for f in SMOOTH))
+                + ".",
             )
         if isinstance(node, (sp.Piecewise, Relational, BooleanFunction)):
             raise fail(

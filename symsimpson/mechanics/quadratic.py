@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import mpmath
 import sympy as sp
@@ -12,7 +13,7 @@ from symsimpson.mechanics.checks import fail, spell
 
 __all__ = ["check_mass_matrix", "gyroscopic_and_potential", "mass_matrix_of"]
 
-Matrix = sp.ImmutableDenseMatrix
+Matrix: TypeAlias = sp.ImmutableDenseMatrix
 
 #: Samples at this many digits decide what algebra leaves open; they refuse, they never grant.
 DIGITS = 60
@@ -108,7 +109,7 @@ def check_mass_matrix(
     names = ", ".join(spell(back[qi]) for qi in q)
     raise fail(
         system,
-        "the mass matrix is singular for every configuration: its determinant vanishes identically.",
+        "the mass matrix is singular for every configuration: its determinant is zero.",
         "A variational step needs an invertible mass matrix: some combination of the velocities "
         f"of {names} carries no kinetic energy. Give each body its own term, or use fewer "
         "coordinates.",

@@ -86,7 +86,9 @@ def analyse(system: MechanicalSystem) -> Structure:
     return Structure(
         n=system.n,
         constant_mass=plain.mass.free_symbols.isdisjoint(plain.q),
-        diagonal_mass=all(sp.expand(plain.mass[i, j]) == 0 for i in range(system.n) for j in range(i)),
+        diagonal_mass=all(
+            sp.expand(plain.mass[i, j]) == 0 for i in range(system.n) for j in range(i)
+        ),
         gyroscopic=any(a != 0 for a in plain.gyroscopic),
         cyclic=tuple(
             user.func.__name__

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -33,7 +33,7 @@ from symsimpson.mechanics.structure import Structure, analyse
 
 __all__ = ["MechanicalSystem", "Plain"]
 
-Matrix = sp.ImmutableDenseMatrix
+Matrix: TypeAlias = sp.ImmutableDenseMatrix
 Positions = Mapping[str, Sequence[Any]]
 
 
@@ -164,10 +164,9 @@ class MechanicalSystem:
         )
         mass = mass_matrix_of(name, "Lagrangian", plain, symbols.v, symbols.back)
         linear, potential = gyroscopic_and_potential(plain, symbols.v)
-        kinetic = sum(
-            (mass[i, j] * vi * vj for i, vi in enumerate(symbols.v) for j, vj in enumerate(symbols.v)),
-            sp.S.Zero,
-        ) / 2  # fmt: skip
+        n = len(symbols.v)
+        pairs = ((i, j) for i in range(n) for j in range(n))
+        kinetic = sp.Add(*(mass[i, j] * symbols.v[i] * symbols.v[j] for i, j in pairs)) / 2
         return cls(
             name,
             coordinates=functions,

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import llvmlite
 import llvmlite.binding as llvm
@@ -155,7 +155,8 @@ def _intact(entry: Path) -> bool:
 def _import(path: Path, name: str, use: Callable[[ModuleType], Result]) -> Result:
     """Import a file under a name, registered before it runs: numba finds its cache by it."""
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     with _own_numba_cache():
@@ -166,7 +167,7 @@ def _import(path: Path, name: str, use: Callable[[ModuleType], Result]) -> Resul
 @contextlib.contextmanager
 def _own_numba_cache() -> Iterator[None]:
     """Keep numba's files inside the entry, wherever the environment would put them."""
-    config = numba.core.config
+    config: Any = numba.core.config
     elsewhere, bytecode = config.CACHE_DIR, sys.dont_write_bytecode
     config.CACHE_DIR, sys.dont_write_bytecode = "", True
     try:

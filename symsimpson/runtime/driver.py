@@ -5,7 +5,6 @@ time and the workspace; everything that a run must remember stands in the worksp
 can stop after any step and go on with the same bits. This file is compiled by itself and imports
 nothing of the package.
 """
-# mypy: disable-error-code="no-untyped-def,no-untyped-call,misc"
 
 import numpy as np
 from llvmlite import ir
@@ -285,7 +284,9 @@ def mend(kernels, h, t, W, at, relative, before, increments, event):
             keep(W, first, last, lane, increments)
             alive = W[at[STATUS], lane] == 0.0
             W[at[ACTIVE], lane] = 1.0 if alive else 0.0
-            W[at[DOUBTFUL], lane] = 1.0 if alive and far_from_predicted(W, at, lane, before) else 0.0
+            W[at[DOUBTFUL], lane] = (
+                1.0 if alive and far_from_predicted(W, at, lane, before) else 0.0
+            )
         call(kernels[ADVANCE], h, t, W)
     for lane in range(lanes):
         if W[at[STATUS], lane] == 0.0 and (W[at[DOUBTFUL], lane] != 0.0 or mismatched(W, at, lane)):

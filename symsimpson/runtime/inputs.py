@@ -62,7 +62,9 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any) -> tuple[float, int, flo
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
     h, t0 = read_number("h", h), read_number("t0", t0)
     if h == 0.0:
-        raise InputError("the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards.")
+        raise InputError(
+            "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
+        )
     if (t_end is None) == (steps is None):
         given = "neither" if t_end is None else "both"
         raise InputError(
@@ -130,7 +132,9 @@ def read_parameters(
                 f"The system has {', '.join(names) or 'none'}."
             )
         number = read_number(f"parameter {names[slot]}", value)
-        if (signs[slot] == "positive" and number <= 0) or (signs[slot] == "negative" and number >= 0):
+        if (signs[slot] == "positive" and number <= 0) or (
+            signs[slot] == "negative" and number >= 0
+        ):
             raise InputError(
                 f"parameter {names[slot]} is declared {signs[slot]} and given as {number:g}.\n"
                 "The equations were simplified with that sign. Change the value or the declaration."

@@ -146,7 +146,9 @@ class Kernels:
         end = self._text.index("\n\n\n", start)
         plain = "@compiled\ndef sincos(x):\n    return sin(x), cos(x)"
         text = self._text[:start] + plain + self._text[end:]
-        text = text.replace("from numba import", "from math import cos, sin\n\nfrom numba import", 1)
+        text = text.replace(
+            "from numba import", "from math import cos, sin\n\nfrom numba import", 1
+        )
         pivoted = "newton_pivoted" if "newton_pivoted" in self._facts.functions else "newton"
         return self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
 

@@ -87,7 +87,7 @@ class Run:
 
     def store(self, place: int) -> None:
         """Store the present state."""
-        layout, n = self.facts.layout, self.facts.n
+        n = self.facts.n
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
 

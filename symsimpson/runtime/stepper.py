@@ -240,13 +240,9 @@ class Stepper:
 
     def _values(self, given: Parameters | None) -> Floats:
         facts = self._facts
-        return read_parameters(
-            self.parameters, self._aliases, facts.signs, self._defaults, given
-        )
+        return read_parameters(self.parameters, self._aliases, facts.signs, self._defaults, given)
 
-    def _begin(
-        self, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None
-    ) -> None:
+    def _begin(self, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None) -> None:
         if (v0 is None) == (p0 is None):
             given = "neither" if v0 is None else "both"
             raise InputError(
@@ -260,7 +256,13 @@ class Stepper:
             run.begin(q, read_vector("v0", v0, self.coordinates), velocity=True)
         deficit = run.rows("MASS_PIVOT", 1)[0]
         if deficit < 0 or not np.isfinite(run.rows("VELOCITY", self.n)).all():
-            values = dict(zip(self.parameters, run.rows("PARAMETER", len(self.parameters)).tolist(), strict=True))
+            values = dict(
+                zip(
+                    self.parameters,
+                    run.rows("PARAMETER", len(self.parameters)).tolist(),
+                    strict=True,
+                )
+            )
             if np.isfinite(q).all() and (deficit < 0 or not np.isfinite(deficit)):
                 raise InputError(
                     f"{self.system}: the mass matrix at q0={q.tolist()} is not positive definite "
@@ -288,8 +290,8 @@ class Stepper:
         message = status.message
         if status is not Status.SUCCESS:
             message = (
-                f"{self.system}, {self.scheme}: step {done} of {count} at t={run.t0 + run.h * done:g} "
-                f"with h={run.h:g} was not taken. {message}"
+                f"{self.system}, {self.scheme}: step {done} of {count} at "
+                f"t={run.t0 + run.h * done:g} with h={run.h:g} was not taken. {message}"
             )
         return Trajectory(
             t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
@@ -303,8 +305,8 @@ class Stepper:
             raise Interrupted(trajectory.message, trajectory=trajectory)
         residual = run.last_correction
         raise ConvergenceError(
-            f"{trajectory.message} The last of {run.last_iterations} iterations changed the step by "
-            f"a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
+            f"{trajectory.message} The last of {run.last_iterations} iterations changed the step "
+            f"by a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
             trajectory=trajectory,
             step=run.step,
             time=run.t0 + run.h * run.step,

@@ -66,7 +66,7 @@ class Scheme:
         return lobatto(self.degree + 1).nodes
 
     @cached_property
-    def A(self) -> Table:  # noqa: N802 (the table's name in the literature)
+    def A(self) -> Table:
         """A_ik = l_k(c_i), s by d + 1."""
         return tuple(
             tuple(_number(value) for value in lagrange_basis(self.points, c))
@@ -74,7 +74,7 @@ class Scheme:
         )
 
     @cached_property
-    def B(self) -> Table:  # noqa: N802
+    def B(self) -> Table:
         """B_ik = l_k'(c_i), s by d + 1."""
         return tuple(self._slopes(c) for c in self.quadrature.nodes)
 
@@ -148,9 +148,7 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     4
     """
     if quadrature not in _QUADRATURES:
-        raise SchemeError(
-            f"there is no quadrature {quadrature!r}.\nChoose 'lobatto' or 'gauss'."
-        )
+        raise SchemeError(f"there is no quadrature {quadrature!r}.\nChoose 'lobatto' or 'gauss'.")
     rule = _QUADRATURES[quadrature](nodes)
     if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
         raise SchemeError(f"the degree of a path is at least 1, not {degree!r}.\nUse degree=1.")

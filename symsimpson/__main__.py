@@ -1,0 +1,5 @@
+"""``python -m symsimpson``."""
+
+from symsimpson.cli import main
+
+raise SystemExit(main())

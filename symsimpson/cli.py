@@ -1,0 +1,228 @@
+"""The command line, thin over the public functions."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from symsimpson.errors import GenerationError, InputError, SymsimpsonError
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["main"]
+
+#: The schemes of which generated modules are kept.
+SCHEMES = ("midpoint", "simpson")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except SymsimpsonError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 130 if isinstance(error, KeyboardInterrupt) else 1
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="symsimpson", description="Variational integrators from kinetic and potential energy."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    system = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
+
+    command = commands.add_parser("list", help="list the systems of the catalogue")
+    command.set_defaults(run=_list)
+
+    command = commands.add_parser("generate", help="write generated modules")
+    command.add_argument("system", nargs="*", help=f"{system}; none for the whole catalogue")
+    command.add_argument("--scheme", action="append", help="scheme, may be repeated; default both")
+    command.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+    command.set_defaults(run=_generate)
+
+    command = commands.add_parser("check", help="compare generated modules with fresh ones")
+    command.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+    command.set_defaults(run=_check)
+
+    command = commands.add_parser("run", help="integrate a system and report")
+    command.add_argument("system", help=system)
+    command.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    command.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
+    command.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
+    command.add_argument("--steps", type=int, default=None, help="number of steps instead")
+    command.add_argument("--q0", type=_numbers, help="positions, as 0.8,1.0")
+    command.add_argument("--v0", type=_numbers, help="velocities")
+    command.add_argument("--p0", type=_numbers, help="momenta")
+    command.add_argument("--every", type=int, default=1, help="store each so-many-th state")
+    command.add_argument("--out", help="write t, q, p and energy to this .npz or .csv file")
+    command.set_defaults(run=_run)
+
+    command = commands.add_parser("bench", help="time Simpson steps, beside heyoka if installed")
+    command.set_defaults(run=_bench)
+    return parser
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(part) for part in text.split(",")]
+
+
+def _list(options: argparse.Namespace) -> int:
+    from symsimpson.mechanics.catalogue import CATALOGUE
+
+    for name, make in CATALOGUE.items():
+        system = make()
+        first = (make.__doc__ or "").splitlines()[0]
+        print(f"{name:<20} n = {system.n}   {first}")
+    return 0
+
+
+def _generate(options: argparse.Namespace) -> int:
+    from symsimpson.api import generate
+    from symsimpson.mechanics.catalogue import CATALOGUE
+
+    for name in options.system or CATALOGUE:
+        system = _find(name)
+        for scheme in options.scheme or SCHEMES:
+            print(generate(system, scheme, options.directory))
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    from symsimpson.codegen.pipeline import source
+    from symsimpson.mechanics.catalogue import CATALOGUE
+
+    directory = Path(options.directory)
+    expected = {}
+    for make in CATALOGUE.values():
+        system = make()
+        for scheme in SCHEMES:
+            expected[f"{system.name}__{scheme}.py"] = source(system, scheme)
+    present = {path.name for path in directory.glob("*.py")}
+    findings = [f"missing  {name}" for name in sorted(expected.keys() - present)]
+    findings += [f"extra    {name}" for name in sorted(present - expected.keys())]
+    findings += [
+        f"stale    {name}"
+        for name in sorted(expected.keys() & present)
+        if (directory / name).read_bytes() != expected[name].encode()
+    ]
+    for finding in findings:
+        print(finding)
+    if findings:
+        print("Run symsimpson generate, and delete what is extra.", file=sys.stderr)
+        return 1
+    print(f"{len(expected)} generated modules are up to date.")
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    import numpy as np
+
+    from symsimpson.api import compile as compile_system
+
+    system = _find(options.system)
+    state = {k: getattr(options, k) for k in ("q0", "v0", "p0") if getattr(options, k) is not None}
+    if not state:
+        state = dict(getattr(system, "reference_state", {}))
+    if "q0" not in state:
+        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
+    if options.out and Path(options.out).suffix not in (".npz", ".csv"):
+        raise InputError(f"--out {options.out}: unknown format.\nUse a name in .npz or .csv.")
+    t_end = 10.0 if options.t_end is None and options.steps is None else options.t_end
+    begin = time.perf_counter()
+    stepper = compile_system(system, options.scheme)
+    stepper.integrate(**state, h=options.h, steps=1)
+    ready = time.perf_counter()
+    run = stepper.integrate(
+        **state, h=options.h, t_end=t_end, steps=options.steps, every=options.every
+    )
+    done = time.perf_counter()
+    steps = max(run.steps, 1)
+    print(f"{system.name}, {stepper.scheme} (order {stepper.order}), h = {run.h:g}")
+    for name, value in state.items():
+        print(f"  {name} = ({', '.join(f'{x:g}' for x in value)})")
+    last = run.newton_iterations.sum() / steps
+    print(f"  {run.steps} steps to t = {run.t[-1]:g}, {last:.2f} Newton iterations a step")
+    print(f"  largest relative energy error {np.abs(run.energy_error).max():.2e}")
+    for name, values in run.invariants.items():
+        print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")
+    print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
+    if options.out:
+        _write(Path(options.out), run, stepper.coordinates)
+        print(f"  written to {options.out}")
+    return 0
+
+
+def _write(path: Path, run: object, coordinates: tuple[str, ...]) -> None:
+    import numpy as np
+
+    columns = {name: getattr(run, name) for name in ("t", "q", "p", "energy")}
+    try:
+        if path.suffix == ".npz":
+            np.savez(path, **columns)
+        else:
+            head = ["t", *coordinates, *(f"p_{q}" for q in coordinates), "energy"]
+            table = np.column_stack(list(columns.values()))
+            np.savetxt(path, table, delimiter=",", header=",".join(head), comments="", fmt="%.17g")
+    except OSError as error:
+        raise GenerationError(
+            f"{path}: cannot be written: {error.strerror}.\nChoose another file."
+        ) from error
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from symsimpson.bench.speed import report
+
+    for line in report():
+        print(line, flush=True)
+    return 0
+
+
+def _find(name: str) -> MechanicalSystem:
+    """Find a system by its name in the catalogue or by file and attribute."""
+    from symsimpson.mechanics.catalogue import CATALOGUE
+    from symsimpson.mechanics.system import MechanicalSystem
+
+    if name in CATALOGUE:
+        return CATALOGUE[name]()
+    for make in CATALOGUE.values():
+        system = make()
+        if system.name == name:
+            return system
+    path, separator, attribute = name.rpartition(":")
+    if not separator:
+        raise InputError(
+            f"there is no system {name!r} in the catalogue.\n"
+            "symsimpson list shows it. For your own system give path/to/file.py:attribute."
+        )
+    try:
+        spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
+        if spec is None or spec.loader is None:
+            raise ImportError("not a Python file")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    except SymsimpsonError:
+        raise
+    except Exception as error:  # the user's file may raise anything
+        raise InputError(
+            f"{path}: the file cannot be run: {type(error).__name__}: {error}"
+        ) from error
+    found = getattr(module, attribute, None)
+    found = found() if callable(found) and not isinstance(found, MechanicalSystem) else found
+    if not isinstance(found, MechanicalSystem):
+        raise InputError(
+            f"{path}: {attribute!r} is no MechanicalSystem.\n"
+            "Give the name of a variable that holds one, or of a function that makes one."
+        )
+    return found

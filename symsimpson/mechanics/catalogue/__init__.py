@@ -1,0 +1,63 @@
+"""Well-known systems, one file each; every function gives a system with a state to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from symsimpson.mechanics.catalogue.cart_pole import cart_pole
+from symsimpson.mechanics.catalogue.double_pendulum import double_pendulum
+from symsimpson.mechanics.catalogue.elastic_pendulum import elastic_pendulum
+from symsimpson.mechanics.catalogue.entry import CatalogueSystem
+from symsimpson.mechanics.catalogue.fermi_pasta_ulam import fermi_pasta_ulam
+from symsimpson.mechanics.catalogue.geodesics import ellipsoid_geodesic, torus_geodesic
+from symsimpson.mechanics.catalogue.harmonic_oscillator import harmonic_oscillator
+from symsimpson.mechanics.catalogue.henon_heiles import henon_heiles
+from symsimpson.mechanics.catalogue.kepler import kepler
+from symsimpson.mechanics.catalogue.lagrange_top import lagrange_top, lagrange_top_cusps
+from symsimpson.mechanics.catalogue.n_pendulum import n_pendulum
+from symsimpson.mechanics.catalogue.pendulum import pendulum
+from symsimpson.mechanics.catalogue.rigid_body import heavy_top, rigid_body
+from symsimpson.mechanics.catalogue.spherical_pendulum import spherical_pendulum
+
+_MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
+    pendulum,
+    double_pendulum,
+    n_pendulum,
+    spherical_pendulum,
+    elastic_pendulum,
+    cart_pole,
+    lagrange_top,
+    lagrange_top_cusps,
+    heavy_top,
+    rigid_body,
+    kepler,
+    henon_heiles,
+    fermi_pasta_ulam,
+    harmonic_oscillator,
+    torus_geodesic,
+    ellipsoid_geodesic,
+)
+
+#: Name of each function of the catalogue, and the function.
+CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
+
+__all__ = [
+    "CATALOGUE",
+    "CatalogueSystem",
+    "cart_pole",
+    "double_pendulum",
+    "elastic_pendulum",
+    "ellipsoid_geodesic",
+    "fermi_pasta_ulam",
+    "harmonic_oscillator",
+    "heavy_top",
+    "henon_heiles",
+    "kepler",
+    "lagrange_top",
+    "lagrange_top_cusps",
+    "n_pendulum",
+    "pendulum",
+    "rigid_body",
+    "spherical_pendulum",
+    "torus_geodesic",
+]

@@ -1,0 +1,34 @@
+"""What a catalogue system has beyond any other: a state to start from, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["CatalogueSystem"]
+
+State = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CatalogueSystem(MechanicalSystem):
+    """A well-known system with a state to start from and its source.
+
+    Attributes
+    ----------
+    reference_state : mapping
+        ``q0`` and one of ``v0`` and ``p0``, as ``integrate(**reference_state, ...)`` takes them.
+    source : str
+        Where the system, its parameters and the state come from.
+    """
+
+    reference_state: State = field(kw_only=True, default_factory=dict)
+    source: str = field(kw_only=True, default="")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        object.__setattr__(self, "reference_state", MappingProxyType(dict(self.reference_state)))

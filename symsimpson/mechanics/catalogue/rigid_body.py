@@ -1,0 +1,73 @@
+"""Rigid bodies with three different moments of inertia, in Euler angles."""
+
+from __future__ import annotations
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.mechanics.catalogue.entry import CatalogueSystem
+from symsimpson.mechanics.coordinates import coordinates
+
+__all__ = ["heavy_top", "rigid_body"]
+
+_SOURCE = "H. Goldstein, C. Poole, J. Safko, Classical Mechanics, sections 4.4, 5.6 and 5.7"
+
+
+def rigid_body() -> CatalogueSystem:
+    """A free rigid body, started near the rotation about its unstable middle axis."""
+    phi, theta, psi = coordinates("phi theta psi")
+    inertia = sp.symbols("I1 I2 I3", positive=True)
+    omega = _body_rates(phi, theta, psi)
+    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
+    in_space = _to_space(phi, theta, psi) * sp.Matrix(momentum)
+    return CatalogueSystem(
+        "rigid_body",
+        coordinates=(phi, theta, psi),
+        kinetic=sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2,
+        potential=sp.S.Zero,
+        parameters=dict(zip(inertia, (1.0, 2.0, 3.0), strict=True)),
+        invariants={f"angular momentum {axis}": in_space[i] for i, axis in enumerate("xyz")},
+        reference_state={"q0": (0.1, 1.2, 0.3), "v0": (0.5, 1.0, 0.2)},
+        source=_SOURCE,
+    )
+
+
+def heavy_top() -> CatalogueSystem:
+    """A heavy asymmetric top with a fixed point and its centre of mass on the third axis."""
+    phi, theta, psi = coordinates("phi theta psi")
+    inertia = sp.symbols("I1 I2 I3", positive=True)
+    m, g, l = sp.symbols("m g l", positive=True)
+    omega = _body_rates(phi, theta, psi)
+    momentum = [i * w for i, w in zip(inertia, omega, strict=True)]
+    in_space = _to_space(phi, theta, psi) * sp.Matrix(momentum)
+    return CatalogueSystem(
+        "heavy_top",
+        coordinates=(phi, theta, psi),
+        kinetic=sp.Add(*(i * w**2 for i, w in zip(inertia, omega, strict=True))) / 2,
+        potential=m * g * l * sp.cos(theta),
+        parameters={inertia[0]: 1.0, inertia[1]: 1.5, inertia[2]: 0.8, m: 1.0, g: 9.81, l: 0.3},
+        invariants={"angular momentum z": in_space[2]},
+        reference_state={"q0": (0.0, 1.0, 0.2), "v0": (0.5, 0.3, 6.0)},
+        source=_SOURCE,
+    )
+
+
+def _body_rates(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> list[sp.Expr]:
+    """Give the angular velocity in the body, for rotations about z, x and z."""
+    return [
+        phi.diff() * sp.sin(theta) * sp.sin(psi) + theta.diff() * sp.cos(psi),
+        phi.diff() * sp.sin(theta) * sp.cos(psi) - theta.diff() * sp.sin(psi),
+        phi.diff() * sp.cos(theta) + psi.diff(),
+    ]
+
+
+def _to_space(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> sp.Matrix:
+    """Give the matrix that turns components in the body into components in space."""
+
+    def about_z(angle: sp.Expr) -> sp.Matrix:
+        c, s = sp.cos(angle), sp.sin(angle)
+        return sp.Matrix([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    c, s = sp.cos(theta), sp.sin(theta)
+    tilt = sp.Matrix([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return about_z(phi) * tilt * about_z(psi)

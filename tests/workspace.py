@@ -1,0 +1,43 @@
+"""Run generated kernels by hand, in any binding."""
+
+from __future__ import annotations
+
+import numpy as np
+
+TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
+          "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
+
+
+def block(module, name, size):
+    first = getattr(module, name)
+    return slice(first, first + size)
+
+
+def new_workspace(module, q, p, parameters, dtype=float):
+    """A workspace with one state in every lane."""
+    W = np.zeros((module.ROWS, module.LANES), dtype=dtype)
+    n = module.DIMENSION
+    for name, values in (("POSITION", q), ("MOMENTUM", p), ("PARAMETER", parameters)):
+        for i, value in enumerate(values):
+            W[getattr(module, name) + i, :] = value
+    assert len(q) == len(p) == n
+    W[module.ACTIVE, :] = 1
+    return W
+
+
+def begin(module, q, p, parameters, h, dtype=float):
+    W = new_workspace(module, q, p, parameters, dtype)
+    module.prepare(h, 0.0, W)
+    module.start(h, 0.0, W)
+    return W
+
+
+def take_step(module, W, h, iterations=8, newton=None):
+    for _ in range(iterations):
+        (newton or module.newton)(h, 0.0, W)
+    module.advance(h, 0.0, W)
+
+
+def state(module, W, lane=0):
+    n = module.DIMENSION
+    return [*W[block(module, "POSITION", n), lane], *W[block(module, "MOMENTUM", n), lane]]
