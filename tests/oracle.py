@@ -25,11 +25,17 @@ def lagrangian(system):
 def nodes_and_weights(quadrature, stages):
     """Gauss or Lobatto rules on [0, 1] by root finding."""
     if quadrature == "gauss":
-        points = mp.polyroots(list(reversed(mp.taylor(lambda x: mp.legendre(stages, x), 0, stages))))
+        points = mp.polyroots(
+            list(reversed(mp.taylor(lambda x: mp.legendre(stages, x), 0, stages)))
+        )
     else:
         inner = mp.taylor(lambda x: mp.legendre(stages - 1, x), 0, stages - 1)
         slopes = [k * c for k, c in enumerate(inner)][1:]
-        points = [mp.mpf(-1), *(mp.polyroots(list(reversed(slopes))) if stages > 2 else []), mp.mpf(1)]
+        points = [
+            mp.mpf(-1),
+            *(mp.polyroots(list(reversed(slopes))) if stages > 2 else []),
+            mp.mpf(1),
+        ]
     points = sorted((1 + mp.re(x)) / 2 for x in points)
     vandermonde = mp.matrix(stages, stages)
     for k in range(stages):
@@ -47,7 +53,8 @@ def interpolate(points, x):
         scale = mp.fprod(here - p for p in others)
         basis.append(mp.fprod(x - p for p in others) / scale)
         slopes.append(
-            mp.fsum(mp.fprod(x - p for p in others if p is not skipped) for skipped in others) / scale
+            mp.fsum(mp.fprod(x - p for p in others if p is not skipped) for skipped in others)
+            / scale
         )
     return basis, slopes
 

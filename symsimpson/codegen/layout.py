@@ -21,6 +21,7 @@ def layout(
         **dict.fromkeys(BLOCKS, 1),
         **dict.fromkeys(("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW"), n),
         "INCREMENT": unknowns,
+        "PREDICTED": unknowns,
         "VELOCITY": n,
         "PARAMETER": parameters,
         "INVARIANT": invariants,

@@ -32,6 +32,8 @@ JACOBIAN: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
 MISMATCH_SQUARED: int
+SURPRISE_SQUARED: int
+PREDICTED: int
 MASS_PIVOT: int
 ROW_ORDER: tuple[int, ...]
 COLUMN_ORDER: tuple[int, ...]
@@ -54,12 +56,13 @@ def sincos(x):
     r = (r - quarter_turns * 5.390302529957765e-15) - quarter_turns * 3.2820035428735005e-22
     # minimax polynomials on |r| <= pi/4
     z = r * r
-    s = 2.7557313691916237e-06 + z * (-2.5050758114913125e-08 + z * 1.5896795630257458e-10)
-    s = -0.16666666666666632 + z * (0.008333333333322413 + z * (-0.00019841269829807805 + z * s))
-    s = r + r * z * s
-    c = -2.755731435233419e-07 + z * (2.0875723273412855e-09 - z * 1.1359647812276651e-11)
-    c = -0.0013888888888874125 + z * (2.4801587289482188e-05 + z * c)
-    c = 1.0 - (0.5 * z - z * z * (0.0416666666666666 + z * c))
+    zz = z * z
+    s = (2.7557313691916237e-06 - z * 2.5050758114913125e-08) + zz * 1.5896795630257458e-10
+    s = (0.008333333333322413 - z * 0.00019841269829807805) + zz * s
+    s = r + r * z * (-0.16666666666666632 + z * s)
+    c = (-2.755731435233419e-07 + z * 2.0875723273412855e-09) - zz * 1.1359647812276651e-11
+    c = (-0.0013888888888874125 + z * 2.4801587289482188e-05) + zz * c
+    c = 1.0 - (0.5 * z - zz * (0.0416666666666666 + z * c))
     # quarter is quarter_turns modulo 4, between -2 and 2
     quarter = (0.25 * quarter_turns + 6755399441055744.0) - 6755399441055744.0
     quarter = quarter_turns - 4.0 * quarter
@@ -246,26 +249,34 @@ def straight(W, h, lane):
     """Increments of a path with the constant velocity v."""
     for k in range(DEGREE):
         for a in range(DIMENSION):
-            W[INCREMENT + k * DIMENSION + a, lane] = POINTS[k + 1] * h * W[VELOCITY + a, lane]
+            increment = POINTS[k + 1] * h * W[VELOCITY + a, lane]
+            W[INCREMENT + k * DIMENSION + a, lane] = increment
+            W[PREDICTED + k * DIMENSION + a, lane] = increment
 
 
 @compiled
 def predict(W, h, lane):
     """Extrapolate the last path, bent to leave the new point with its velocity v."""
     mismatch_squared = real(0)
+    surprise_squared = real(0)
     for a in range(DIMENSION):
         mismatch = h * W[VELOCITY + a, lane]
         for j in range(DEGREE):
             mismatch -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
         mismatch_squared += W[METRIC + a, lane] * mismatch**2
         for k in range(DEGREE):
+            row = k * DIMENSION + a
+            surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
+            surprise_squared += W[METRIC + a, lane] * surprise**2
             increment = START_SLOPE[k] * mismatch
             for j in range(DEGREE):
                 increment += EXTRAPOLATION[k][j] * W[INCREMENT + j * DIMENSION + a, lane]
             W[RESIDUAL + k * DIMENSION + a, lane] = increment
     for row in range(UNKNOWNS):
         W[INCREMENT + row, lane] = W[RESIDUAL + row, lane]
+        W[PREDICTED + row, lane] = W[RESIDUAL + row, lane]
     W[MISMATCH_SQUARED, lane] = mismatch_squared
+    W[SURPRISE_SQUARED, lane] = surprise_squared
 
 
 @compiled

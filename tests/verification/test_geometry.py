@@ -78,7 +78,9 @@ def printed_simpson_residual(system, z, q0, p0, h, parameters):
         force = [Qi / 2 - d for Qi, d in zip(Q, dv, strict=True)]
         momentum = p1 - p0 - h / 6 * (force[0] + 4 * force[1] + force[2])
         mean = (Mg[0] + 4 * Mg[1] + Mg[2]) / 6
-        printed = h * mean - h / 2 * (p1 + p0) + h**2 / 12 * (Q[2] - Q[0]) - h**2 / 6 * (dv[2] - dv[0])
+        printed = (
+            h * mean - h / 2 * (p1 + p0) + h**2 / 12 * (Q[2] - Q[0]) - h**2 / 6 * (dv[2] - dv[0])
+        )
         return np.concatenate([middle, momentum, printed])
 
     return equations(z)

@@ -56,7 +56,7 @@ def exact_nutation(times):
      ("midpoint", 2, [1.691e-2, 4.213e-3, 1.052e-3, 2.631e-4])],
 )  # fmt: skip
 def test_nutation_of_the_top(scheme, order, known):
-    """The largest relative error up to t = 1.85, about one period, at h = 0.05/2**k, against elliptic functions."""
+    """Against elliptic functions: the largest relative error over about one period."""
     system = ss.systems.lagrange_top()
     stepper = ss.compile(system, scheme)
     errors = []
