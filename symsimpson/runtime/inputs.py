@@ -40,6 +40,8 @@ def read_vector(name: str, value: ArrayLike, coordinates: tuple[str, ...]) -> ND
 
 def read_number(name: str, value: Any) -> float:
     """Read one finite real number."""
+    if type(value) is float and math.isfinite(value):
+        return value
     array = _floats(name, value)
     if array.shape != () or not math.isfinite(float(array)):
         raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")

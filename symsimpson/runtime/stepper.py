@@ -295,7 +295,7 @@ class Stepper:
             )
         return Trajectory(
             t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
-            message=message, parameters=dict(zip(self.parameters, values.tolist(), strict=True)),
+            message=message,
             _stepper=self, _values=values,
         )  # fmt: skip
 

@@ -38,8 +38,6 @@ class Trajectory:
         0 is success.
     message : str
         The outcome in words.
-    parameters : mapping from str to float
-        Values the run used.
     """
 
     t: NDArray[np.float64]
@@ -50,9 +48,13 @@ class Trajectory:
     steps: int
     status: Status
     message: str
-    parameters: Mapping[str, float]
     _stepper: Stepper = field(repr=False)
     _values: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters that the run used, by name."""
+        return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
 
     @cached_property
     def energy(self) -> NDArray[np.float64]:

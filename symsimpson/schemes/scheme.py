@@ -117,7 +117,6 @@ class Scheme:
         )
 
 
-@cache
 def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     """Make a scheme from its quadrature and the degree of its path.
 
@@ -158,7 +157,13 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
             "The order would drop and the Newton matrix be singular for free motion. "
             f"Use degree={nodes} or less, or more nodes."
         )
-    return Scheme(_name(quadrature, nodes, degree), rule, degree)
+    return _scheme(rule, degree)
+
+
+@cache
+def _scheme(rule: Quadrature, degree: int) -> Scheme:
+    """Make each scheme once, so that equal ones are identical and share their tables."""
+    return Scheme(_name(rule.kind, len(rule.nodes), degree), rule, degree)
 
 
 def _name(quadrature: str, nodes: int, degree: int) -> str:

@@ -1,0 +1,113 @@
+import mpmath
+import pytest
+import sympy as sp
+from oracle import interpolate, nodes_and_weights
+
+import symsimpson as ss
+from symsimpson.discrete.equations import elimination_order
+from symsimpson.schemes.quadrature import gauss, lobatto
+from symsimpson.schemes.scheme import read_scheme
+
+FAMILY = [("gauss", s, s) for s in range(1, 6)] + [("lobatto", s, s - 1) for s in range(2, 7)]
+FAMILY += [("lobatto", 3, 3), ("gauss", 3, 2)]
+
+
+@pytest.mark.parametrize(("kind", "nodes", "degree"), FAMILY)
+def test_tables_agree_with_root_finding(kind, nodes, degree):
+    scheme = ss.galerkin(kind, nodes, degree)
+    with mpmath.workdps(40):
+        points, weights = nodes_and_weights(kind, nodes)
+        controls = nodes_and_weights("lobatto", degree + 1)[0]
+        close = mpmath.mpf(10) ** -35
+
+        def near(exact, value):
+            return abs(mpmath.mpf(sp.N(exact, 40)) - value) < close
+
+        assert all(map(near, scheme.quadrature.nodes, points))
+        assert all(map(near, scheme.quadrature.weights, weights))
+        for i, c in enumerate(points):
+            basis, slopes = interpolate(controls, c)
+            assert all(map(near, scheme.A[i], basis))
+            assert all(map(near, scheme.B[i], slopes))
+
+
+@pytest.mark.parametrize(("kind", "nodes", "degree"), FAMILY)
+def test_order_of_the_quadrature(kind, nodes, degree):
+    rule = {"gauss": gauss, "lobatto": lobatto}[kind](nodes)
+
+    def defect(power):
+        total = sum(b * c**power for b, c in zip(rule.weights, rule.nodes, strict=True))
+        return sp.N(total - sp.Rational(1, power + 1), 30)
+
+    assert all(abs(defect(power)) < 1e-25 for power in range(rule.order))
+    assert abs(defect(rule.order)) > 1e-10
+    assert ss.galerkin(kind, nodes, degree).order == min(2 * degree, rule.order)
+
+
+@pytest.mark.parametrize("name", ["midpoint", "simpson", "gauss4", "lobatto6"])
+def test_the_predictor_continues_polynomials(name):
+    """Increments of a polynomial of degree d + 1 are predicted without error."""
+    scheme = read_scheme(name)
+    x = sp.Symbol("x")
+    d = scheme.degree
+    path = sum(sp.Rational(k + 2, 3) * x**k for k in range(1, d + 2))
+    old = [path.subs(x, c - 1) - path.subs(x, -1) for c in scheme.points[1:]]
+    slope = path.diff(x).subs(x, 0)
+    bend = slope - sum(s * o for s, o in zip(scheme.end_slope, old, strict=True))
+    for k, c in enumerate(scheme.points[1:]):
+        row = zip(scheme.extrapolation[k], old, strict=True)
+        predicted = sum(e * o for e, o in row) + scheme.correction[k] * bend
+        assert sp.simplify(predicted - path.subs(x, c)) == 0
+
+
+@pytest.mark.parametrize(
+    "name", ["midpoint", "simpson", "gauss4", "gauss6", "lobatto6", "lobatto8"]
+)
+def test_elimination_meets_no_singular_pivot(name):
+    """For the oscillator no leading minor vanishes at any step: x2 = (h omega)^2 > 0."""
+    scheme = read_scheme(name)
+    rows, columns = elimination_order(scheme)
+    x2 = sp.Symbol("x2")
+    weights = scheme.quadrature.weights
+    matrix = sp.Matrix(len(rows), len(rows), lambda i, j: sp.expand(sum(
+        b * (scheme.B[m][rows[i]] * scheme.B[m][columns[j]]
+             - x2 * scheme.A[m][rows[i]] * scheme.A[m][columns[j]])
+        for m, b in enumerate(weights))))  # fmt: skip
+    for k in range(1, len(rows) + 1):
+        minor = sp.Poly(sp.N(sp.expand(matrix[:k, :k].det()), 40), x2)
+        roots = mpmath.polyroots([mpmath.mpf(c) for c in minor.all_coeffs()], maxsteps=200,
+                                 extraprec=200) if minor.degree() else []  # fmt: skip
+        assert not [r for r in roots if abs(mpmath.im(r)) < 1e-12 and mpmath.re(r) > -1e-12]
+        assert minor.eval(0) != 0
+
+
+def test_names():
+    assert ss.galerkin("gauss", 1, 1) is ss.MIDPOINT
+    assert ss.galerkin(quadrature="lobatto", nodes=3, degree=2) is ss.SIMPSON
+    assert read_scheme("lobatto4") is ss.SIMPSON
+    assert read_scheme("gauss2") is ss.MIDPOINT
+    for scheme in (ss.galerkin("lobatto", 3, 3), ss.galerkin("gauss", 2, 2), ss.SIMPSON):
+        assert read_scheme(scheme.name) is scheme
+    assert "order 4" in repr(ss.SIMPSON)
+
+
+@pytest.mark.parametrize("wrong", ["euler", "gauss3", "lobatto", "gauss0", "", None, 4, "simpson "])
+def test_unknown_schemes(wrong):
+    with pytest.raises(ss.SchemeError, match=r"no scheme|quadrature has at least"):
+        ss.compile(ss.systems.pendulum(), wrong)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("gauss", 2, 3), "not determined by 2 quadrature nodes"),
+        (("gauss", 0, 1), "at least 1 node"),
+        (("lobatto", 1, 1), "at least 2 node"),
+        (("radau", 2, 2), "no quadrature"),
+        (("gauss", 2, 0), "at least 1, not 0"),
+        (("gauss", 9, 9), "closed form"),
+    ],
+)
+def test_impossible_schemes(arguments, message):
+    with pytest.raises(ss.SchemeError, match=message):
+        ss.galerkin(*arguments)
