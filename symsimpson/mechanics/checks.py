@@ -185,40 +185,48 @@ def read_expression(
         user = sp.sympify(expression, strict=True)
     except (sp.SympifyError, AttributeError, TypeError):
         user = None
-    if not isinstance(user, sp.Expr):
+    if not isinstance(user, sp.Expr) or user.is_Matrix:
         raise fail(
             system,
             f"the {what} is {spell(expression)!r}, not a scalar expression.",
             "Write it with SymPy symbols, functions and numbers; of a 1 by 1 matrix take [0, 0].",
         )
     plain = user.xreplace(dict(replace))
-    check_content(system, what, plain)
+    check_content(system, what, plain, {own: users for users, own in replace.items()})
     check_symbols(system, what, plain, replace, set(allowed))
     return plain
 
 
-def check_content(system: str, what: str, plain: sp.Expr) -> None:
+def check_content(
+    system: str, what: str, plain: sp.Expr, back: Mapping[sp.Basic, sp.Basic]
+) -> None:
     """Refuse what has no value, no derivative or no real value."""
+
+    def show(node: sp.Basic) -> str:
+        return spell(node.xreplace(dict(back)))
+
     for node in sp.preorder_traversal(plain):
         if isinstance(node, UNEVALUATED):
-            if isinstance(node, sp.Derivative) and isinstance(node.expr, AppliedUndef):
+            if isinstance(node, sp.Derivative) and (
+                isinstance(node.expr, AppliedUndef) or node.expr in back
+            ):
                 order = node.derivative_count
                 raise fail(
                     system,
-                    f"the {what} contains {spell(node)}, "
+                    f"the {what} contains {show(node)}, "
                     + (f"a derivative of order {order}." if order > 1 else "an unknown velocity."),
                     "A Lagrangian depends on the declared coordinates and their first derivatives. "
                     "Declare the coordinate, or drop the term.",
                 )
             raise fail(
                 system,
-                f"the {what} contains the unevaluated {type(node).__name__} {spell(node)}.",
+                f"the {what} contains the unevaluated {type(node).__name__} {show(node)}.",
                 "It must be differentiated and compiled. Evaluate it first with .doit().",
             )
         if isinstance(node, AppliedUndef):
             raise fail(
                 system,
-                f"the {what} contains {spell(node)}, which is neither a declared coordinate nor a "
+                f"the {what} contains {show(node)}, which is neither a declared coordinate nor a "
                 "function with a known form.",
                 "Add it to the coordinates, or replace it by an expression.",
             )
@@ -231,15 +239,13 @@ def check_content(system: str, what: str, plain: sp.Expr) -> None:
         if node is sp.I or getattr(node, "is_extended_real", None) is False:
             raise fail(
                 system,
-                f"the {what} contains {spell(node)}, which is not real.",
+                f"the {what} contains {show(node)}, which is not real.",
                 "Energies are real. Look for the root or logarithm of a negative number.",
             )
         if isinstance(node, sp.Function) and not isinstance(node, SMOOTH):
-            if node.is_number or (isinstance(node, sp.Abs) and node.is_constant()):
-                continue
             raise fail(
                 system,
-                f"the {what} contains {spell(node)}: the function {node.func.__name__} cannot be "
+                f"the {what} contains {show(node)}: the function {node.func.__name__} cannot be "
                 "differentiated twice and compiled.",
                 "Newton's method needs two continuous derivatives. Use a smooth form, such as "
                 "sqrt(x**2 + eps**2) for |x|, or one of "
@@ -249,7 +255,7 @@ def check_content(system: str, what: str, plain: sp.Expr) -> None:
         if isinstance(node, (sp.Piecewise, Relational, BooleanFunction)):
             raise fail(
                 system,
-                f"the {what} contains {spell(node)}, which is defined by cases.",
+                f"the {what} contains {show(node)}, which is defined by cases.",
                 "Newton's method needs two continuous derivatives. Use a smooth expression.",
             )
 

@@ -1,0 +1,132 @@
+"""Every mistake in a declaration has its own message, with a line that says what to do."""
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+x, y = ss.coordinates("x y")
+m, k, g = sp.symbols("m k g", positive=True)
+t = sp.Symbol("t")
+T = m * x.diff() ** 2 / 2
+V = k * x**2 / 2
+
+
+def declare(**changes):
+    given = {"coordinates": (x,), "kinetic": T, "potential": V, "parameters": {m: 1.0, k: 2.0}}
+    name = changes.pop("name", "spring")
+    return ss.MechanicalSystem(name, **(given | changes))
+
+
+f, c = sp.Function("f"), sp.Symbol("c")
+T2 = m * (x.diff() + y.diff()) ** 2 / 2
+V_MISSING = k * x**2 / 2 + g * x
+WRONG = {
+    "unknown symbol": ({"potential": V_MISSING}, "unknown symbol g"),
+    "close name": ({"potential": sp.Symbol("kk") * x}, "unknown symbol kk.*Did you mean k"),
+    "no function of time": ({"coordinates": (sp.Symbol("x"),)}, "x is not a function of time"),
+    "function of space": ({"coordinates": (f(c),)}, "is not a function of time"),
+    "coordinates as text": ({"coordinates": "x"}, "not a tuple of functions"),
+    "no coordinates": ({"coordinates": ()}, "there are no coordinates"),
+    "duplicate": ({"coordinates": (x, x)}, "coordinate x is declared 2 times"),
+    "velocity in V": ({"potential": V + x.diff()}, "potential depends on the velocity x'"),
+    "cubic T": ({"kinetic": m * x.diff() ** 3}, "not quadratic in the velocities"),
+    "quartic T": ({"kinetic": T + x.diff() ** 4}, "not quadratic in the velocities"),
+    "root in T": ({"kinetic": m * sp.sqrt(1 + x.diff() ** 2)}, "not quadratic in the velocities"),
+    "linear in T": ({"kinetic": T + x * x.diff()}, "not a quadratic form.*x.*x'"),
+    "constant in T": ({"kinetic": T + x**2}, "not a quadratic form"),
+    "missing mass": ({"coordinates": (x, y)}, "does not depend on y'.*zero row"),
+    "singular mass": ({"coordinates": (x, y), "kinetic": T2}, "singular for every configuration"),
+    "no value": ({"parameters": {m: 1.0, k: None}}, "parameter k has no value"),
+    "nan": ({"parameters": {m: 1.0, k: float("nan")}}, "k has the value nan"),
+    "infinity": ({"parameters": {m: 1.0, k: float("inf")}}, "k has the value inf"),
+    "complex value": ({"parameters": {m: 1.0, k: 1j}}, "not a finite real number"),
+    "text value": ({"parameters": {m: 1.0, k: "2"}}, "not a finite real number"),
+    "boolean value": ({"parameters": {m: 1.0, k: True}}, "not a finite real number"),
+    "sign": ({"parameters": {m: -1.0, k: 2.0}}, "m is declared positive and has the value -1"),
+    "parameters as list": ({"parameters": [m, k]}, "not a mapping"),
+    "parameter no symbol": ({"parameters": {m: 1.0, k: 2.0, x: 1.0}}, "not a SymPy symbol"),
+    "two symbols": ({"potential": sp.Symbol("k") * x**2}, "two symbols of one name, 'k'"),
+    "two parameters": (
+        {"parameters": {m: 1.0, k: 2.0, sp.Symbol("k"): 1.0}},
+        "two symbols of one name, 'k'",
+    ),
+    "parameter and coordinate": (
+        {"parameters": {m: 1.0, k: 2.0, sp.Symbol("x"): 1.0}},
+        "'x': a parameter and a coordinate",
+    ),
+    "imaginary symbol": (
+        {"parameters": {m: 1.0, k: 2.0, sp.Symbol("z", imaginary=True): 1.0}},
+        "not real",
+    ),
+    "text": ({"potential": "k*x**2/2"}, "the potential is the string"),
+    "matrix": ({"kinetic": sp.Matrix([T])}, "not a scalar expression"),
+    "imaginary unit": ({"potential": sp.I * x}, "which is not real"),
+    "root of a negative": ({"potential": sp.sqrt(-m) * x}, "which is not real"),
+    "acceleration": ({"kinetic": T + m * x.diff(t, 2)}, "derivative of order 2"),
+    "other velocity": ({"kinetic": T + y.diff() ** 2}, "an unknown velocity"),
+    "derivative": ({"potential": sp.Derivative(x**2, x)}, "unevaluated Derivative"),
+    "integral": ({"potential": sp.Integral(c * x, (c, 0, 1))}, "unevaluated Integral"),
+    "undefined function": ({"potential": f(x)}, r"f\(x\), which is neither"),
+    "undeclared coordinate": ({"potential": V + y}, "y, which is neither"),
+    "time": ({"potential": V * t}, "explicitly on the time"),
+    "absolute value": ({"potential": sp.Abs(x)}, "function Abs cannot be differentiated twice"),
+    "floor": ({"potential": sp.floor(x)}, "function floor cannot"),
+    "cases": ({"potential": sp.Piecewise((x, x > 0), (0, True))}, "Piecewise|defined by cases"),
+    "infinite": ({"potential": V + sp.zoo}, "no finite number|not real"),
+    "name": ({"name": "../spring"}, "cannot be the name of a file"),
+    "empty name": ({"name": ""}, "cannot be the name of a file"),
+    "name no text": ({"name": 3}, "cannot be the name of a file"),
+    "position": ({"positions": {"bob": (x.diff(),)}}, "position 'bob' depends on the velocity x'"),
+    "invariant": ({"invariants": {"J": g * x}}, "invariant 'J' contains the unknown symbol g"),
+    "gyroscopic": ({"gyroscopic": x.diff() ** 2}, "not linear in the velocities"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
+def test_message(changes, message):
+    with pytest.raises(ss.ModelError, match=f"(?s){message}") as caught:
+        declare(**changes)
+    what, _, remedy = str(caught.value).partition("\n")
+    assert len(what) > 20
+    assert len(remedy) > 20
+
+
+def test_messages_name_the_system():
+    with pytest.raises(ss.ModelError, match=r"^system 'my_cart'"):
+        declare(name="my_cart", potential=V_MISSING)
+
+
+def test_plain_numbers_are_expressions():
+    assert declare(potential=0).potential == 0
+    assert declare(parameters={m: sp.Rational(1, 2), k: sp.pi}).parameters[k] == float(sp.pi)
+
+
+def test_a_system_is_frozen_and_known_by_its_equations():
+    system = declare()
+    with pytest.raises(AttributeError):
+        system.name = "other"
+    with pytest.raises(TypeError):
+        system.parameters[m] = 3.0
+    heavier = declare(parameters={m: 5.0, k: 2.0})
+    assert system == declare()
+    assert hash(system) == hash(declare())
+    assert system != heavier
+    assert system.digest == heavier.digest
+    assert system.digest != declare(potential=V**2).digest
+    assert (system.n, system.mass_matrix[0, 0]) == (1, m)
+    assert sp.simplify(system.lagrangian - (T - V)) == 0
+
+
+def test_structure_is_exact():
+    system = ss.systems.lagrange_top()
+    found = system.structure
+    assert found.cyclic == ("phi", "psi")
+    assert not found.constant_mass
+    assert found.zeros["L_q"] == (2, 3)
+    assert "phi, psi" in str(found)
+    assert "<table>" in found._repr_html_()
+    flat = ss.systems.henon_heiles().structure
+    assert flat.constant_mass
+    assert flat.diagonal_mass
+    assert flat.zeros["L_qv"] == (4, 4)
