@@ -142,10 +142,9 @@ class Kernels:
 
         They take any angle and meet no singular pivot, at several times the cost.
         """
-        start = self._text.index("@compiled\ndef sincos(x):")
-        end = self._text.index("\n\n\n", start)
-        plain = "@compiled\ndef sincos(x):\n    return sin(x), cos(x)"
-        text = self._text[:start] + plain + self._text[end:]
+        plain = "@compiled\ndef sincos(x):\n    return sin(x), cos(x)\n\n\n"
+        pattern = r"@compiled\ndef sincos\(x\):\n.*?\n\n\n"
+        text = re.sub(pattern, plain, self._text, flags=re.DOTALL)
         text = text.replace(
             "from numba import", "from math import cos, sin\n\nfrom numba import", 1
         )

@@ -1,0 +1,128 @@
+"""Bad input is refused before anything is computed; good input comes in every form."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(ss.systems.double_pendulum(), "midpoint")
+
+
+GOOD = {"q0": [0.5, 0.2], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
+WRONG = {
+    "shape": ({"q0": [0.5]}, r"q0 has shape \(1,\), expected \(2,\)"),
+    "rows": ({"q0": [[0.5, 0.2]]}, r"q0 has shape \(1, 2\)"),
+    "scalar": ({"p0": 0.0}, r"p0 has shape \(\)"),
+    "ragged": ({"q0": [0.5, [1, 2]]}, "q0 is .* not real numbers"),
+    "nan": ({"q0": [0.5, np.nan]}, "q0 is not finite for q2"),
+    "infinity": ({"p0": [np.inf, 0]}, "p0 is not finite for q1"),
+    "complex": ({"q0": [0.5j, 1]}, "q0 is .* not real numbers"),
+    "text": ({"q0": ["a", "b"]}, "q0 is .* not real numbers"),
+    "digits": ({"q0": ["1", "2"]}, "q0 is .* not real numbers"),
+    "none": ({"q0": None}, "q0 is None, not real numbers|q0 has shape"),
+    "zero step": ({"h": 0.0}, "the step h is 0"),
+    "nan step": ({"h": float("nan")}, "h is nan, not a finite real number"),
+    "text step": ({"h": "0.1"}, "h is .*not real numbers"),
+    "part of a step": (
+        {"steps": None, "t_end": 0.35},
+        r"not a whole number of steps.*\n.*Use h=0\.1",
+    ),
+    "no end": ({"steps": None}, "exactly one of t_end and steps, and has neither"),
+    "two ends": ({"t_end": 0.3}, "exactly one of t_end and steps, and has both"),
+    "backwards": ({"steps": None, "t_end": -1.0}, "is not reached"),
+    "negative steps": ({"steps": -1}, "steps is -1"),
+    "part of a count": ({"steps": 2.5}, "steps is 2.5, not a whole number"),
+    "every": ({"every": 0}, "every is 0"),
+    "boolean": ({"every": True}, "every is True, not a whole number"),
+    "absurd": ({"steps": 10**15}, "do not fit into memory"),
+    "more absurd": ({"steps": 10**30}, "Pass a whole number"),
+    "tiny step": ({"steps": None, "t_end": 1.0, "h": 1e-300}, "too many to count"),
+    "both": ({"v0": [0, 0]}, "exactly one of v0 and p0, and has both"),
+    "neither": ({"p0": None}, "exactly one of v0 and p0, and has neither"),
+    "name": ({"parameters": {"mass": 1.0}}, "no parameter 'mass'.\nThe system has m1, m2"),
+    "value": ({"parameters": {"m1": np.nan}}, "parameter m1 is nan"),
+    "sign": ({"parameters": {"m1": -1.0}}, "m1 is declared positive and given as -1"),
+    "list": ({"parameters": [1.0]}, "parameters is .* not a mapping"),
+    "failure": ({"on_failure": "ignore"}, "on_failure is 'ignore'"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
+def test_message(stepper, changes, message):
+    with pytest.raises(ss.InputError, match=f"(?s){message}") as caught:
+        stepper.integrate(**(GOOD | changes))
+    assert isinstance(caught.value, ValueError)
+    assert "\n" in str(caught.value)
+
+
+def test_step_and_equations_check_too(stepper):
+    with pytest.raises(ss.InputError, match="q0 has shape"):
+        stepper.step([1.0], [0.0, 0.0], 0.1)
+    with pytest.raises(ss.InputError, match="nodes has shape"):
+        stepper.residual([0.5, 0.2], [0.0, 0.1], [0.5, 0.2], 0.1)
+
+
+def test_mass_matrix_must_be_positive_definite():
+    pole = ss.compile(ss.systems.spherical_pendulum(), "midpoint")
+    with pytest.raises(ss.InputError, match=r"not positive definite|not finite"):
+        pole.integrate([0.0, 0.0], p0=[0.1, 0.1], h=0.01, steps=1)
+    x, y = ss.coordinates("x y")
+    c = sp.Symbol("c", real=True)
+    system = ss.MechanicalSystem(
+        "coupled", coordinates=(x, y), potential=0, parameters={c: 0.5},
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2 + c * x.diff() * y.diff(),
+    )  # fmt: skip
+    stepper = ss.compile(system, "midpoint")
+    assert stepper.integrate([0, 0], v0=[1, 0], h=0.1, steps=1).status == 0
+    with pytest.raises(ss.InputError, match=r"not positive definite.*'c': 2.0"):
+        stepper.integrate([0, 0], v0=[1, 0], h=0.1, steps=1, parameters={c: 2.0})
+
+
+def test_forms_of_input_agree(stepper):
+    m1 = next(iter(ss.systems.double_pendulum().parameters))
+    base = stepper.integrate(**GOOD, parameters={"m1": 2.0})
+    strided = np.array([0.5, 9.0, 0.2, 9.0])[::2]
+    strided.flags.writeable = False
+    for changes in (
+        {"q0": strided}, {"q0": (0.5, 0.2)}, {"h": np.float64(0.1)}, {"steps": np.int32(3)},
+        {"q0": [sp.Rational(1, 2), sp.Rational(1, 5)]}, {"steps": None, "t_end": 0.3},
+        {"parameters": {m1: 2}},
+    ):  # fmt: skip
+        run = stepper.integrate(**({**GOOD, "parameters": {"m1": 2.0}} | changes))
+        assert (run.q == base.q).all()
+    assert base.parameters["m1"] == 2.0
+    assert (stepper.integrate(**GOOD).q[1:] != base.q[1:]).all()
+
+
+def test_strides(stepper):
+    every = stepper.integrate(**(GOOD | {"steps": 10}))
+    third = stepper.integrate(**(GOOD | {"steps": 10}), every=3)
+    last = stepper.integrate(**(GOOD | {"steps": 10}), every=None)
+    assert third.q.shape == (4, 2)
+    assert (third.q == every.q[::3]).all()
+    assert (third.t == every.t[::3]).all()
+    assert third.newton_iterations[1] == every.newton_iterations[1:4].sum()
+    assert last.q.shape == last.p.shape == (1, 2)
+    assert (last.q[0] == every.q[-1]).all()
+    assert last.t.tolist() == [every.t[-1]]
+    assert last.newton_iterations[0] == every.newton_iterations.sum()
+    assert stepper.integrate(**(GOOD | {"steps": 0})).q.tolist() == [[0.5, 0.2]]
+
+
+def test_velocities_and_momenta_agree(stepper):
+    by_velocity = stepper.integrate([0.5, 0.2], v0=[1.0, -0.5], h=0.01, steps=20)
+    by_momentum = stepper.integrate([0.5, 0.2], p0=by_velocity.p[0], h=0.01, steps=20)
+    assert (by_velocity.q == by_momentum.q).all()
+    assert stepper.step([0.5, 0.2], by_velocity.p[0], 0.01)[0].tolist() == by_momentum.q[1].tolist()
+
+
+def test_energy_error_of_zero_energy_is_absolute():
+    stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+    run = stepper.integrate([np.pi / 2], v0=[0.0], h=0.1, steps=10, parameters={"l": 1.0})
+    offset = stepper.integrate([0.0], v0=[0.0], h=0.1, steps=2)
+    assert np.isclose(run.energy_error[-1] * abs(run.energy[0]), run.energy[-1] - run.energy[0])
+    assert offset.energy_error.tolist() == [0.0, 0.0, 0.0]

@@ -1,0 +1,129 @@
+"""The command line: what it prints, writes and gives back."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+from symsimpson.cli import main
+
+OWN = """
+import symsimpson as ss
+(x,) = ss.coordinates("x")
+spring = ss.MechanicalSystem("own_spring", coordinates=(x,), kinetic=x.diff()**2/2,
+                             potential=x**4, parameters={})
+number = 3
+def make():
+    return spring
+"""
+
+
+@pytest.fixture
+def own(tmp_path):
+    path = tmp_path / "model.py"
+    path.write_text(OWN)
+    return path
+
+
+def test_list(capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in ss.systems.CATALOGUE)
+
+
+def test_generate(tmp_path, own, capsys):
+    target = tmp_path / "out"
+    for system in ("pendulum", f"{own}:spring", f"{own}:make"):
+        assert main(["generate", system, "--scheme", "gauss4", "--directory", str(target)]) == 0
+    names = sorted(path.name for path in target.iterdir())
+    assert names == ["own_spring__gauss4.py", "pendulum__gauss4.py"]
+    assert str(target / names[0]) in capsys.readouterr().out
+    assert ss.load(target / names[0]).order == 4
+
+
+def test_check(tmp_path, capsys):
+    from pathlib import Path
+    from shutil import copytree
+
+    target = tmp_path / "generated"
+    copytree(Path(__file__).parents[1] / "generated", target)
+    assert main(["check", "--directory", str(target)]) == 0
+    (target / "kepler__simpson.py").unlink()
+    (target / "other.py").write_text("")
+    with (target / "pendulum__simpson.py").open("a") as file:
+        file.write("\n")
+    assert main(["check", "--directory", str(target)]) == 1
+    out = capsys.readouterr().out
+    assert "missing  kepler__simpson.py" in out
+    assert "extra    other.py" in out
+    assert "stale    pendulum__simpson.py" in out
+
+
+def test_run(tmp_path, own, capsys):
+    files = [tmp_path / "run.npz", tmp_path / "run.csv"]
+    for file in files:
+        arguments = ["run", f"{own}:spring", "--q0", "1", "--v0", "0.5", "--steps", "20"]
+        assert main([*arguments, "--h", "0.05", "--out", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "own_spring, simpson (order 4), h = 0.05" in out
+    assert "20 steps to t = 1" in out
+    assert "energy error" in out
+    stored = np.load(files[0], allow_pickle=False)
+    table = np.loadtxt(files[1], delimiter=",", skiprows=1)
+    assert files[1].read_text().splitlines()[0] == "t,x,p_x,energy"
+    assert (table == np.column_stack([stored[k] for k in ("t", "q", "p", "energy")])).all()
+
+
+ERRORS = {
+    "unknown system": (["run", "nothing"], "no system 'nothing'"),
+    "no such file": (["run", "nothing.py:x"], "cannot be run"),
+    "no system": (["run", "{own}:number"], "is no MechanicalSystem"),
+    "no state": (["run", "{own}:spring"], "no reference state"),
+    "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
+    "format": (["run", "pendulum", "--out", "run.xls"], "unknown format"),
+    "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
+    "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
+    "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "message"), ERRORS.values(), ids=ERRORS)
+def test_errors(arguments, message, own, capsys):
+    assert main([argument.format(own=own) for argument in arguments]) == 1
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert "Traceback" not in captured.err
+
+
+def test_a_failing_run_says_why(capsys):
+    arguments = [
+        "run",
+        "double_pendulum",
+        "--q0",
+        "2.5,2",
+        "--v0",
+        "0,9",
+        "--h",
+        "2",
+        "--steps",
+        "50",
+    ]
+    assert main(arguments) == 1
+    assert "ConvergenceError: double_pendulum, simpson: step" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["list", "generate", "check", "run", "bench"])
+def test_help(command, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main([command, "--help"])
+    assert caught.value.code == 0
+    assert "usage: symsimpson" in capsys.readouterr().out
+
+
+def test_module_is_a_command():
+    done = subprocess.run([sys.executable, "-m", "symsimpson", "run", "nothing"],
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.startswith("InputError: there is no system 'nothing'")
