@@ -197,7 +197,11 @@ def accumulate(W, h, node, lane):
 @compiled
 def close_step(W, lane):
     """Add the increments to q and p, with what rounding lost carried along."""
+    surprise_squared = real(0)
     for a in range(DIMENSION):
+        for row in range(a, UNKNOWNS, DIMENSION):
+            surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
+            surprise_squared += W[METRIC + a, lane] * surprise**2
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
         old = W[POSITION + a, lane]
         new = old + increment
@@ -210,6 +214,7 @@ def close_step(W, lane):
         taken = new - old
         W[MOMENTUM + a, lane] = new
         W[MOMENTUM_LOW + a, lane] = (old - (new - taken)) + (increment - taken)
+    W[SURPRISE_SQUARED, lane] = surprise_squared
 
 
 @compiled
@@ -258,16 +263,12 @@ def straight(W, h, lane):
 def predict(W, h, lane):
     """Extrapolate the last path, bent to leave the new point with its velocity v."""
     mismatch_squared = real(0)
-    surprise_squared = real(0)
     for a in range(DIMENSION):
         mismatch = h * W[VELOCITY + a, lane]
         for j in range(DEGREE):
             mismatch -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
         mismatch_squared += W[METRIC + a, lane] * mismatch**2
         for k in range(DEGREE):
-            row = k * DIMENSION + a
-            surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
-            surprise_squared += W[METRIC + a, lane] * surprise**2
             increment = START_SLOPE[k] * mismatch
             for j in range(DEGREE):
                 increment += EXTRAPOLATION[k][j] * W[INCREMENT + j * DIMENSION + a, lane]
@@ -276,7 +277,6 @@ def predict(W, h, lane):
         W[INCREMENT + row, lane] = W[RESIDUAL + row, lane]
         W[PREDICTED + row, lane] = W[RESIDUAL + row, lane]
     W[MISMATCH_SQUARED, lane] = mismatch_squared
-    W[SURPRISE_SQUARED, lane] = surprise_squared
 
 
 @compiled

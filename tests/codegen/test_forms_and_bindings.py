@@ -1,0 +1,99 @@
+"""One system, two forms of code; one text, four arithmetics."""
+
+import json
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+from random_systems import random_state, random_system
+from workspace import begin, block, new_workspace, state, take_step
+
+import symsimpson as ss
+from symsimpson.codegen import kernels
+from symsimpson.codegen.binding import bind_complex, bind_float, bind_mpmath
+from symsimpson.codegen.pipeline import source
+
+SYSTEMS = [
+    ss.systems.lagrange_top(),
+    ss.systems.elastic_pendulum(),
+    random_system(3),
+    random_system(9),
+]
+GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "golden.json").read_text())["cases"]
+
+
+@pytest.mark.parametrize("system", SYSTEMS, ids=lambda system: system.name)
+@pytest.mark.parametrize("scheme", ["simpson", "midpoint"])
+def test_loops_and_straight_lines_agree(system, scheme, monkeypatch):
+    text = source(system, scheme)
+    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    looped = source(system, scheme)
+    assert "newton_pivoted" in text
+    assert "newton_pivoted" not in looped
+    q, v = random_state(5, system.n)
+    q = [x + 1 for x in q]  # away from the poles of angles
+    results = []
+    for module in map(bind_float, (text, looped)):
+        W = new_workspace(module, q, [0.0] * system.n, system.parameters.values())
+        W[block(module, "VELOCITY", system.n), 0] = v
+        module.prepare(0.02, 0.0, W)
+        module.legendre(0.02, 0.0, W)
+        module.start(0.02, 0.0, W)
+        assert W[module.MASS_PIVOT, 0] == 0
+        for _ in range(10):
+            take_step(module, W, 0.02)
+        measures = W[[module.MISMATCH_SQUARED, module.SURPRISE_SQUARED], 0]
+        velocity = W[block(module, "VELOCITY", system.n), 0]
+        predicted = W[block(module, "PREDICTED", module.UNKNOWNS), 0]
+        metric = W[block(module, "METRIC", system.n), 0]
+        module.energy(0.02, 0.0, W)
+        results.append([*state(module, W), *velocity, *predicted, *metric, *measures,
+                        W[module.ENERGY, 0]])  # fmt: skip
+    np.testing.assert_allclose(results[0], results[1], rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", GOLDEN[:6], ids=lambda case: case["name"])
+def test_first_step_in_many_digits(case):
+    system = {"double_pendulum": ss.systems.double_pendulum,
+              "lagrange_top": ss.systems.lagrange_top}[case["system"]]()  # fmt: skip
+    with mp.workdps(64):
+        module = bind_mpmath(source(system, case["scheme"]))
+        parameters = [mp.mpf(case["params"][str(a)]) for a in system.parameters]
+        q, p = ([mp.mpf(x) for x in case[key]] for key in ("q0", "p0"))
+        h = mp.mpf(case["h"])
+        W = begin(module, q, p, parameters, h, dtype=object)
+        take_step(module, W, h, iterations=12)
+        truth = [mp.mpf(x) for x in (*case["first_step"]["q1"], *case["first_step"]["p1"])]
+        for found, exact in zip(state(module, W), truth, strict=True):
+            assert abs(found - exact) < mp.mpf(10) ** -32 * max(1, abs(exact))
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "lagrange_top", "fermi_pasta_ulam"])
+def test_arithmetics_agree(name):
+    system = ss.systems.CATALOGUE[name]()
+    text = source(system)
+    q = [x + 0.1 for x in system.reference_state["q0"]]
+    p = [0.01 * (i + 1) for i in range(system.n)]
+    values = system.parameters.values()
+    results = []
+    for bind, dtype in ((bind_float, float), (bind_complex, complex), (bind_mpmath, object)):
+        module = bind(text)
+        W = begin(module, q, p, values, 0.01, dtype=dtype)
+        take_step(module, W, 0.01)
+        results.append(np.array([complex(x).real for x in state(module, W)]))
+    stepper = ss.compile(system)
+    results.append(np.concatenate(stepper.step(q, p, 0.01)))
+    for other in results[1:]:
+        np.testing.assert_allclose(results[0], other, rtol=0, atol=1e-13)
+
+
+def test_large_systems_run():
+    """Eight links: looped kernels, compiled, of the right order."""
+    system = ss.systems.n_pendulum(8)
+    stepper = ss.compile(system)
+    errors = [
+        np.abs(stepper.integrate(**system.reference_state, h=h, t_end=1.0).energy_error).max()
+        for h in (0.01, 0.005)
+    ]
+    assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.3
