@@ -22,10 +22,12 @@ FAILED, SUSPICIOUS = 1, 2
 NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE = 2, 3, 4
 
 MOST_ITERATIONS = 40
-#: The next correction would be below half a unit in the last place of the increment.
-NEGLIGIBLE = 2.0**-53
-#: Seen ratios of successive corrections count between these relative sizes, squared.
-SMALL, ROUND_OFF = 1e-2, 1e-24
+#: The next correction would be lost in the rounding of the residual: two units in the last place.
+NEGLIGIBLE = 2.0**-51
+#: From here on, in relative size squared, corrections shrink quadratically.
+SMALL = 1e-2
+#: By what the ratio is raised in each step, up to 1, until it is seen again.
+FADING = 1.05
 #: Corrections that stop shrinking below this relative size, squared, are round-off.
 STAGNATION = 1e-20
 #: Two solutions of a step are one if their relative distance is below this, squared.
@@ -80,9 +82,8 @@ def solve(newton, h, t, W, at, relative):
     """Iterate until every active lane has converged; give 0, or the status of a lane that failed.
 
     ``relative`` (one number a lane) is left with the square of the last relative correction. The
-    correction after the present one is predicted by the largest ratio of a correction to the
-    square of the one before that was seen of late; where it would be lost in rounding, the lane
-    is done. Lanes that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
+    correction after the present one is predicted from the ratio of a correction to the square of
+    the one before it, as seen of late; where it would be lost in rounding, the lane is done. Lanes that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
     """
     worst = 0
     lanes = W.shape[1]
@@ -90,6 +91,9 @@ def solve(newton, h, t, W, at, relative):
     contraction, iterations = at[CONTRACTION], at[ITERATIONS]
     for lane in range(lanes):
         relative[lane] = np.inf
+        if W[active, lane] > 0.0:  # trust fades, so that now and then it is measured anew
+            known = W[contraction, lane]
+            W[contraction, lane] = max(known, min(1.0, FADING * known))
     for _ in range(MOST_ITERATIONS):
         call(newton, h, t, W)
         busy = 0
@@ -109,9 +113,9 @@ def solve(newton, h, t, W, at, relative):
             before = relative[lane]
             now = correction / increment
             relative[lane] = now
-            if before < SMALL and now > ROUND_OFF:
+            if before < SMALL:  # where rounding enters, what is seen is too large: it is safe
                 observed = np.sqrt(now) / before
-                W[contraction, lane] = max(1.0, observed, 0.5 * W[contraction, lane])
+                W[contraction, lane] = max(observed, 0.5 * W[contraction, lane])
             predicted = W[contraction, lane] * now
             if predicted <= NEGLIGIBLE or (now < STAGNATION and now >= 0.25 * before):
                 W[active, lane] = 0.0
