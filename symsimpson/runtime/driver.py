@@ -83,7 +83,8 @@ def solve(newton, h, t, W, at, relative):
 
     ``relative`` (one number a lane) is left with the square of the last relative correction. The
     correction after the present one is predicted from the ratio of a correction to the square of
-    the one before it, as seen of late; where it would be lost in rounding, the lane is done. Lanes that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
+    the one before it, as seen of late; where it would be lost in rounding, the lane is done. Lanes
+    that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
     """
     worst = 0
     lanes = W.shape[1]

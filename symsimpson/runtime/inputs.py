@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 
-__all__ = ["read_every", "read_number", "read_parameters", "read_steps", "read_vector"]
+__all__ = [
+    "read_every",
+    "read_floats",
+    "read_number",
+    "read_parameters",
+    "read_steps",
+    "read_vector",
+]
 
 #: The end of a run may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6
@@ -22,7 +29,7 @@ MOST_STEPS = 2**53
 
 def read_vector(name: str, value: ArrayLike, coordinates: tuple[str, ...]) -> NDArray[np.float64]:
     """Read one finite number for each coordinate."""
-    vector = _floats(name, value)
+    vector = read_floats(name, value)
     n = len(coordinates)
     if vector.shape != (n,):
         raise InputError(
@@ -42,13 +49,14 @@ def read_number(name: str, value: Any) -> float:
     """Read one finite real number."""
     if type(value) is float and math.isfinite(value):
         return value
-    array = _floats(name, value)
+    array = read_floats(name, value)
     if array.shape != () or not math.isfinite(float(array)):
         raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
     return float(array)
 
 
-def _floats(name: str, value: Any) -> NDArray[np.float64]:
+def read_floats(name: str, value: Any) -> NDArray[np.float64]:
+    """Read an array of real numbers of any shape."""
     try:
         array = np.array(value)
         if array.dtype.kind not in "fiuO":

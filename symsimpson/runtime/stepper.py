@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError, Interrupted
 from symsimpson.runtime.inputs import (
     read_every,
+    read_floats,
     read_number,
     read_parameters,
     read_steps,
@@ -216,7 +217,7 @@ class Stepper:
         q = read_vector("q0", q0, self.coordinates)
         p = read_vector("p0", p0, self.coordinates)
         h = read_number("h", h)
-        points = np.array(nodes, dtype=np.float64)
+        points = read_floats("nodes", nodes)
         if points.shape != (d, n):
             raise InputError(
                 f"nodes has shape {points.shape}, expected ({d}, {n}).\n"

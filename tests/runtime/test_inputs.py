@@ -64,6 +64,8 @@ def test_step_and_equations_check_too(stepper):
         stepper.step([1.0], [0.0, 0.0], 0.1)
     with pytest.raises(ss.InputError, match="nodes has shape"):
         stepper.residual([0.5, 0.2], [0.0, 0.1], [0.5, 0.2], 0.1)
+    with pytest.raises(ss.InputError, match=r"nodes is .* not real numbers"):
+        stepper.jacobian([0.5, 0.2], [0.0, 0.1], "nodes", 0.1)
 
 
 def test_mass_matrix_must_be_positive_definite():
