@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower
 from symsimpson.discrete.equations import discretise
@@ -22,8 +24,13 @@ def source(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> str:
     Returns
     -------
     str
-        The module's text, the same bytes every time.
+        The module's text, the same bytes every time; remembered for systems asked for of late.
     """
-    equations = discretise(system, read_scheme(scheme))  # MechanicalSystem, Scheme -> equations
+    return _source(system, read_scheme(scheme))
+
+
+@lru_cache(maxsize=64)
+def _source(system: MechanicalSystem, scheme: Scheme) -> str:
+    equations = discretise(system, scheme)  # MechanicalSystem, Scheme -> DiscreteEquations
     module = lower(equations)  # DiscreteEquations -> Module of kernels
     return emit(equations, module)  # Module -> text
