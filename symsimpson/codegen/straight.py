@@ -67,13 +67,14 @@ def _newton(low: Lowering) -> Kernel:
     eqs, define, n = low.equations, low.graph.define, low.n
     scheme, names = eqs.scheme, low.names.coordinates
     points = [_node(low, i) for i in range(scheme.stages)]
-    nodes = list(enumerate(points))
 
     def entry(i: int, what: str, *index: int) -> sp.Expr:
+        if what == "L_v":
+            return momentum[i][index[0]]
         return low.template.entry(points[i], f"node {i}", what, *index)
 
     momentum: list[list[sp.Expr]] = []
-    for i, point in nodes:  # all entries of a node together, for the reader
+    for i, point in enumerate(points):  # all entries of a node together, for the reader
         section = f"node {i}"
         momentum.append(
             [
@@ -86,38 +87,24 @@ def _newton(low: Lowering) -> Kernel:
             for b in range(n):
                 entry(i, "L_qv", a, b)
                 entry(i, "L_qq", a, b)
-
-    def term(i: int, what: str, k: int, m: int, *index: int) -> sp.Expr:
-        factor = eqs.coefficient(what, i, k, m)
-        return factor * entry(i, what, *index) if factor != 0 else sp.S.Zero
-
     right = []
     for k in eqs.rows:
         for a, name in enumerate(names):
-            terms = [low.p[a]] if k == 0 else []
-            for i, _ in nodes:
-                terms.append(term(i, "L_q", k, 0, a))
-                terms.append(eqs.coefficient("L_v", i, k) * momentum[i][a])
-            right.append(-define(f"R_{k}_{name}", sp.Add(*terms), "residual D_k L_d"))
-    matrix = []
-    for k in eqs.rows:
-        for a in range(n):
-            row = []
-            for m in eqs.columns:
-                for b in range(n):
-                    terms = []
-                    for i, _ in nodes:
-                        terms.append(term(i, "L_qq", k, m, a, b))
-                        terms.append(term(i, "L_qv", k, m, a, b))
-                        factor = eqs.coefficient("L_vq", i, k, m)
-                        if factor != 0:
-                            terms.append(factor * entry(i, "L_qv", b, a))
-                        factor = eqs.coefficient("L_vv", i, k, m)
-                        if factor != 0:
-                            terms.append(factor * entry(i, "M", a, b))
-                    wish = f"J_{k}_{names[a]}_{m}_{names[b]}"
-                    row.append(define(wish, sp.Add(*terms), "Jacobian D_m D_k L_d"))
-            matrix.append(row)
+            value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
+            right.append(-define(f"R_{k}_{name}", value, "residual D_k L_d"))
+    columns = [(m, b) for m in eqs.columns for b in range(n)]
+    matrix = [
+        [
+            define(
+                f"J_{k}_{names[a]}_{m}_{names[b]}",
+                eqs.second_derivative(k, a, m, b, entry),
+                "Jacobian D_m D_k L_d",
+            )
+            for m, b in columns
+        ]
+        for k in eqs.rows
+        for a in range(n)
+    ]
     wishes = [f"d_{name}_X{m}" for m in eqs.columns for name in names]
     found = solve_blocks(low.graph, matrix, right, n, wishes, "elimination")
     stores, corrections, increments = [], [], []
@@ -151,14 +138,17 @@ def _advance(low: Lowering) -> Kernel:
     q = [low.compensated(names[a], low.q[a], low.q_low[a], low.increments[-1][a]) for a in range(n)]
     end = Point("end", tuple(new for new, _ in q))
     points = [_node(low, i, end) for i in range(scheme.stages)]
-    gradients = [
-        [low.template.entry(point, f"node {i}", "L_q", a) for a in range(n)]
-        for i, point in enumerate(points)
+
+    def entry(i: int, what: str, *index: int) -> sp.Expr:
+        return low.template.entry(points[i], f"node {i}", what, *index)
+
+    for i in range(scheme.stages):
+        for a in range(n):
+            entry(i, "L_q", a)
+    p = [
+        low.compensated(f"p_{names[a]}", low.p[a], low.p_low[a], eqs.impulse(a, entry))
+        for a in range(n)
     ]
-    p = []
-    for a in range(n):
-        terms = [eqs.coefficient("impulse", i) * row[a] for i, row in enumerate(gradients)]
-        p.append(low.compensated(f"p_{names[a]}", low.p[a], low.p_low[a], sp.Add(*terms)))
     section = "velocity at q1"
     v, _ = velocity(low, end, tuple(new for new, _ in p), section)
     metric = [low.template.entry(end, section, "M", a, a) for a in range(n)]

@@ -79,6 +79,7 @@ class JetTemplate:
 
     def entry(self, point: Point, section: str, what: str, *index: int) -> sp.Expr:
         """Give one entry of the jet at a point, making the definitions it needs."""
+        what = "M" if what == "L_vv" else what
         names = tuple(self._names[i] for i in index)
         if what in ("M", "L_qq") and index[0] < index[1]:
             names = names[::-1]

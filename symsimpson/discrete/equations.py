@@ -15,6 +15,7 @@ zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -22,6 +23,9 @@ import sympy as sp
 from symsimpson.discrete.jet import Jet, derive_jet
 from symsimpson.mechanics.system import MechanicalSystem, Plain
 from symsimpson.schemes.scheme import Scheme
+
+#: Gives an entry of the jet at a node: ``entry(i, "L_qq", a, b)``.
+Entry = Callable[..., sp.Expr]
 
 __all__ = ["DiscreteEquations", "discretise", "elimination_order"]
 
@@ -63,6 +67,39 @@ class DiscreteEquations:
             "L_vv": b * B[k] * B[m] / self.h,
         }
         return sp.radsimp(factors[what])
+
+    def derivative(self, k: int, a: int, entry: Entry) -> sp.Expr:
+        """Give D_k L_d, component a, from the entries of the jets at the nodes."""
+        return self._sum([("L_q", "L_q", (a,)), ("L_v", "L_v", (a,))], entry, k)
+
+    def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> sp.Expr:
+        """Give D_m D_k L_d, components a and b."""
+        parts = [
+            ("L_qq", "L_qq", (a, b)),
+            ("L_qv", "L_qv", (a, b)),
+            ("L_vq", "L_qv", (b, a)),
+            ("L_vv", "L_vv", (a, b)),
+        ]
+        return self._sum(parts, entry, k, m)
+
+    def impulse(self, a: int, entry: Entry) -> sp.Expr:
+        """Give p1 - p0, component a."""
+        return self._sum([("impulse", "L_q", (a,))], entry)
+
+    def _sum(
+        self,
+        parts: Sequence[tuple[str, str, tuple[int, ...]]],
+        entry: Entry,
+        *points: int,
+    ) -> sp.Expr:
+        """Add up factor times entry over the nodes; none is asked for whose factor is zero."""
+        terms = []
+        for i in range(self.scheme.stages):
+            for factor, what, index in parts:
+                value = self.coefficient(factor, i, *points)
+                if value != 0:
+                    terms.append(value * entry(i, what, *index))
+        return sp.Add(*terms)
 
     def at_start(self, i: int) -> bool:
         """Tell whether node i lies at q0, so that its position is known before the step."""
