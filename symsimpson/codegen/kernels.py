@@ -16,6 +16,7 @@ from symsimpson.codegen.looped import (
 )
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.straight import STATE, lanes, straight_kernels, velocity
+from symsimpson.codegen.template import Point
 from symsimpson.discrete.equations import DiscreteEquations
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower"]
@@ -80,7 +81,7 @@ def _invariants(low: Lowering) -> Kernel:
     """The quantities to watch."""
     point, section = low.start_point(), "invariants"
     v, _ = velocity(low, point, low.p, "velocity")
-    point = type(point)(point.suffix + "_state", point.q, tuple(v))
+    point = Point(point.suffix + "_state", point.q, tuple(v))
     stores = [
         Store(Row("INVARIANT", i), low.template.output(point, section, ("invariant", name)))
         for i, name in enumerate(low.equations.plain.invariants)

@@ -255,6 +255,8 @@ def verify(kernels, h, t, W, at, relative, lane, before, increments):
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
         if not W[at[MISMATCH], lane] < np.inf:
+            put_back(W, at[POSITION], last, lane, before)
+            keep(W, 0, rows, lane, after)
             after[at[STATUS], lane] = NOT_FINITE
     for other in range(lanes):
         put_back(W, 0, rows, other, after)
