@@ -22,6 +22,8 @@ def layout(
         **dict.fromkeys(("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW"), n),
         "INCREMENT": unknowns,
         "PREDICTED": unknowns,
+        "PREVIOUS": 4 * n + unknowns,
+        "SOLVED": unknowns,
         "VELOCITY": n,
         "PARAMETER": parameters,
         "INVARIANT": invariants,

@@ -34,6 +34,8 @@ INCREMENT_SQUARED: int
 MISMATCH_SQUARED: int
 SURPRISE_SQUARED: int
 PREDICTED: int
+PREVIOUS: int
+SOLVED: int
 MASS_PIVOT: int
 ROW_ORDER: tuple[int, ...]
 COLUMN_ORDER: tuple[int, ...]
@@ -197,6 +199,11 @@ def accumulate(W, h, node, lane):
 @compiled
 def close_step(W, lane):
     """Add the increments to q and p, with what rounding lost carried along."""
+    for row in range(4 * DIMENSION):
+        W[PREVIOUS + row, lane] = W[POSITION + row, lane]
+    for row in range(UNKNOWNS):
+        W[PREVIOUS + 4 * DIMENSION + row, lane] = W[PREDICTED + row, lane]
+        W[SOLVED + row, lane] = W[INCREMENT + row, lane]
     surprise_squared = real(0)
     for a in range(DIMENSION):
         for row in range(a, UNKNOWNS, DIMENSION):

@@ -168,6 +168,11 @@ def _advance(low: Lowering) -> Kernel:
             terms = [scheme.extrapolation[k][j] * low.increments[j][a] for j in range(d)]
             value = sp.Add(scheme.correction[k] * bend, *terms)
             increments[k].append(define(f"{name}_X{k + 1}_next", value, section))
+    state = (*low.q, *low.q_low, *low.p, *low.p_low)
+    predicted = [value for values in low.predicted for value in values]
+    stores += [Store(Row("PREVIOUS", i), old) for i, old in enumerate((*state, *predicted))]
+    solved = [value for values in low.increments for value in values]
+    stores += [Store(Row("SOLVED", i), value) for i, value in enumerate(solved)]
     keep("POSITION", low.q, [new for new, _ in q])
     keep("POSITION_LOW", low.q_low, [rest for _, rest in q])
     keep("MOMENTUM", low.p, [new for new, _ in p])

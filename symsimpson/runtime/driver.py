@@ -16,6 +16,7 @@ PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, CORRECTION, NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
 POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, SURPRISE, DIMENSION = range(8, 15)
+PREVIOUS, SOLVED = 15, 16
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
@@ -47,12 +48,11 @@ SIGNATURES = {
     "begin": types.void(KERNELS, types.int64, types.float64, types.float64, WORKSPACE, PLACES),
     "switch": types.void(KERNELS, types.float64, types.float64, WORKSPACE, PLACES),
     "run": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, WORKSPACE, WORKSPACE,
-        types.int64[::1], types.int64, types.int64, STATES, STATES, COUNTS,
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64[::1],
+        types.int64, types.int64, STATES, STATES, COUNTS,
     ),
     "mend": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, WORKSPACE, WORKSPACE,
-        types.int64,
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64,
     ),
     "evaluate": types.void(
         types.int64, types.int64, types.float64, WORKSPACE, PLACES, types.float64[:, :],
@@ -146,6 +146,14 @@ def put_back(W, first, last, lane, copy):
 
 
 @njit(**OPTIONS)
+def step_back(W, at, lane):
+    """Restore the state and the predicted increments from before the last call of advance."""
+    first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
+    for row in range(last - first):
+        W[first + row, lane] = W[previous + row, lane]
+
+
+@njit(**OPTIONS)
 def activate_only(W, active, lane):
     """Let kernels work on one lane."""
     for other in range(W.shape[1]):
@@ -227,15 +235,17 @@ def suspicious(W, at, lane):
 
 
 @njit(**OPTIONS)
-def verify(kernels, h, t, W, at, relative, lane, before, increments):
+def verify(kernels, h, t, W, at, relative, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
     rows, lanes = W.shape
+    increments = np.empty((last - first, lanes))
+    keep(W, at[SOLVED], at[SOLVED] + last - first, lane, increments)
     after = np.empty((rows, lanes))
     for other in range(lanes):
         keep(W, 0, rows, other, after)
     finite = W[at[MISMATCH], lane] < np.inf
-    put_back(W, at[POSITION], last, lane, before)
+    step_back(W, at, lane)
     if not finite:
         W[at[STATUS], lane] = NOT_FINITE
         return
@@ -255,7 +265,7 @@ def verify(kernels, h, t, W, at, relative, lane, before, increments):
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
         if not W[at[MISMATCH], lane] < np.inf:
-            put_back(W, at[POSITION], last, lane, before)
+            step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
             after[at[STATUS], lane] = NOT_FINITE
     for other in range(lanes):
@@ -263,10 +273,10 @@ def verify(kernels, h, t, W, at, relative, lane, before, increments):
 
 
 @njit(**OPTIONS)
-def mend(kernels, h, t, W, at, relative, before, increments, event):
+def mend(kernels, h, t, W, at, relative, event):
     """Finish a step at which ``run`` stopped: lanes that failed, or whose solution is suspicious.
 
-    ``before``, ``increments`` and ``relative`` are as ``run`` left them.
+    ``relative`` is as ``run`` left it.
     """
     first, last = at[INCREMENT], at[STATE_END]
     lanes = W.shape[1]
@@ -274,17 +284,17 @@ def mend(kernels, h, t, W, at, relative, before, increments, event):
         for lane in range(lanes):
             failure = -W[at[ACTIVE], lane]
             if failure > 0.0:
-                put_back(W, at[POSITION], last, lane, before)
+                for row in range(first, last):  # the predicted increments, which stand behind
+                    W[row, lane] = W[row + last - first, lane]
                 lost = follow(kernels, h, t, W, at, relative, lane)
                 if lost != 0:
                     W[at[STATUS], lane] = lost if lost == STEP_TOO_LARGE else failure
         for lane in range(lanes):
-            keep(W, first, last, lane, increments)
             W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
         call(kernels[ADVANCE], h, t, W)
     for lane in range(lanes):
         if W[at[STATUS], lane] == 0.0 and suspicious(W, at, lane):
-            verify(kernels, h, t, W, at, relative, lane, before, increments)
+            verify(kernels, h, t, W, at, relative, lane)
 
 
 @njit(**OPTIONS)
@@ -319,18 +329,16 @@ def switch(kernels, h, t, W, at):
 
 @njit(**OPTIONS)
 def run(
-    kernels, h, t0, W, at, relative, before, increments, progress, stop, every,
-    q_out, p_out, iterations_out,
+    kernels, h, t0, W, at, relative, progress, stop, every, q_out, p_out, iterations_out,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left; ``progress`` is (step, event).
 
     States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
     other than 0 is not touched. At an event the step is not finished: ``mend`` does that, and
-    ``run`` goes on. ``relative``, ``before`` and ``increments`` are scratch for a number, a state
-    and increments a lane.
+    ``run`` goes on. ``relative`` is scratch for a number a lane.
     """
     lanes = W.shape[1]
-    position, momentum, first, last = at[POSITION], at[MOMENTUM], at[INCREMENT], at[STATE_END]
+    position, momentum = at[POSITION], at[MOMENTUM]
     active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[NORM]
     step, mended = progress[0], progress[1] != 0
     progress[1] = 0
@@ -339,7 +347,6 @@ def run(
             t = t0 + h * step
             alive = 0
             for lane in range(lanes):
-                keep(W, position, last, lane, before)
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
                 alive += W[status, lane] == 0.0
             if alive == 0:
@@ -349,7 +356,6 @@ def run(
                 break
             doubts = 0
             for lane in range(lanes):
-                keep(W, first, last, lane, increments)
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             call(kernels[ADVANCE], h, t, W)
             for lane in range(lanes):

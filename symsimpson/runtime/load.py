@@ -59,8 +59,9 @@ class Facts:
         )  # fmt: skip
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
-        metric, surprise = self.layout["METRIC"], self.layout["SURPRISE_SQUARED"]
-        return np.array([*rows, end, metric, surprise, self.n], dtype=np.int64)
+        more = [self.layout[name] for name in ("METRIC", "SURPRISE_SQUARED")]
+        saved = [self.layout[name] for name in ("PREVIOUS", "SOLVED")]
+        return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
 
 
 def read_facts(text: str, where: str) -> Facts:

@@ -67,8 +67,7 @@ class Run:
         self.q = np.empty((stored, n, 1))
         self.p = np.empty((stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
-        unknowns = facts.degree * n
-        self._scratch = (np.empty(1), np.empty((4 * n + unknowns, 1)), np.empty((unknowns, 1)))
+        self._relative = np.empty(1)
         self._progress = np.zeros(2, dtype=np.int64)
         self._robust_until = -1
         self._stretch = FIRST_STRETCH
@@ -109,7 +108,7 @@ class Run:
     @property
     def last_correction(self) -> float:
         """Size of the last Newton correction relative to the increment."""
-        return float(np.sqrt(self._scratch[0][0]))
+        return float(np.sqrt(self._relative[0]))
 
     @property
     def last_iterations(self) -> int:
@@ -146,13 +145,13 @@ class Run:
         run = driver("run")
         while True:
             run(
-                kernels, self.h, self.t0, W, at, *self._scratch, self._progress, stop, self.every,
+                kernels, self.h, self.t0, W, at, self._relative, self._progress, stop, self.every,
                 self.q, self.p, self.iterations,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:
                 return
-            driver("mend")(kernels, self.h, self._time(), W, at, *self._scratch, event)
+            driver("mend")(kernels, self.h, self._time(), W, at, self._relative, event)
             if self.status is not Status.SUCCESS:
                 self._progress[1] = 0
                 return
