@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from symsimpson.codegen.pipeline import source
@@ -14,7 +15,12 @@ from symsimpson.schemes.scheme import Scheme, read_scheme
 __all__ = ["compile", "generate", "load"]
 
 
-def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepper:
+def compile(
+    system: MechanicalSystem,
+    scheme: str | Scheme = "simpson",
+    *,
+    exploit: str | Iterable[str] = "all",
+) -> Stepper:
     """Derive, emit and compile the integrator of a system.
 
     Parameters
@@ -23,6 +29,10 @@ def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepp
     scheme : str or Scheme
         ``"simpson"``, ``"midpoint"``, ``"lobatto6"``, ``"gauss4"``, ..., or a scheme made with
         :func:`symsimpson.galerkin`.
+    exploit : "all" or iterable of str
+        What the generator may make use of: "decoupled", "cyclic", "constant_mass", "linear",
+        "sparse" (see :attr:`MechanicalSystem.structure`). All of it gives the same trajectory up
+        to rounding; ``()`` keeps the general path, for comparison.
 
     Returns
     -------
@@ -34,7 +44,7 @@ def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepp
     SchemeError
         If there is no such scheme.
     GenerationError
-        If the equations cannot be written as code.
+        If the equations cannot be written as code, or ``exploit`` names something else.
 
     Examples
     --------
@@ -45,7 +55,7 @@ def compile(system: MechanicalSystem, scheme: str | Scheme = "simpson") -> Stepp
     _check_system(system)
     found = read_scheme(scheme)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
-    return Stepper(source(system, found), f"{system.name}__{found.name}", defaults=defaults)
+    return Stepper(source(system, found, exploit), f"{system.name}__{found.name}", defaults=defaults)
 
 
 def generate(

@@ -22,6 +22,7 @@ def new_workspace(module, q, p, parameters, dtype=float):
             W[getattr(module, name) + i, :] = value
     assert len(q) == len(p) == n
     W[module.ACTIVE, :] = 1
+    W[module.COUNT, :] = 1
     return W
 
 

@@ -31,7 +31,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 1
+INTERFACE = 2
 
 _WIDTH = 99
 
@@ -59,7 +59,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         ]
     )
     constants = _constants(module, printer)
-    tables = _tables(equations, printer)
+    tables = _tables(equations, module.newton_unknowns, printer)
     library = _library(body)
     numbers = "\n".join(
         part
@@ -171,7 +171,7 @@ def _layout(module: Module) -> str:
     return "\n".join([*lines, f"ROWS = {module.rows}", ""])
 
 
-def _tables(equations: DiscreteEquations, printer: Printer) -> str:
+def _tables(equations: DiscreteEquations, newton_unknowns: int, printer: Printer) -> str:
     scheme = equations.scheme
     exact = Printer(exact=True)
 
@@ -188,6 +188,7 @@ def _tables(equations: DiscreteEquations, printer: Printer) -> str:
         f"DIMENSION = {n}",
         f"DEGREE = {d}",
         f"UNKNOWNS = {d * n}",
+        f"NEWTON_UNKNOWNS = {newton_unknowns}",
         f"NODES = {scheme.stages}",
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",

@@ -130,6 +130,7 @@ class Module:
     """Everything that an emitter needs to write a module.
 
     ``layout`` gives the first row of each block of the workspace, ``rows`` their number.
+    ``newton_unknowns`` is the number of unknowns of a step, 0 where it needs no iteration.
     """
 
     names: NameTable
@@ -138,3 +139,4 @@ class Module:
     constants: Mapping[sp.Symbol, sp.Expr]
     layout: Mapping[str, int]
     rows: int
+    newton_unknowns: int

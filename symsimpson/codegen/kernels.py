@@ -8,7 +8,7 @@ from symsimpson.codegen.ir import Kernel, Module, Row, Store
 from symsimpson.codegen.layout import layout
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import (
-    general_kernels,
+    equations_kernel,
     jet_function,
     looped_energy,
     looped_kernels,
@@ -18,6 +18,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.straight import STATE, lanes, straight_kernels, velocity
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.discrete.reductions import Linear, Part
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower"]
 
@@ -38,17 +39,19 @@ def lower(equations: DiscreteEquations) -> Module:
         Kernels, constants, layout of the workspace and the library functions they call.
     """
     low = Lowering(equations)
-    straight = equations.scheme.degree * low.n <= UNROLLED_UNKNOWNS
+    straight = max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
     kernels: list[Kernel]
     if straight:
         kernels = [*straight_kernels(low), _energy(low)]
+        newton_unknowns = sum(part_unknowns(part) for part in equations.parts)
         functions = [jet_function(low)]
     else:
         functions = [jet_function(low), *node_functions(low)]
         kernels = [*looped_kernels(low), looped_energy(low)]
+        newton_unknowns = equations.scheme.degree * low.n
     if equations.plain.invariants:
         kernels.append(_invariants(low))
-    kernels += general_kernels(alone=not straight)
+    kernels.append(equations_kernel())
     # the last, because only now it is known what the others want computed once a run
     stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
@@ -62,7 +65,18 @@ def lower(equations: DiscreteEquations) -> Module:
         len(low.names.invariants),
         len(low.hoisted),
     )
-    return Module(low.names, tuple(functions), tuple(kernels), low.graph.constants, first, rows)
+    return Module(low.names, tuple(functions), tuple(kernels), low.graph.constants, first, rows,
+                  newton_unknowns)
+
+
+def _size(part: Part) -> int:
+    """Measure a part by its unknowns, a linear one by its matrices."""
+    return 2 * len(part.coordinates) if isinstance(part, Linear) else part_unknowns(part)
+
+
+def part_unknowns(part: Part) -> int:
+    """Count the unknowns that a part solves for together."""
+    return 0 if isinstance(part, Linear) else len(part.coordinates) * len(part.columns)
 
 
 def _energy(low: Lowering) -> Kernel:

@@ -13,6 +13,7 @@ real: Callable[[Any], Any]
 DIMENSION: int
 DEGREE: int
 UNKNOWNS: int
+NEWTON_UNKNOWNS: int
 POSITION: int
 POSITION_LOW: int
 MOMENTUM: int
@@ -135,34 +136,34 @@ def assemble(W, h, node, lane):
 @compiled
 def solve_pivoted(W, lane):
     """Solve J x = R in place by Gaussian elimination with row pivoting; x takes the place of R."""
-    for k in range(UNKNOWNS):
+    for k in range(NEWTON_UNKNOWNS):
         pivot = k
-        for i in range(k + 1, UNKNOWNS):
-            here = abs(W[JACOBIAN + i * UNKNOWNS + k, lane])
-            if here > abs(W[JACOBIAN + pivot * UNKNOWNS + k, lane]):
+        for i in range(k + 1, NEWTON_UNKNOWNS):
+            here = abs(W[JACOBIAN + i * NEWTON_UNKNOWNS + k, lane])
+            if here > abs(W[JACOBIAN + pivot * NEWTON_UNKNOWNS + k, lane]):
                 pivot = i
         if pivot != k:
-            for j in range(k, UNKNOWNS):
-                swap = W[JACOBIAN + k * UNKNOWNS + j, lane]
-                W[JACOBIAN + k * UNKNOWNS + j, lane] = W[JACOBIAN + pivot * UNKNOWNS + j, lane]
-                W[JACOBIAN + pivot * UNKNOWNS + j, lane] = swap
+            for j in range(k, NEWTON_UNKNOWNS):
+                swap = W[JACOBIAN + k * NEWTON_UNKNOWNS + j, lane]
+                W[JACOBIAN + k * NEWTON_UNKNOWNS + j, lane] = W[JACOBIAN + pivot * NEWTON_UNKNOWNS + j, lane]
+                W[JACOBIAN + pivot * NEWTON_UNKNOWNS + j, lane] = swap
             swap = W[RESIDUAL + k, lane]
             W[RESIDUAL + k, lane] = W[RESIDUAL + pivot, lane]
             W[RESIDUAL + pivot, lane] = swap
-        inverse = 1 / W[JACOBIAN + k * UNKNOWNS + k, lane]
-        for i in range(k + 1, UNKNOWNS):
-            factor = W[JACOBIAN + i * UNKNOWNS + k, lane] * inverse
-            for j in range(k + 1, UNKNOWNS):
-                W[JACOBIAN + i * UNKNOWNS + j, lane] -= (
-                    factor * W[JACOBIAN + k * UNKNOWNS + j, lane]
+        inverse = 1 / W[JACOBIAN + k * NEWTON_UNKNOWNS + k, lane]
+        for i in range(k + 1, NEWTON_UNKNOWNS):
+            factor = W[JACOBIAN + i * NEWTON_UNKNOWNS + k, lane] * inverse
+            for j in range(k + 1, NEWTON_UNKNOWNS):
+                W[JACOBIAN + i * NEWTON_UNKNOWNS + j, lane] -= (
+                    factor * W[JACOBIAN + k * NEWTON_UNKNOWNS + j, lane]
                 )
             W[RESIDUAL + i, lane] -= factor * W[RESIDUAL + k, lane]
-    for back in range(UNKNOWNS):
-        k = UNKNOWNS - 1 - back
+    for back in range(NEWTON_UNKNOWNS):
+        k = NEWTON_UNKNOWNS - 1 - back
         x = W[RESIDUAL + k, lane]
-        for j in range(k + 1, UNKNOWNS):
-            x -= W[JACOBIAN + k * UNKNOWNS + j, lane] * W[RESIDUAL + j, lane]
-        W[RESIDUAL + k, lane] = x / W[JACOBIAN + k * UNKNOWNS + k, lane]
+        for j in range(k + 1, NEWTON_UNKNOWNS):
+            x -= W[JACOBIAN + k * NEWTON_UNKNOWNS + j, lane] * W[RESIDUAL + j, lane]
+        W[RESIDUAL + k, lane] = x / W[JACOBIAN + k * NEWTON_UNKNOWNS + k, lane]
 
 
 @compiled

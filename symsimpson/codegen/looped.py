@@ -12,7 +12,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.straight import STATE, lanes, momentum_stores
 from symsimpson.codegen.template import Point
 
-__all__ = ["general_kernels", "jet_function", "looped_energy", "looped_kernels", "node_functions"]
+__all__ = ["equations_kernel", "jet_function", "looped_energy", "looped_kernels", "node_functions"]
 
 _HERE = ("W", "lane")
 
@@ -125,8 +125,7 @@ def newton_kernel(name: str) -> Kernel:
     return Kernel(name, doc, lanes((When(body),)))
 
 
-def general_kernels(*, alone: bool) -> list[Kernel]:
-    """Give the equations themselves and, beside straight-line kernels, a pivoted iteration."""
+def equations_kernel() -> Kernel:
+    """Give the equations themselves, all of them, whatever a step solves."""
     doc = "Residual and Jacobian of the step, rows in the order of elimination."
-    equations = Kernel("equations", doc, lanes(equations_body()))
-    return [equations] if alone else [equations, newton_kernel("newton_pivoted")]
+    return Kernel("equations", doc, lanes(equations_body()))

@@ -12,6 +12,7 @@ from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.discrete.reductions import Routh
 
 __all__ = ["Lowering"]
 
@@ -58,10 +59,14 @@ class Lowering:
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
         )
+        self.solution = self._base(
+            [f"solution_{u}" for u in range(equations.scheme.degree * self.n)], "RESIDUAL",
+            Level.ITERATION,
+        )  # fmt: skip
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         self.template = JetTemplate(
             equations.jet, equations.plain, self.graph, coordinates, self.names.parameters,
-            momenta=self.p,
+            momenta=self.p, more=_factors(equations, coordinates), rewrite=_half_angles(equations),
         )  # fmt: skip
         for i, name in enumerate(self.names.parameters):
             self.rows[sp.Symbol(name, real=True)] = Row("PARAMETER", i)
@@ -167,6 +172,32 @@ class Lowering:
         if store.keep is not None:
             yield store.keep
             yield self.active
+
+
+def _factors(
+    equations: DiscreteEquations, names: Sequence[str]
+) -> dict[tuple[str, ...], sp.Expr]:
+    """List the factors of the mass matrices of cyclic coordinates."""
+    found: dict[tuple[str, ...], sp.Expr] = {}
+    for part in equations.parts:
+        if isinstance(part, Routh):
+            own = [names[a] for a in part.cyclic]
+            for r, row in enumerate(own):
+                found["D", row] = part.factors.pivots[r]
+                for c in range(r):
+                    found["L", row, own[c]] = part.factors.moving[r][c]
+                    found["L0", row, own[c]] = part.factors.fixed[r][c]
+    return found
+
+
+def _half_angles(equations: DiscreteEquations) -> dict[sp.Expr, sp.Expr]:
+    """Write sine and cosine by those of half the angle where that keeps digits."""
+    rewrite: dict[sp.Expr, sp.Expr] = {}
+    for part in equations.parts:
+        for x in part.factors.half_angles if isinstance(part, Routh) else ():
+            sine, cosine = sp.sin(x / 2), sp.cos(x / 2)
+            rewrite |= {sp.sin(x): 2 * sine * cosine, sp.cos(x): 1 - 2 * sine**2}
+    return rewrite
 
 
 def _sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:

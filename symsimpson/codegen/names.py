@@ -15,7 +15,7 @@ __all__ = ["NameTable"]
 #: Blocks of rows of the workspace, in their order; see :mod:`symsimpson.codegen.layout`.
 BLOCKS = (
     "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "SURPRISE_SQUARED",
-    "MASS_PIVOT", "ENERGY", "STATUS", "CONTRACTION", "SCALE", "ITERATIONS",
+    "MASS_PIVOT", "ENERGY", "STATUS", "CONTRACTION", "SCALE", "ITERATIONS", "COUNT",
     "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
     "PREVIOUS", "SOLVED",
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
@@ -41,6 +41,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "t",
         "workspace",
         "lane",
+        "step",
+        "int",
         "node",
         "LANES",
         "ROWS",
@@ -55,6 +57,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "NODES",
         "DIMENSION",
         "UNKNOWNS",
+        "NEWTON_UNKNOWNS",
         "COORDINATES",
         "PARAMETERS",
         "DEFAULTS",

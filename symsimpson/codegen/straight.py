@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Kernel, Loop, Row, Statement, Store
+from symsimpson.codegen.coupled import NOTHING, CoupledSolver, Solver
+from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store, When
 from symsimpson.codegen.levels import Level
+from symsimpson.codegen.linear import LinearSolver
 from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.routh import RouthSolver
+from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Coupled, Linear, Routh, Separable
 
 __all__ = ["STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
 
@@ -18,10 +24,25 @@ __all__ = ["STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
 STATE = (Level.STEP, Level.ITERATION)
 
 
+_SOLVERS: dict[type, Callable[[Lowering, Any], Solver]] = {
+    Coupled: CoupledSolver,
+    Linear: LinearSolver,
+    Routh: RouthSolver,
+    Separable: SeparableSolver,
+}
+
+
 def straight_kernels(low: Lowering) -> list[Kernel]:
-    """Make the kernels of a step: start, legendre, newton, advance."""
-    newton, advance = _newton(low), _advance(low)
-    return [_start(low), _legendre(low), newton, advance]
+    """Make the kernels of a step: start, legendre, newton, advance, newton_pivoted."""
+    solvers = [_SOLVERS[type(part)](low, part) for part in low.equations.parts]
+    newton, advance = _newton(low, solvers), _advance(low, solvers)
+    kernels = [_start(low, solvers), _legendre(low), newton, advance]
+    return [*kernels, _pivoted(low, solvers)] if unknowns(solvers) else kernels
+
+
+def unknowns(solvers: Iterable[Solver]) -> list[tuple[int, int]]:
+    """List control point and coordinate of each Newton unknown, part after part."""
+    return [unknown for solver in solvers for unknown in solver.unknowns]
 
 
 def lanes(body: Iterable[Statement]) -> tuple[Statement, ...]:
@@ -33,184 +54,200 @@ def velocity(
     low: Lowering, point: Point, p: tuple[sp.Expr, ...], section: str
 ) -> tuple[list[sp.Expr], sp.Expr]:
     """Solve M v = p - a; the second value is negative if M is not positive definite."""
-    n, entry = low.n, low.template.entry
-    mass = [[entry(point, section, "M", i, j) for j in range(n)] for i in range(n)]
-    right = [p[i] - entry(point, section, "a", i) for i in range(n)]
-    wishes = [f"v_{name}_{point.suffix}" for name in low.names.coordinates]
-    v, pivots = solve_symmetric(low.graph, mass, right, wishes, section)
-    define = low.graph.define
-    deficits = [define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots]
-    return v, define("deficit", sp.Add(*deficits), section)
-
-
-def _node(low: Lowering, i: int, end: Point | None = None) -> Point:
-    """Give the point of node i in terms of the increments; ``end`` stands for a node at q1."""
-    scheme, define, h = low.equations.scheme, low.graph.define, low.equations.h
-    A, B, d = scheme.A[i], scheme.B[i], scheme.degree
-    section = f"node {i}"
-
-    def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
-        return sp.Add(*(row[k] * low.increments[k - 1][a] for k in range(1, d + 1)))
-
-    names = list(enumerate(low.names.coordinates))
-    v = tuple(define(f"v_{name}_{i}", combined(B, a) / h, section) for a, name in names)
-    if low.equations.at_start(i):
-        return Point(str(i), low.q, v)
-    if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
-        return Point(end.suffix, end.q, v)
-    q = tuple(define(f"{name}_{i}", low.q[a] + combined(A, a), section) for a, name in names)
-    return Point(str(i), q, v)
-
-
-def _newton(low: Lowering) -> Kernel:
-    """One Newton iteration for the increments of the control points."""
-    eqs, define, n = low.equations, low.graph.define, low.n
-    scheme, names = eqs.scheme, low.names.coordinates
-    points = [_node(low, i) for i in range(scheme.stages)]
-
-    def entry(i: int, what: str, *index: int) -> sp.Expr:
-        if what == "L_v":
-            return momentum[i][index[0]]
-        return low.template.entry(points[i], f"node {i}", what, *index)
-
-    momentum: list[list[sp.Expr]] = []
-    for i, point in enumerate(points):  # all entries of a node together, for the reader
-        section = f"node {i}"
-        momentum.append(
-            [
-                define(f"Lv_{name}_{i}", low.template.momentum(point, section, a), section)
-                for a, name in enumerate(names)
-            ]
-        )
-        for a in range(n):
-            entry(i, "L_q", a)
-            for b in range(n):
-                entry(i, "L_qv", a, b)
-                entry(i, "L_qq", a, b)
-    right = []
-    for k in eqs.rows:
-        for a, name in enumerate(names):
-            value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
-            right.append(-define(f"R_{k}_{name}", value, "residual D_k L_d"))
-    columns = [(m, b) for m in eqs.columns for b in range(n)]
-    matrix = [
-        [
-            define(
-                f"J_{k}_{names[a]}_{m}_{names[b]}",
-                eqs.second_derivative(k, a, m, b, entry),
-                "Jacobian D_m D_k L_d",
-            )
-            for m, b in columns
+    found: dict[int, sp.Expr] = {}
+    deficits: list[sp.Expr] = []
+    for part in low.equations.parts:
+        group = (*(part.cyclic if isinstance(part, Routh) else ()), *part.coordinates)
+        v, pivots = velocities(low, point, p, section, group)
+        found |= v
+        deficits += [
+            low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots
         ]
-        for k in eqs.rows
-        for a in range(n)
-    ]
-    wishes = [f"d_{name}_X{m}" for m in eqs.columns for name in names]
-    found = solve_blocks(low.graph, matrix, right, n, wishes, "elimination")
+    deficit = low.graph.define("deficit", sp.Add(*deficits), section)
+    return [found[a] for a in range(low.n)], deficit
+
+
+def velocities(
+    low: Lowering, point: Point, p: tuple[sp.Expr, ...], section: str, group: Sequence[int]
+) -> tuple[dict[int, sp.Expr], list[sp.Expr]]:
+    """Solve M v = p - a for a group of coordinates; gives the pivots of L D L^T too."""
+    entry = low.template.entry
+    mass = [[entry(point, section, "M", i, j) for j in group] for i in group]
+    right = [p[i] - entry(point, section, "a", i) for i in group]
+    wishes = [f"v_{low.names.coordinates[i]}_{point.suffix}" for i in group]
+    v, pivots = solve_symmetric(low.graph, mass, right, wishes, section)
+    return dict(zip(group, v, strict=True)), pivots
+
+
+def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
+    """One Newton iteration for the increments of the control points."""
+    names = low.names.coordinates
+    found: list[sp.Expr] = []
+    for solver in solvers:
+        right, matrix = solver.system()
+        wishes = [f"d_{names[a]}_X{m}" for m, a in solver.unknowns]
+        size = len(solver.coordinates)
+        found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
+    stores = _update(low, unknowns(solvers), found)
+    doc = "One Newton iteration for the increments X_k of the control points."
+    return Kernel("newton", doc, lanes(low.statements(stores, (Level.ITERATION,))))
+
+
+def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
+    """The same iteration with row pivoting."""
+    every = unknowns(solvers)
+    stores = []
+    first = 0
+    for solver in solvers:
+        right, matrix = solver.system()
+        for i, row in enumerate(matrix):
+            stores.append(Store(Row("RESIDUAL", first + i), -right[i]))
+            entries = dict.fromkeys(range(len(every)), sp.S.Zero) | dict(enumerate(row, first))
+            place = (first + i) * len(every)
+            stores += [Store(Row("JACOBIAN", place + j), value) for j, value in entries.items()]
+        first += len(right)
+    assembled = low.statements(stores, (Level.ITERATION,))
+    update = _update(low, every, [-x for x in low.solution[: len(every)]])
+    solved = low.statements(update, (Level.ITERATION,))
+    doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
+    call = Call("solve_pivoted", ("W", "lane"))
+    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *solved)),)))
+
+
+def _update(
+    low: Lowering, every: Sequence[tuple[int, int]], changes: Sequence[sp.Expr]
+) -> list[Store]:
+    """Apply a Newton correction and measure it."""
+    define, names = low.graph.define, low.names.coordinates
     stores, corrections, increments = [], [], []
-    for position, m in enumerate(eqs.columns):
-        for a, name in enumerate(names):
-            old, change = low.increments[m - 1][a], found[position * n + a]
-            new = define(f"{name}_X{m}_new", old + change, "update")
-            stores.append(Store(Row("INCREMENT", (m - 1) * n + a), new, keep=old))
-            corrections.append(low.metric[a] * change**2)
-            increments.append(low.metric[a] * new**2)
+    for (m, a), change in zip(every, changes, strict=True):
+        old = low.increments[m - 1][a]
+        new = define(f"{names[a]}_X{m}_new", old + change, "update")
+        stores.append(Store(Row("INCREMENT", (m - 1) * low.n + a), new, keep=old))
+        corrections.append(low.metric[a] * change**2)
+        increments.append(low.metric[a] * new**2)
     for block, terms in (
         ("CORRECTION_SQUARED", corrections),
         ("INCREMENT_SQUARED", increments),
     ):
         value = define(block.lower(), sp.Add(*terms), "update")
         stores.append(Store(Row(block, 0), value))
-    doc = "One Newton iteration for the increments X_k of the control points."
-    return Kernel("newton", doc, lanes(low.statements(stores, (Level.ITERATION,))))
+    return stores
 
 
-def _advance(low: Lowering) -> Kernel:
+def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     """Close a step and predict the next one."""
-    eqs, define, n = low.equations, low.graph.define, low.n
-    scheme, names, d = eqs.scheme, low.names.coordinates, eqs.scheme.degree
-    stores: list[Store] = []
+    names, every = low.names.coordinates, unknowns(solvers)
+    q: dict[int, tuple[sp.Expr, sp.Expr]] = {}
+    p: dict[int, tuple[sp.Expr, sp.Expr]] = {}
 
-    def keep(block: str, old: tuple[sp.Symbol, ...], values: list[sp.Expr]) -> None:
-        for i, value in enumerate(values):
-            stores.append(Store(Row(block, i), value, keep=old[i]))
+    def moved(changes: Mapping[int, sp.Expr]) -> None:
+        for a, change in changes.items():
+            q[a] = low.compensated(names[a], low.q[a], low.q_low[a], change)
 
-    q = [low.compensated(names[a], low.q[a], low.q_low[a], low.increments[-1][a]) for a in range(n)]
-    end = Point("end", tuple(new for new, _ in q))
-    points = [_node(low, i, end) for i in range(scheme.stages)]
-
-    def entry(i: int, what: str, *index: int) -> sp.Expr:
-        return low.template.entry(points[i], f"node {i}", what, *index)
-
-    for i in range(scheme.stages):
-        for a in range(n):
-            entry(i, "L_q", a)
-    p = [
-        low.compensated(f"p_{names[a]}", low.p[a], low.p_low[a], eqs.impulse(a, entry))
-        for a in range(n)
-    ]
-    section = "velocity at q1"
-    v, _ = velocity(low, end, tuple(new for new, _ in p), section)
-    metric = [low.template.entry(end, section, "M", a, a) for a in range(n)]
-    section = "predictor"
-    surprise = [
-        low.metric[a] * (low.increments[k][a] - low.predicted[k][a]) ** 2
-        for k in range(d)
-        for a in range(n)
-    ]
-    increments: list[list[sp.Expr]] = [[] for _ in range(d)]
-    mismatch = []
-    for a, name in enumerate(names):
-        slope = sp.Add(*(scheme.end_slope[j] * low.increments[j][a] for j in range(d)))
-        bend = define(f"bend_{name}", eqs.h * v[a] - slope, section)
-        mismatch.append(metric[a] * bend**2)
-        for k in range(d):
-            terms = [scheme.extrapolation[k][j] * low.increments[j][a] for j in range(d)]
-            value = sp.Add(scheme.correction[k] * bend, *terms)
-            increments[k].append(define(f"{name}_X{k + 1}_next", value, section))
-    state = (*low.q, *low.q_low, *low.p, *low.p_low)
-    predicted = [value for values in low.predicted for value in values]
-    stores += [Store(Row("PREVIOUS", i), old) for i, old in enumerate((*state, *predicted))]
-    solved = [value for values in low.increments for value in values]
-    stores += [Store(Row("SOLVED", i), value) for i, value in enumerate(solved)]
-    keep("POSITION", low.q, [new for new, _ in q])
-    keep("POSITION_LOW", low.q_low, [rest for _, rest in q])
-    keep("MOMENTUM", low.p, [new for new, _ in p])
-    keep("MOMENTUM_LOW", low.p_low, [rest for _, rest in p])
-    for k in range(d):
-        for a in range(n):
-            row = Row("INCREMENT", k * n + a)
-            stores.append(Store(row, increments[k][a], keep=low.increments[k][a]))
-            row = Row("PREDICTED", k * n + a)
-            stores.append(Store(row, increments[k][a], keep=low.predicted[k][a]))
-    keep("VELOCITY", low.v, v)
-    keep("METRIC", low.metric, metric)
-    for name, terms in (("mismatch_squared", mismatch), ("surprise_squared", surprise)):
-        stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
+    for solver in solvers:
+        moved(solver.increments())
+    end = Point("end", tuple(q[a][0] if a in q else NOTHING for a in range(low.n)))
+    for solver in solvers:
+        for a, impulse in solver.impulses(end).items():
+            p[a] = low.compensated(f"p_{names[a]}", low.p[a], low.p_low[a], impulse)
+        if isinstance(solver, RouthSolver):
+            moved(solver.cyclic_increments())
+    momentum = tuple(p[a][0] if a in p else low.p[a] for a in range(low.n))
+    stores, metric = _predicted(low, solvers, end, momentum) if every else ([], {})
+    for block, old, values in (
+        ("POSITION", low.q, {a: new for a, (new, _) in q.items()}),
+        ("POSITION_LOW", low.q_low, {a: rest for a, (_, rest) in q.items()}),
+        ("MOMENTUM", low.p, {a: new for a, (new, _) in p.items()}),
+        ("MOMENTUM_LOW", low.p_low, {a: rest for a, (_, rest) in p.items()}),
+    ):
+        stores += [Store(Row(block, a), values[a], keep=old[a]) for a in sorted(values)]
     low.statements(stores, (Level.ITERATION,))  # finds out what else must be kept for a step
-    to = dict(zip((*low.q, *low.p), (*end.q, *(new for new, _ in p)), strict=True))
-    to |= dict(zip(low.metric, metric, strict=True))
+    to = dict(zip((*low.q, *low.p), (*end.q, *momentum), strict=True))
+    to |= {low.metric[a]: value for a, value in metric.items()}
     for symbol, row in low.hoisted_at(Level.STEP):
         stores.append(Store(row, low.moved(symbol, to), keep=symbol))
-    doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
-    return Kernel("advance", doc, lanes(low.statements(stores, (Level.ITERATION,))))
+    body = lanes(low.statements(stores, (Level.ITERATION,)))
+    if every:
+        doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
+        return Kernel("advance", doc, body)
+    doc = "Take as many steps as W[COUNT] says, without Newton's method."
+    return Kernel("advance", doc, (Loop("step", "int(W[COUNT, 0])", body),))
 
 
-def _start(low: Lowering) -> Kernel:
+def _predicted(
+    low: Lowering, solvers: Sequence[Solver], end: Point, momentum: tuple[sp.Expr, ...]
+) -> tuple[list[Store], dict[int, sp.Expr]]:
+    """Predict the next increments; keep what the driver needs to judge the step or take it back."""
+    eqs, define, n = low.equations, low.graph.define, low.n
+    scheme, names, d = eqs.scheme, low.names.coordinates, eqs.scheme.degree
+    every = unknowns(solvers)
+    state = (*low.q, *low.q_low, *low.p, *low.p_low)
+    stores = [Store(Row("PREVIOUS", i), old) for i, old in enumerate(state)]
+    section = "predictor"
+    metric: dict[int, sp.Expr] = {}
+    mismatch: list[sp.Expr] = []
+    following: dict[tuple[int, int], sp.Expr] = {}
+    for solver in solvers:
+        group = solver.coordinates if solver.unknowns else ()
+        v = velocities(low, end, momentum, "velocity at q1", _mass_order(low, solver))[0]
+        path = {a: [low.increments[j][a] for j in range(d)] for a in group}
+        for a in group if isinstance(solver, SeparableSolver) else ():
+            path[a][-1] = solver.path_end(a)
+        for a in group:
+            metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
+            slope = sp.Add(*(scheme.end_slope[j] * path[a][j] for j in range(d)))
+            bend = define(f"bend_{names[a]}", eqs.h * v[a] - slope, section)
+            mismatch.append(metric[a] * bend**2)
+            for k in sorted(m for m, b in solver.unknowns if b == a):
+                terms = [scheme.extrapolation[k - 1][j] * path[a][j] for j in range(d)]
+                value = sp.Add(scheme.correction[k - 1] * bend, *terms)
+                following[k, a] = define(f"{names[a]}_X{k}_next", value, section)
+    surprise = [
+        low.metric[a] * (low.increments[m - 1][a] - low.predicted[m - 1][a]) ** 2
+        for m, a in every
+    ]  # fmt: skip
+    for m, a in sorted(every):
+        place, value = (m - 1) * n + a, following[m, a]
+        old, guess = low.increments[m - 1][a], low.predicted[m - 1][a]
+        stores.append(Store(Row("PREVIOUS", 4 * n + place), guess))
+        stores.append(Store(Row("SOLVED", place), old))
+        stores.append(Store(Row("INCREMENT", place), value, keep=old))
+        stores.append(Store(Row("PREDICTED", place), value, keep=guess))
+    stores += [Store(Row("METRIC", a), metric[a], keep=low.metric[a]) for a in metric]
+    for name, terms in (("mismatch_squared", mismatch), ("surprise_squared", surprise)):
+        stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
+    return stores, metric
+
+
+def _mass_order(low: Lowering, solver: Solver) -> tuple[int, ...]:
+    """List the coordinates that M couples to those of a solver, these last.
+
+    In L D L^T what comes last is found first, and nothing else is computed.
+    """
+    part = next(p for p in low.equations.parts if set(p.coordinates) == set(solver.coordinates))
+    cyclic = part.cyclic if isinstance(part, Routh) else ()
+    return (*cyclic, *part.coordinates)
+
+
+def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     """From q and p to the first increments."""
     eqs, define, n = low.equations, low.graph.define, low.n
     point, section = low.start_point(), "velocity"
     v, deficit = velocity(low, point, low.p, section)
+    every = unknowns(solvers)
     stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.STEP)]
     for a, name in enumerate(low.names.coordinates):
         stores.append(Store(Row("VELOCITY", a), v[a]))
         metric = low.template.entry(point, section, "M", a, a)
-        stores.append(Store(Row("METRIC", a), metric))
+        if any(b == a for _, b in every):
+            stores.append(Store(Row("METRIC", a), metric))
         for k in range(1, eqs.scheme.degree + 1):
-            increment = eqs.scheme.points[k] * eqs.h * v[a]
-            value = define(f"{name}_X{k}_first", increment, section)
-            stores.append(Store(Row("INCREMENT", (k - 1) * n + a), value))
-            stores.append(Store(Row("PREDICTED", (k - 1) * n + a), value))
+            if (k, a) in every:
+                increment = eqs.scheme.points[k] * eqs.h * v[a]
+                value = define(f"{name}_X{k}_first", increment, section)
+                stores.append(Store(Row("INCREMENT", (k - 1) * n + a), value))
+                stores.append(Store(Row("PREDICTED", (k - 1) * n + a), value))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))
     doc = "Begin at (q, p): what depends on q alone, and increments of constant velocity."
     return Kernel("start", doc, lanes(low.statements(stores, STATE)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -42,7 +42,8 @@ class JetTemplate:
     """Writes the entries of a jet at any point, sharing what they have in common.
 
     The expressions are searched for common subexpressions once; at a point the definitions that
-    an entry needs, and no others, are made with the point's own names.
+    an entry needs, and no others, are made with the point's own names. ``more`` entries come with
+    those of the jet, and in all of them ``rewrite`` is put in place first.
     """
 
     def __init__(
@@ -53,6 +54,8 @@ class JetTemplate:
         names: Sequence[str],
         parameters: Sequence[str],
         momenta: Sequence[sp.Symbol],
+        more: Mapping[tuple[str, ...], sp.Expr],
+        rewrite: Mapping[sp.Expr, sp.Expr],
     ) -> None:
         self._graph = graph
         self._plain = plain
@@ -73,7 +76,10 @@ class JetTemplate:
         entries["V",] = plain.potential
         for name, value in plain.invariants.items():
             entries["invariant", name] = value
-        self._steps, outputs = _search(entries)
+        entries |= more
+        self._steps, outputs = _search(
+            {key: value.xreplace(rewrite) for key, value in entries.items()} if rewrite else entries
+        )
         self._outputs = outputs
         self._names = names
 
@@ -85,10 +91,17 @@ class JetTemplate:
             names = names[::-1]
         return self.output(point, section, (what, *names))
 
-    def momentum(self, point: Point, section: str, i: int) -> sp.Expr:
-        """Give L_v = M v + a, component i."""
+    def parameter(self, symbol: sp.Symbol) -> sp.Symbol:
+        """Give the module's symbol of a parameter."""
+        return self._parameters[symbol]
+
+    def momentum(
+        self, point: Point, section: str, i: int, group: Iterable[int] | None = None
+    ) -> sp.Expr:
+        """Give L_v = M v + a, component i; ``group`` holds all that M couples it to."""
         assert point.v is not None
-        terms = [self.entry(point, section, "M", i, j) * vj for j, vj in enumerate(point.v)]
+        others = range(len(point.v)) if group is None else group
+        terms = [self.entry(point, section, "M", i, j) * point.v[j] for j in sorted(others)]
         return sp.Add(self.entry(point, section, "a", i), *terms)
 
     def output(self, point: Point, section: str, key: tuple[str, ...]) -> sp.Expr:

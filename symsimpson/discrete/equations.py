@@ -15,19 +15,20 @@ zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import sympy as sp
 
 from symsimpson.discrete.jet import Jet, derive_jet
+from symsimpson.discrete.reductions import Part, elimination_order, read_exploit, reduce
 from symsimpson.mechanics.system import MechanicalSystem, Plain
 from symsimpson.schemes.scheme import Scheme
 
 #: Gives an entry of the jet at a node: ``entry(i, "L_qq", a, b)``.
 Entry = Callable[..., sp.Expr]
 
-__all__ = ["DiscreteEquations", "discretise", "elimination_order"]
+__all__ = ["DiscreteEquations", "Entry", "discretise"]
 
 
 @dataclass(frozen=True)
@@ -36,20 +37,17 @@ class DiscreteEquations:
 
     Rows and columns are blocks of n. ``rows`` lists the control points whose D_k L_d are the
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
-    elimination takes them.
+    elimination takes them. ``parts`` are what is solved in a step.
     """
 
     system: MechanicalSystem
     scheme: Scheme
+    plain: Plain
     jet: Jet
     h: sp.Symbol
     rows: tuple[int, ...]
     columns: tuple[int, ...]
-
-    @property
-    def plain(self) -> Plain:
-        """The system in plain symbols."""
-        return self.system.plain
+    parts: tuple[Part, ...]
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
         """Give the factor of a derivative of L at node i in D_k L_d or in D_k D_m L_d.
@@ -106,33 +104,28 @@ class DiscreteEquations:
         return all(a == 0 for a in self.scheme.A[i][1:])
 
 
-def discretise(system: MechanicalSystem, scheme: Scheme) -> DiscreteEquations:
+def discretise(
+    system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all"
+) -> DiscreteEquations:
     """Derive the equations of one step.
 
     Parameters
     ----------
     system : MechanicalSystem
     scheme : Scheme
+    exploit : str or iterable of str
+        Findings about the system that may shorten them.
 
     Returns
     -------
     DiscreteEquations
-        d n equations for d n unknowns, their exact Jacobian and the momenta.
+        d n equations for d n unknowns, their exact Jacobian and the momenta; and the parts that
+        these come down to.
     """
-    rows, columns = elimination_order(scheme)
-    jet = derive_jet(system.plain)
-    return DiscreteEquations(system, scheme, jet, sp.Symbol("h", positive=True), rows, columns)
-
-
-def elimination_order(scheme: Scheme) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Order the block rows and columns so that elimination meets no singular pivot.
-
-    Every inner row names an inner control point, and eliminating X_m through its own row is
-    natural for small steps but breaks down at a finite one (x^2 = 8 for Simpson, x = h omega).
-    Pairing row k with column k + 1 shifts the pivots to the couplings between neighbours; for
-    Simpson the remaining pivot is (M + h^2 K/24) (2/h), never singular for K >= 0. The row
-    p0 + D_0 L_d comes last.
-    """
-    d = scheme.degree
-    inner = tuple(range(1, d))
-    return (*inner, 0), (*(k + 1 for k in inner), 1)
+    wanted = read_exploit(exploit)
+    structure = system.structure
+    plain = structure.plain if wanted else system.plain
+    parts = reduce(structure, scheme, wanted)
+    rows, columns = elimination_order(scheme.degree)
+    h = sp.Symbol("h", positive=True)
+    return DiscreteEquations(system, scheme, plain, derive_jet(plain), h, rows, columns, parts)

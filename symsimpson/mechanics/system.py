@@ -30,6 +30,7 @@ from symsimpson.mechanics.quadratic import (
     mass_matrix_of,
 )
 from symsimpson.mechanics.structure import Structure, analyse
+from symsimpson.mechanics.terms import Sum
 
 __all__ = ["MechanicalSystem", "Plain"]
 
@@ -248,7 +249,7 @@ class MechanicalSystem:
             self.name,
             [str(q) for q in self.coordinates],
             [sp.srepr(a) for a in self.parameters],
-            [sp.srepr(m) for m in plain.mass],
+            sorted((place, sp.srepr(m)) for place, m in plain.mass.todok().items()),
             [sp.srepr(a) for a in plain.gyroscopic],
             sp.srepr(plain.potential),
             {key: sp.srepr(value) for key, value in plain.invariants.items()},
@@ -329,7 +330,8 @@ def _read(
         )
     check_mass_matrix(name, mass, s.q, s.v, s.a, s.back)
     gyroscopic, constant = gyroscopic_and_potential(linear, s.v)
-    if constant != 0 or any(linear.diff(u, w) != 0 for u in s.v for w in s.v):
+    terms = Sum(linear)
+    if constant != 0 or any(terms.diff(s.v[i], s.v[j]) != 0 for i, j in terms.pairs(s.v)):
         raise fail(
             name,
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",

@@ -16,7 +16,7 @@ PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, CORRECTION, NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
 POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, SURPRISE, DIMENSION = range(8, 15)
-PREVIOUS, SOLVED = 15, 16
+PREVIOUS, SOLVED, COUNT = 15, 16, 17
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
@@ -53,6 +53,10 @@ SIGNATURES = {
     ),
     "mend": types.void(
         KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64,
+    ),
+    "march": types.void(
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1], types.int64,
+        types.int64, STATES, STATES, COUNTS,
     ),
     "evaluate": types.void(
         types.int64, types.int64, types.float64, WORKSPACE, PLACES, types.float64[:, :],
@@ -378,6 +382,67 @@ def run(
                         p_out[place, a, lane] = W[momentum + a, lane]
                     iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
                     W[at[ITERATIONS], lane] = 0.0
+    progress[0] = step
+
+
+@njit(**OPTIONS)
+def finite(W, first, last, lane):
+    """Tell whether rows of a lane are finite."""
+    for row in range(first, last):
+        if not abs(W[row, lane]) < np.inf:
+            return False
+    return True
+
+
+@njit(**OPTIONS)
+def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
+    """Take steps that need no iteration, all up to the next state to store in one call.
+
+    Arguments are as for ``run``. A lane whose state would not be finite stops before that step.
+    """
+    n, lanes = at[DIMENSION], W.shape[1]
+    position, momentum, status = at[POSITION], at[MOMENTUM], at[STATUS]
+    state_end = position + 4 * n
+    before = np.empty((4 * n, lanes))
+    step = progress[0]
+    single = 0
+    while step < stop:
+        count = stop - step if every == 0 else min(stop - step, every - step % every)
+        count = 1 if single > 0 else count
+        alive = 0
+        for lane in range(lanes):
+            keep(W, position, state_end, lane, before)
+            W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            W[at[COUNT], lane] = count
+            alive += W[status, lane] == 0.0
+        if alive == 0:
+            break
+        call(kernels[ADVANCE], h, t0 + h * step, W)
+        lost = 0
+        for lane in range(lanes):
+            if W[status, lane] == 0.0 and not finite(W, position, state_end, lane):
+                lost += 1
+        if lost > 0:
+            for lane in range(lanes):
+                if count == 1 and finite(W, position, state_end, lane):
+                    continue
+                put_back(W, position, state_end, lane, before)
+                if count == 1 and W[status, lane] == 0.0:
+                    W[status, lane] = NOT_FINITE
+            if count > 1:  # take these steps again, one by one
+                single = count
+                call(kernels[START], h, t0 + h * step, W)
+                continue
+        step += count
+        single -= 1
+        if every != 0 and step % every == 0:
+            place = step // every
+            for lane in range(lanes):
+                if W[status, lane] == 0.0:
+                    for a in range(n):
+                        q_out[place, a, lane] = W[position + a, lane]
+                        p_out[place, a, lane] = W[momentum + a, lane]
+                    iterations_out[place, lane] = 0
     progress[0] = step
 
 

@@ -20,7 +20,7 @@ from symsimpson.runtime.cache import compiled
 __all__ = ["INTERFACE", "Facts", "Kernels", "read_facts"]
 
 #: The kernel interface that this runtime drives.
-INTERFACE = 1
+INTERFACE = 2
 
 _STEP = ("prepare", "start", "newton", "advance")
 
@@ -34,6 +34,7 @@ class Facts:
     digest: str
     order: int
     degree: int
+    newton_unknowns: int
     coordinates: tuple[str, ...]
     parameters: tuple[str, ...]
     defaults: tuple[float, ...]
@@ -60,7 +61,7 @@ class Facts:
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
         more = [self.layout[name] for name in ("METRIC", "SURPRISE_SQUARED")]
-        saved = [self.layout[name] for name in ("PREVIOUS", "SOLVED")]
+        saved = [self.layout[name] for name in ("PREVIOUS", "SOLVED", "COUNT")]
         return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
 
 
@@ -91,7 +92,7 @@ def read_facts(text: str, where: str) -> Facts:
         )
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
-        "degree": "DEGREE", "coordinates": "COORDINATES", "parameters": "PARAMETERS",
+        "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS", "coordinates": "COORDINATES", "parameters": "PARAMETERS",
         "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
     }  # fmt: skip

@@ -142,6 +142,12 @@ class Run:
     def _stretch_until(self, kernels: NDArray[np.int64], stop: int) -> None:
         """Run compiled, mending the steps at which the loop stops."""
         at, W = self.facts.places, self.W
+        if self.facts.newton_unknowns == 0:
+            driver("march")(
+                kernels, self.h, self.t0, W, at, self._progress, stop, self.every, self.q, self.p,
+                self.iterations,
+            )  # fmt: skip
+            return
         run = driver("run")
         while True:
             run(

@@ -79,6 +79,18 @@ class Scheme:
         return tuple(self._slopes(c) for c in self.quadrature.nodes)
 
     @cached_property
+    def stiffness(self) -> Table:
+        """S_km = sum_i b_i B_ik B_im: kinetic energy of the path is X.S.X M/(2h), M constant."""
+        b, d = self.quadrature.weights, self.degree
+        return tuple(
+            tuple(
+                _number(sp.Add(*(b[i] * row[k] * row[m] for i, row in enumerate(self.B))))
+                for m in range(d + 1)
+            )
+            for k in range(d + 1)
+        )
+
+    @cached_property
     def extrapolation(self) -> Table:
         """E_kj: the last step's path at 1 + c_k from its increments X_j - X_0, k, j = 1..d."""
         d = self.degree

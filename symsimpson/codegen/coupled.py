@@ -1,0 +1,146 @@
+"""A part's share of a step: what all parts have in common, and the general one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import sympy as sp
+
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Coupled
+
+__all__ = ["CoupledSolver", "Solver", "node_point"]
+
+#: Stands where a point must not be asked for a coordinate of another part.
+NOTHING = sp.Symbol("nothing", real=True)
+
+
+class Solver(Protocol):
+    """What a part contributes to the kernels of a step."""
+
+    coordinates: Sequence[int]
+    #: Control point and coordinate of each Newton unknown.
+    unknowns: Sequence[tuple[int, int]]
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give right-hand side and matrix of a Newton iteration."""
+        ...
+
+    def increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0 at the solution."""
+        ...
+
+    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
+        """Give p1 - p0 at the solution, where it is not zero; ``end`` is q1."""
+        ...
+
+
+def node_point(
+    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None,
+    X: Mapping[tuple[int, int], sp.Expr] | None = None,
+) -> Point:  # fmt: skip
+    """Give the point of node i in terms of the increments; ``end`` stands for a node at q1.
+
+    Velocities are there if it is ``moving``. ``X`` gives increments that are no unknowns.
+    """
+    scheme, define, h = low.equations.scheme, low.graph.define, low.equations.h
+    A, B, d = scheme.A[i], scheme.B[i], scheme.degree
+    section, names = f"node {i}", low.names.coordinates
+
+    def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
+        known = X or {}
+        terms = (row[k] * known.get((k, a), low.increments[k - 1][a]) for k in range(1, d + 1))
+        return sp.Add(*terms)
+
+    v = [NOTHING] * low.n
+    if moving:
+        for a in coordinates:
+            v[a] = define(f"v_{names[a]}_{i}", combined(B, a) / h, section)
+    if low.equations.at_start(i):
+        return Point(str(i), low.q, tuple(v))
+    if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
+        return Point(end.suffix, end.q, tuple(v))
+    q = [NOTHING] * low.n
+    for a in coordinates:
+        q[a] = define(f"{names[a]}_{i}", low.q[a] + combined(A, a), section)
+    return Point(str(i), tuple(q), tuple(v))
+
+
+class CoupledSolver:
+    """All increments are unknowns: D_k L_d = 0 for 0 < k < d and p0 + D_0 L_d = 0."""
+
+    def __init__(self, low: Lowering, part: Coupled) -> None:
+        self._low, self._part = low, part
+        self.coordinates = part.coordinates
+        self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give right-hand side and matrix of a Newton iteration."""
+        low, part, eqs = self._low, self._part, self._low.equations
+        define, names, group = low.graph.define, low.names.coordinates, part.coordinates
+        stages = range(eqs.scheme.stages)
+        points = [node_point(low, i, group, moving=True) for i in stages]
+        momentum: list[dict[int, sp.Expr]] = []
+
+        def entry(i: int, what: str, *index: int) -> sp.Expr:
+            if what == "L_v":
+                return momentum[i][index[0]]
+            return low.template.entry(points[i], f"node {i}", what, *index)
+
+        for i, point in enumerate(points):  # all entries of a node together, for the reader
+            section = f"node {i}"
+            momentum.append(
+                {
+                    a: define(
+                        f"Lv_{names[a]}_{i}",
+                        low.template.momentum(point, section, a, group),
+                        section,
+                    )
+                    for a in group
+                }
+            )
+            for a in group:
+                entry(i, "L_q", a)
+                for b in group:
+                    entry(i, "L_qv", a, b)
+                    entry(i, "L_qq", a, b)
+        right = []
+        for k in part.rows:
+            for a in group:
+                value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
+                right.append(-define(f"R_{k}_{names[a]}", value, "residual D_k L_d"))
+        matrix = [
+            [
+                define(
+                    f"J_{k}_{names[a]}_{m}_{names[b]}",
+                    eqs.second_derivative(k, a, m, b, entry),
+                    "Jacobian D_m D_k L_d",
+                )
+                for m, b in self.unknowns
+            ]
+            for k in part.rows
+            for a in group
+        ]
+        return right, matrix
+
+    def increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0 at the solution."""
+        return {a: self._low.increments[-1][a] for a in self.coordinates}
+
+    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
+        """Give p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+        low, eqs = self._low, self._low.equations
+        points = [
+            node_point(low, i, self.coordinates, moving=True, end=end)
+            for i in range(eqs.scheme.stages)
+        ]
+
+        def entry(i: int, what: str, *index: int) -> sp.Expr:
+            return low.template.entry(points[i], f"node {i}", what, *index)
+
+        for i in range(eqs.scheme.stages):
+            for a in self.coordinates:
+                entry(i, "L_q", a)
+        return {a: eqs.impulse(a, entry) for a in self.coordinates}

@@ -1,0 +1,129 @@
+"""Linear forces: a step is a product of shears, with matrices made once a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import sympy as sp
+
+from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Linear
+
+__all__ = ["LinearSolver"]
+
+Vector = dict[int, sp.Expr]
+
+
+class LinearSolver:
+    """Kicks p += c(q) and drifts q += D p, symmetric to the last bit, so that a step is symplectic.
+
+    Only entries on and below the diagonal of a matrix are computed; those above are the same
+    numbers. Rounded coefficients then give another symplectic step, not a step that drifts.
+    """
+
+    unknowns: tuple[tuple[int, int], ...] = ()
+
+    def __init__(self, low: Lowering, part: Linear) -> None:
+        self._low, self.coordinates = low, part.coordinates
+        self._shears = part.shears
+        plain = low.equations.plain
+        rest = dict.fromkeys(plain.q, sp.S.Zero)
+        jet = low.equations.jet
+        own = {s: low.template.parameter(s) for s in plain.parameters}
+
+        def constant(value: sp.Expr) -> sp.Expr:
+            return sp.expand(value).subs(rest).xreplace(own)
+
+        group = self.coordinates
+        self._M = {(a, b): constant(plain.mass[a, b]) for a in group for b in group}
+        self._K = {(a, b): constant(-jet.L_qq[a, b]) for a in group for b in group}
+        self._f = {a: constant(jet.L_q[a]) for a in group}
+        self._impulse: Vector = {}
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give nothing to solve."""
+        return [], []
+
+    def increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0 after all shears but the last."""
+        q: Vector = {a: self._low.q[a] for a in self.coordinates}
+        moved: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
+        self._impulse = dict.fromkeys(self.coordinates, sp.S.Zero)
+        for number, (is_kick, coefficients) in enumerate(self._shears[:-1]):
+            if is_kick:
+                self._add(self._impulse, self._kick(number, coefficients, q), f"kick_{number}")
+                continue
+            p = {
+                a: self._define(f"p_{a}_{number}", self._low.p[a] + self._impulse[a])
+                for a in self.coordinates
+            }
+            self._add(moved, self._drift(number, coefficients, p), f"drift_{number}")
+            q = {
+                a: self._define(f"q_{a}_{number}", self._low.q[a] + moved[a])
+                for a in self.coordinates
+            }
+        return moved
+
+    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
+        """Give p1 - p0: the kicks before, and the last at q1."""
+        q = {a: end.q[a] for a in self.coordinates}
+        number = len(self._shears) - 1
+        last = self._kick(0, self._shears[-1][1], q)  # products of shears are symmetric
+        self._add(self._impulse, last, f"kick_{number}")
+        return self._impulse
+
+    def _add(self, total: Vector, change: Vector, wish: str) -> None:
+        for a in self.coordinates:
+            named = self._define(f"{wish}_{self._low.names.coordinates[a]}", change[a])
+            total[a] = total[a] + named
+
+    def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
+        return self._low.graph.define(wish, value, "shears")
+
+    def _kick(self, number: int, c: tuple[sp.Expr, sp.Expr], q: Vector) -> Vector:
+        """Apply (1/h) M (c1 z + c2 z^2) q with z q = -h^2 M^-1 (f - K q)."""
+        h, group = self._low.equations.h, self.coordinates
+        steps = {b: self._solve(self._M, [self._K[a, b] for a in group], "K") for b in group}
+        shift = self._solve(self._M, [self._f[a] for a in group], "f")
+
+        def through(a: int, column: list[sp.Expr]) -> sp.Expr:
+            """Give row a of K times a column."""
+            return sp.Add(*(self._K[a, b] * x for b, x in zip(group, column, strict=True)))
+
+        kicks: Vector = {}
+        matrix: dict[tuple[int, int], sp.Expr] = {}
+        for a in group:
+            constant = -(c[0] * h * self._f[a] + c[1] * h**3 * through(a, shift))
+            for b in group:
+                if b <= a:
+                    value = c[0] * h * self._K[a, b] + c[1] * h**3 * through(a, steps[b])
+                    matrix[a, b] = matrix[b, a] = self._define(f"kick_{number}_{a}_{b}", value)
+            kicks[a] = self._define(f"kick_{number}_{a}", constant)
+        return {a: sp.Add(kicks[a], *(matrix[a, b] * q[b] for b in group)) for a in group}
+
+    def _drift(self, number: int, coefficients: tuple[sp.Expr, sp.Expr], p: Vector) -> Vector:
+        """Apply b (M/h + e h K)^-1 to p."""
+        h, group = self._low.equations.h, self.coordinates
+        start, slope = coefficients
+        stiff = {
+            (a, b): self._define(f"N_{a}_{b}", self._M[a, b] / h + slope * h * self._K[a, b])
+            for a in group
+            for b in group
+        }
+        inverse: dict[tuple[int, int], sp.Expr] = {}
+        for b in group:
+            column = self._solve(stiff, [start if a == b else sp.S.Zero for a in group], "drift")
+            for a, value in zip(group, column, strict=True):
+                if a >= b:
+                    inverse[a, b] = inverse[b, a] = value
+        return {a: sp.Add(*(inverse[a, b] * p[b] for b in group)) for a in group}
+
+    def _solve(
+        self, matrix: Mapping[tuple[int, int], sp.Expr], right: list[sp.Expr], wish: str
+    ) -> list[sp.Expr]:
+        group = self.coordinates
+        rows = [[matrix[a, b] for b in group] for a in group]
+        wishes = [f"{wish}_{a}" for a in group]
+        return solve_symmetric(self._low.graph, rows, right, wishes, "shears")[0]

@@ -1,0 +1,308 @@
+"""Discrete Routh reduction: cyclic coordinates solved for linearly inside each iteration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import sympy as sp
+
+from symsimpson.codegen.coupled import node_point
+from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Routh
+
+__all__ = ["RouthSolver"]
+
+Vector = list[sp.Expr]
+
+
+@dataclass(frozen=True)
+class _Node:
+    """A node with M_yy = L D L^T there: ``D_inverse`` (its diagonal), L, and T = L^-1 L_o.
+
+    ``momentum`` is L^-1 (p - beta) with beta = M_yx v_x + a_y, and then L^-1 (L_vy - beta).
+    """
+
+    number: int
+    point: Point
+    D_inverse: Vector
+    L: list[Vector]
+    T: list[Vector]
+    momentum: Vector
+
+
+class RouthSolver:
+    """D_k L_d for the other coordinates, at the velocities that the cyclic momenta give."""
+
+    def __init__(self, low: Lowering, part: Routh) -> None:
+        self._low, self._part = low, part
+        self.coordinates = part.coordinates
+        self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
+        self._size = range(len(part.cyclic))
+        self._weights = low.equations.scheme.quadrature.weights
+        self._multipliers = [
+            (r, c) for r in range(len(part.annihilator)) for c in self._size
+        ]  # fmt: skip
+        self._nodes: list[_Node] = []
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give right-hand side and matrix of a Newton iteration."""
+        low, part, eqs = self._low, self._part, self._low.equations
+        define, names = low.graph.define, low.names.coordinates
+        nodes = self._solved_nodes(None)
+        group = (*part.coordinates, *part.cyclic)
+
+        def entry(i: int, what: str, *index: int) -> sp.Expr:
+            point, section = nodes[i].point, f"node {i}, all velocities known"
+            if what == "L_v":
+                value = low.template.momentum(point, section, index[0], group)
+                return define(f"Lv_{names[index[0]]}_{i}", value, section)
+            return low.template.entry(point, section, what, *index)
+
+        for i in range(len(nodes)):
+            for a in part.coordinates:
+                entry(i, "L_v", a)
+                entry(i, "L_q", a)
+                for b in part.coordinates:
+                    entry(i, "L_qv", a, b)
+                    entry(i, "L_qq", a, b)
+        right = []
+        for k in part.rows:
+            for a in part.coordinates:
+                value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
+                right.append(-define(f"R_{k}_{names[a]}", value, "residual D_k L_d"))
+        tangent = _Tangent(self, nodes)
+        matrix = []
+        for k in part.rows:
+            for a in part.coordinates:
+                row = []
+                for m, b in self.unknowns:
+                    fixed = eqs.second_derivative(k, a, m, b, entry)
+                    name = f"J_{k}_{names[a]}_{m}_{names[b]}"
+                    value = fixed + tangent.along((k, a), (m, b))
+                    row.append(define(name, value, "Jacobian at constant momenta"))
+                matrix.append(row)
+        return right, matrix
+
+    def increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0 at the solution, without the cyclic ones."""
+        return {a: self._low.increments[-1][a] for a in self.coordinates}
+
+    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
+        """Give p1 - p0; the cyclic momenta stay."""
+        low, eqs = self._low, self._low.equations
+        self._nodes = self._solved_nodes(end)
+
+        def entry(i: int, what: str, *index: int) -> sp.Expr:
+            section = f"node {i}, all velocities known"
+            return low.template.entry(self._nodes[i].point, section, what, *index)
+
+        return {a: eqs.impulse(a, entry) for a in self.coordinates}
+
+    def cyclic_increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0 of the cyclic coordinates: h sum_i b_i v_y(q_i)."""
+        h = self._low.equations.h
+        return {
+            a: sp.Add(*(h * self._weights[n.number] * _velocity(n, a) for n in self._nodes))
+            for a in self._part.cyclic
+        }
+
+    def solve(self, nodes: list[_Node], right: Vector, wish: str) -> Vector:
+        """Solve for multipliers: sum_i C_ri C_si / b_i T^T D^-1 T."""
+        C, b, S = self._part.annihilator, self._weights, self._multipliers
+
+        def entry(r: int, c: int, s: int, e: int) -> sp.Expr:
+            return sp.Add(
+                *(
+                    sp.radsimp(C[r][n.number] * C[s][n.number] / b[n.number])
+                    * n.T[k][c] * n.D_inverse[k] * n.T[k][e]
+                    for n in nodes
+                    for k in self._size
+                )
+            )  # fmt: skip
+
+        matrix = [[entry(r, c, s, e) for s, e in S] for r, c in S]
+        wishes = [f"{wish}_{r}_{c}" for r, c in S]
+        return solve_symmetric(self._low.graph, matrix, right, wishes, "multipliers")[0]
+
+    def project(self, nodes: list[_Node], vectors: list[Vector], wish: str) -> Vector:
+        """Give sum_i C_ri T_i^T D_i^-1 x_i for each multiplier."""
+        C, define = self._part.annihilator, self._low.graph.define
+        return [
+            define(
+                f"{wish}_{r}_{c}",
+                sp.Add(
+                    *(
+                        C[r][n.number] * n.T[k][c] * n.D_inverse[k] * vectors[n.number][k]
+                        for n in nodes
+                        for k in self._size
+                    )
+                ),
+                "multipliers",
+            )
+            for r, c in self._multipliers
+        ]
+
+    def forward(self, node: _Node, vector: Vector, wish: str) -> Vector:
+        """Solve L x = vector."""
+        found: Vector = []
+        for r in self._size:
+            rest = sp.Add(vector[r], *(sp.expand(-node.L[r][c] * found[c]) for c in range(r)))
+            found.append(self._define(f"{wish}{r}_{node.number}", rest, node.number))
+        return found
+
+    def _define(self, wish: str, value: sp.Expr, i: int) -> sp.Expr:
+        return self._low.graph.define(wish, value, f"node {i}: cyclic mass L D L^T")
+
+    def _solved_nodes(self, end: Point | None) -> list[_Node]:
+        """Evaluate the nodes and find the velocities of the cyclic coordinates there."""
+        part, C, b = self._part, self._part.annihilator, self._weights
+        middle = self._factored(part.reference, end)
+        nodes = [self._node(i, end, middle) for i in range(len(b))]
+        negative = [[-x for x in node.momentum] for node in nodes]
+        right = self.project(nodes, negative, "g")
+        found = dict(zip(self._multipliers, self.solve(nodes, right, "lambda"), strict=True))
+        return [self._moving(node, C, found) for node in nodes]
+
+    def _moving(
+        self, node: _Node, C: tuple[tuple[sp.Expr, ...], ...], found: Mapping[object, sp.Expr]
+    ) -> _Node:
+        """Complete a node: L_vy = p + sum_r C_ri / b_i lambda_r, v_y = L^-T D^-1 L^-1 (L_vy - beta)."""
+        low, i = self._low, node.number
+        section = f"node {i}, all velocities known"
+        momentum = []
+        for k in self._size:
+            terms = [
+                sp.radsimp(C[r][i] / self._weights[i]) * node.T[k][c] * found[r, c]
+                for r, c in self._multipliers
+            ]
+            value = sp.Add(node.momentum[k], *terms)
+            momentum.append(low.graph.define(f"mu{k}_{i}", value, section))
+        v = list(node.point.v or ())
+        for k in reversed(self._size):
+            terms = [-node.L[m][k] * v[self._part.cyclic[m]] for m in self._size if m > k]
+            value = sp.Add(node.D_inverse[k] * momentum[k], *terms)
+            a = self._part.cyclic[k]
+            v[a] = low.graph.define(f"v_{low.names.coordinates[a]}_{i}", value, section)
+        return replace(node, momentum=momentum, point=replace(node.point, v=tuple(v)))
+
+    def _factored(self, i: int, end: Point | None) -> _Node:
+        """Give a node with the factors of its cyclic mass matrix."""
+        low = self._low
+        point = node_point(low, i, self.coordinates, moving=True, end=end)
+        section = f"node {i}: cyclic mass L D L^T"
+
+        def factor(*key: str) -> sp.Expr:
+            return low.template.output(point, section, key)
+
+        names = [low.names.coordinates[a] for a in self._part.cyclic]
+        D_inverse = [
+            self._define(f"inv_D_{name}_{i}", 1 / factor("D", name), i) for name in names
+        ]
+        L = [
+            [
+                factor("L0", names[r], names[c]) + factor("L", names[r], names[c]) if c < r else
+                sp.Integer(r == c)
+                for c in self._size
+            ]
+            for r in self._size
+        ]  # fmt: skip
+        one = [[sp.Integer(r == c) for c in self._size] for r in self._size]
+        return _Node(i, point, D_inverse, L, one, [])
+
+    def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
+        """Give a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""
+        low, part = self._low, self._part
+        node = middle if i == middle.number else self._factored(i, end)
+        section = f"node {i}: cyclic mass L D L^T"
+        v = node.point.v or ()
+        free = []
+        for a in part.cyclic:
+            beta = [low.template.entry(node.point, section, "a", a)]
+            beta += [low.template.entry(node.point, section, "M", a, x) * v[x]
+                     for x in part.coordinates]  # fmt: skip
+            free.append(low.p[a] - sp.Add(*beta))
+        momentum = self.forward(node, free, "free")
+        T = [list(row) for row in node.T]
+        if node is not middle:
+            for c in self._size:
+                for r in range(c + 1, len(self._size)):
+                    terms = [-node.L[r][k] * T[k][c] for k in range(c + 1, r)]
+                    value = sp.Add(middle.L[r][c], -node.L[r][c], *terms)
+                    T[r][c] = self._define(f"T{r}{c}_{i}", value, i)
+        return replace(node, T=T, momentum=momentum)
+
+
+def _velocity(node: _Node, a: int) -> sp.Expr:
+    assert node.point.v is not None
+    return node.point.v[a]
+
+
+class _Tangent:
+    """The part of D_m D_k L_d that comes from the velocities of the cyclic coordinates.
+
+    They change by L^-T D^-1 (C/b T kappa - H) with H = L^-1 (L_vq A + M_yx B / h), where kappa
+    keeps them a polynomial of degree d - 1; the Jacobian changes by
+    -h sum_i b_i H_k^T D^-1 H_m + h Q_k^T S^-1 Q_m, Q = sum_i C_i T_i^T D_i^-1 H_i.
+    """
+
+    def __init__(self, solver: RouthSolver, nodes: list[_Node]) -> None:
+        self._solver, self._nodes = solver, nodes
+        self._low, self._part = solver._low, solver._part
+        self._turned: dict[tuple[int, int], tuple[Vector, Vector]] = {}
+        self._projected: dict[tuple[int, int], Vector] = {}
+        self._answers: dict[tuple[int, int], Vector] = {}
+
+    def along(self, k: tuple[int, int], m: tuple[int, int]) -> sp.Expr:
+        """Give the entry for control points and coordinates k and m."""
+        low, size = self._low, range(len(self._part.cyclic))
+        h, b = low.equations.h, low.equations.scheme.quadrature.weights
+        terms = []
+        for node in self._nodes:
+            left, right = self._slope(node, *k), self._slope(node, *m)
+            i = node.number
+            terms += [-h * b[i] * left[r] * node.D_inverse[r] * right[r] for r in size]
+        if self._part.annihilator:
+            answer = self._answer(m)
+            terms += [h * x * y for x, y in zip(self._project(k), answer, strict=True)]
+        return sp.Add(*terms)
+
+    def _slope(self, node: _Node, m: int, b: int) -> Vector:
+        """Give H for a control point and a coordinate."""
+        i, scheme, h = node.number, self._low.equations.scheme, self._low.equations.h
+        A, B = scheme.A[i][m], scheme.B[i][m]
+        zero = [sp.S.Zero] * len(self._part.cyclic)
+        position = self._parts(node, b)[0] if A != 0 else zero
+        velocity = self._parts(node, b)[1] if B != 0 else zero
+        return [A * x + B * y / h for x, y in zip(position, velocity, strict=True)]
+
+    def _parts(self, node: _Node, b: int) -> tuple[Vector, Vector]:
+        """Give L^-1 L_vq and L^-1 M_yx for a coordinate."""
+        i, template = node.number, self._low.template
+        if (i, b) not in self._turned:
+            section, point = f"node {i}, all velocities known", node.point
+            mixed = [template.entry(point, section, "L_qv", b, y) for y in self._part.cyclic]
+            mass = [template.entry(point, section, "M", y, b) for y in self._part.cyclic]
+            name = self._low.names.coordinates[b]
+            self._turned[i, b] = (
+                self._solver.forward(node, mixed, f"E_{name}_"),
+                self._solver.forward(node, mass, f"F_{name}_"),
+            )
+        return self._turned[i, b]
+
+    def _project(self, m: tuple[int, int]) -> Vector:
+        """Give Q for a control point and a coordinate."""
+        if m not in self._projected:
+            vectors = [self._slope(node, *m) for node in self._nodes]
+            wish = f"Q_{m[0]}_{self._low.names.coordinates[m[1]]}"
+            self._projected[m] = self._solver.project(self._nodes, vectors, wish)
+        return self._projected[m]
+
+    def _answer(self, m: tuple[int, int]) -> Vector:
+        """Give S^-1 Q."""
+        if m not in self._answers:
+            wish = f"kappa_{m[0]}_{self._low.names.coordinates[m[1]]}"
+            self._answers[m] = self._solver.solve(self._nodes, self._project(m), wish)
+        return self._answers[m]

@@ -1,0 +1,268 @@
+r"""What the equations of a step come down to, given what a system lacks.
+
+Each reduction is an exact transformation of the same scheme. Coordinates fall into parts that are
+solved one by one:
+
+- :class:`Coupled`: all increments X_1..X_d are unknowns.
+- :class:`Separable` (M constant, L = T(v) - V(q)): with the stiffness matrix
+  S_km = sum_i b_i B_ik B_im the rows are D_k L_d = sum_m S_km M X_m / h + h sum_i b_i A_ik L_q(q_i),
+  and if no row contains a force that depends on X_d, this one is eliminated.
+- :class:`Routh`: cyclic coordinates y are eliminated by their momenta. D_k L_d = 0 for y says that
+  p_y = L_vy(q_i) against all polynomials of degree d - 1, so that
+  L_vy(q_i) = p_y + sum_r C_ri / b_i lambda_r, where the rows of C annihilate these polynomials at
+  the nodes. That the velocities of y are such a polynomial, sum_i C_ri v_y(q_i) = 0, is a linear,
+  symmetric and positive definite system for the multipliers lambda (s - d of them for each
+  coordinate; Simpson has one, a Gauss scheme of full degree none).
+- :class:`Linear` (forces linear in q): the step is a product of shears
+  p += kick(q), q += drift(p), ..., exact for whatever rounding leaves of their coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import sympy as sp
+
+from symsimpson.discrete.factors import Factors, factorise
+from symsimpson.errors import GenerationError
+from symsimpson.mechanics.structure import Structure, Subsystem
+from symsimpson.mechanics.system import Plain
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = [
+    "EXPLOITABLE", "Coupled", "Linear", "Part", "Routh", "Separable", "elimination_order",
+    "read_exploit", "reduce",
+]  # fmt: skip
+
+Table = tuple[tuple[sp.Expr, ...], ...]
+
+#: What ``exploit`` can name.
+EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """Coordinates whose increments X_m, m in ``columns``, solve D_k L_d = 0, k in ``rows``."""
+
+    coordinates: tuple[int, ...]
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Separable:
+    """Coordinates with constant M: ``tests`` combine the D_k L_d to as many rows as unknowns.
+
+    Where X_d is no unknown, it solves D_k L_d = 0 (p0 + D_0 L_d = 0 for k = 0) for k = ``last``.
+    """
+
+    coordinates: tuple[int, ...]
+    tests: Table
+    columns: tuple[int, ...]
+    last: int | None
+
+
+@dataclass(frozen=True)
+class Routh:
+    """Coordinates, and cyclic ones that are eliminated by their momenta.
+
+    The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is C. The multipliers are written in the basis in which the mass matrix of the
+    cyclic coordinates is diagonal at node ``reference``.
+    """
+
+    coordinates: tuple[int, ...]
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+    cyclic: tuple[int, ...]
+    annihilator: Table
+    reference: int
+    factors: Factors
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Coordinates moved by shears, each a pair (kick?, coefficients).
+
+    With z = h^2 M^-1 K, a kick (c1, c2) is p += (M/h) (c1 z + c2 z^2) q and a drift (b, e) is
+    q += b (M/h + e h K)^-1 p.
+    """
+
+    coordinates: tuple[int, ...]
+    shears: tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...]
+
+
+Part = Coupled | Separable | Routh | Linear
+
+
+def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
+    """Read what is to be exploited: "all", or some of :data:`EXPLOITABLE`.
+
+    Raises
+    ------
+    GenerationError
+        If something else is named.
+    """
+    if isinstance(exploit, str):
+        exploit = EXPLOITABLE if exploit == "all" else (exploit,)
+    try:
+        wanted = tuple(exploit)
+    except TypeError:
+        wanted = (exploit,)
+    for name in wanted:
+        if name not in EXPLOITABLE:
+            choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
+            raise GenerationError(
+                f"exploit names {name!r}, which is nothing that can be exploited.\n"
+                f"Choose 'all', () for the general path, or some of {choices}."
+            )
+    return frozenset(wanted)
+
+
+def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tuple[Part, ...]:
+    """Sort the coordinates into parts, each with the smallest solve that its structure allows.
+
+    Parameters
+    ----------
+    structure : Structure
+    scheme : Scheme
+    exploit : frozenset of str
+        The findings that may be made use of.
+
+    Returns
+    -------
+    tuple of Part
+    """
+    subsystems: tuple[Subsystem, ...] = structure.subsystems
+    if "decoupled" not in exploit and len(subsystems) > 1:
+        subsystems = (_joined(subsystems),)
+    return tuple(_part(subsystem, structure.plain, scheme, exploit) for subsystem in subsystems)
+
+
+def _joined(subsystems: Sequence[Subsystem]) -> Subsystem:
+    return Subsystem(
+        coordinates=tuple(sorted(i for s in subsystems for i in s.coordinates)),
+        cyclic=tuple(sorted(i for s in subsystems for i in s.cyclic)),
+        constant_mass=all(s.constant_mass for s in subsystems),
+        separable=all(s.separable for s in subsystems),
+        linear=all(s.linear for s in subsystems),
+    )
+
+
+def _part(
+    subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset[str]
+) -> Part:
+    coordinates = subsystem.coordinates
+    if subsystem.linear and "linear" in exploit:
+        shears = shear_factors(scheme)
+        if shears is not None:
+            return Linear(coordinates, shears)
+    if subsystem.separable and "constant_mass" in exploit:
+        return _separable(coordinates, scheme)
+    rows, columns = elimination_order(scheme.degree)
+    others = tuple(i for i in coordinates if i not in subsystem.cyclic)
+    if subsystem.cyclic and others and "cyclic" in exploit:
+        annihilator = annihilating(scheme)
+        factors = factorise(plain.mass.extract(subsystem.cyclic, subsystem.cyclic), plain.q)
+        cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
+        middle = scheme.stages // 2
+        return Routh(others, rows, columns, cyclic, annihilator, middle, factors)
+    return Coupled(coordinates, rows, columns)
+
+
+def elimination_order(degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Order the block rows and columns so that elimination meets no singular pivot.
+
+    Every inner row names an inner control point, and eliminating X_m through its own row is
+    natural for small steps but breaks down at a finite one (x^2 = 8 for Simpson, x = h omega).
+    Pairing row k with column k + 1 shifts the pivots to the couplings between neighbours; for
+    Simpson the remaining pivot is (M + h^2 K/24) (2/h), never singular for K >= 0. The row
+    p0 + D_0 L_d comes last.
+    """
+    inner = tuple(range(1, degree))
+    return (*inner, 0), (*(k + 1 for k in inner), 1)
+
+
+def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
+    d, stages = scheme.degree, range(scheme.stages)
+    rows, columns = elimination_order(d)
+
+    def unit(k: int) -> list[sp.Expr]:
+        return [sp.Integer(m == k) for m in range(d + 1)]
+
+    A, b, S = scheme.A, scheme.quadrature.weights, scheme.stiffness
+    if any(b[i] * A[i][k] * A[i][d] != 0 for i in stages for k in range(d)):
+        return Separable(coordinates, tuple(tuple(unit(k)) for k in rows), columns, None)
+    last = d - 1  # its row is paired with the column of X_d
+    tests = []
+    for k in rows:
+        if k != last:
+            test = unit(k)
+            test[last] = sp.radsimp(-S[k][d] / S[last][d])
+            tests.append(tuple(test))
+    return Separable(coordinates, tuple(tests), tuple(m for m in columns if m != d), last)
+
+
+def annihilating(scheme: Scheme) -> Table:
+    """Give a basis of the combinations of nodal values that vanish for degree d - 1."""
+    nodes, d = scheme.quadrature.nodes, scheme.degree
+    powers = sp.Matrix(d, len(nodes), lambda k, i: nodes[i] ** k if k else sp.S.One)
+    return tuple(
+        tuple(sp.radsimp(sp.expand(value)) for value in vector) for vector in powers.nullspace()
+    )
+
+
+@cache
+def shear_factors(scheme: Scheme) -> tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...] | None:
+    """Write the step of a linear oscillator as shears without a pole at any z = (h omega)^2 > 0.
+
+    With q1 = A(z) q + B(z) p (M = h = 1) two symmetric products are tried: kick, drift, kick, and
+    two such in a row whose outer kicks are -z/4. None if neither has a drift b / (1 + e z),
+    e >= 0, and kicks that are polynomials in z of degree two.
+    """
+    if scheme.degree > 2:  # the denominators have this degree
+        return None
+    z = sp.Symbol("z", positive=True)
+    A, B = _oscillator(scheme, z)
+    products = (
+        [(True, (A - 1) / B), (False, B), (True, (A - 1) / B)],
+        [(True, -z / 4), (False, B / (2 + (E := A - 1 + B * z / 4))),
+         (True, E * (2 + E) / B), (False, B / (2 + E)), (True, -z / 4)],
+    )  # fmt: skip
+    for product in products:
+        shears = []
+        for is_kick, factor in product:
+            numerator, denominator = sp.fraction(sp.cancel(sp.radsimp(sp.together(factor))))
+            top, bottom = sp.Poly(numerator, z), sp.Poly(denominator, z)
+            if is_kick and bottom.degree() == 0 and top.degree() <= 2 and top.eval(0) == 0:
+                scale = bottom.eval(0)
+                kick = (top.coeff_monomial(z) / scale, top.coeff_monomial(z**2) / scale)
+                shears.append((True, kick))
+            elif not is_kick and top.degree() == 0 and bottom.degree() <= 1:
+                start = bottom.eval(0)
+                slope = bottom.coeff_monomial(z) / start
+                if not slope.is_nonnegative:
+                    break
+                shears.append((False, (top.eval(0) / start, slope)))
+            else:
+                break
+        else:
+            return tuple(shears)
+    return None
+
+
+def _oscillator(scheme: Scheme, z: sp.Symbol) -> tuple[sp.Expr, sp.Expr]:
+    """Solve one step of q'' = -z q with h = 1: q1 = A q + B p."""
+    d, b, T = scheme.degree, scheme.quadrature.weights, scheme.A
+    X = (sp.S.One, *sp.symbols(f"X1:{d + 1}"))
+    q, p = sp.symbols("q p")
+    path = (q, *X[1:])
+    rows = []
+    for k in range(d):
+        inertia = sum((scheme.stiffness[k][m] * path[m] for m in range(d + 1)), sp.S.Zero)
+        mass = [sum(b[i] * T[i][k] * T[i][m] for i in range(scheme.stages)) for m in range(d + 1)]
+        force = sum((c * x for c, x in zip(mass, path, strict=True)), sp.S.Zero)
+        rows.append(inertia - z * force + (p if k == 0 else 0))
+    solution = sp.solve(rows, X[1:], dict=True)[0][X[d]]
+    return tuple(sp.cancel(sp.radsimp(sp.together(solution.diff(s)))) for s in (q, p))
