@@ -55,7 +55,9 @@ def compile(
     _check_system(system)
     found = read_scheme(scheme)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
-    return Stepper(source(system, found, exploit), f"{system.name}__{found.name}", defaults=defaults)
+    return Stepper(
+        source(system, found, exploit), f"{system.name}__{found.name}", defaults=defaults
+    )
 
 
 def generate(

@@ -14,8 +14,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import mpmath
+import numpy as np
 
-__all__ = ["bind", "bind_complex", "bind_float", "bind_mpmath"]
+__all__ = ["bind", "bind_complex", "bind_float", "bind_mpmath", "plain_arithmetic"]
 
 _MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
@@ -54,10 +55,15 @@ def _replaced(node: ast.stmt, arithmetic: Mapping[str, Any]) -> bool:
     return False
 
 
-def _plain(functions: Mapping[str, Callable[..., Any]], real: Callable[..., Any]) -> dict[str, Any]:
+def plain_arithmetic(
+    functions: Mapping[str, Callable[..., Any]] | Callable[..., Any], real: Callable[..., Any]
+) -> dict[str, Any]:
+    """Give the names that a module takes from its arithmetic; one function may stand for all."""
+    named = dict.fromkeys([*_MATH, "atan2"], functions) if callable(functions) else functions
     return {
-        **functions,
+        **named,
         "real": real,
+        "array": np.array,
         "carray": lambda workspace, shape: workspace,
         "compiled": lambda function: function,
     }
@@ -66,18 +72,18 @@ def _plain(functions: Mapping[str, Callable[..., Any]], real: Callable[..., Any]
 def bind_float(source: str) -> SimpleNamespace:
     """Bind to Python floats: the same operations as compiled, without a compiler."""
     functions = {name: getattr(math, name) for name in [*_MATH, "atan2"]}
-    return bind(source, _plain(functions, float))
+    return bind(source, plain_arithmetic(functions, float))
 
 
 def bind_complex(source: str) -> SimpleNamespace:
     """Bind to complex numbers, for derivatives by a complex step."""
     functions: dict[str, Any] = {name: getattr(cmath, name) for name in _MATH}
     functions["sincos"] = lambda x: (cmath.sin(x), cmath.cos(x))
-    return bind(source, _plain(functions, float))
+    return bind(source, plain_arithmetic(functions, float))
 
 
 def bind_mpmath(source: str) -> SimpleNamespace:
     """Bind to mpmath at its present working precision, in which the kernels must be called too."""
     functions: dict[str, Any] = {name: getattr(mpmath.mp, name) for name in [*_MATH, "atan2"]}
     functions["sincos"] = lambda x: mpmath.mp.cos_sin(x)[::-1]
-    return bind(source, _plain(functions, mpmath.mpf))
+    return bind(source, plain_arithmetic(functions, mpmath.mpf))

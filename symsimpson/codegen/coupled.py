@@ -20,12 +20,29 @@ NOTHING = sp.Symbol("nothing", real=True)
 class Solver(Protocol):
     """What a part contributes to the kernels of a step."""
 
-    coordinates: Sequence[int]
-    #: Control point and coordinate of each Newton unknown.
-    unknowns: Sequence[tuple[int, int]]
+    @property
+    def coordinates(self) -> Sequence[int]:
+        """The part's coordinates, without cyclic ones."""
+        ...
+
+    @property
+    def unknowns(self) -> Sequence[tuple[int, int]]:
+        """Control point and coordinate of each Newton unknown."""
+        ...
+
+    @property
+    def carried(self) -> Sequence[tuple[int, int]]:
+        """The same of increments that follow from them in each iteration."""
+        ...
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
         """Give right-hand side and matrix of a Newton iteration."""
+        ...
+
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give the new values of what is carried, from the changes of the unknowns."""
         ...
 
     def increments(self) -> Mapping[int, sp.Expr]:
@@ -38,21 +55,18 @@ class Solver(Protocol):
 
 
 def node_point(
-    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None,
-    X: Mapping[tuple[int, int], sp.Expr] | None = None,
-) -> Point:  # fmt: skip
+    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None
+) -> Point:
     """Give the point of node i in terms of the increments; ``end`` stands for a node at q1.
 
-    Velocities are there if it is ``moving``. ``X`` gives increments that are no unknowns.
+    Velocities are there if it is ``moving``.
     """
     scheme, define, h = low.equations.scheme, low.graph.define, low.equations.h
     A, B, d = scheme.A[i], scheme.B[i], scheme.degree
     section, names = f"node {i}", low.names.coordinates
 
     def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
-        known = X or {}
-        terms = (row[k] * known.get((k, a), low.increments[k - 1][a]) for k in range(1, d + 1))
-        return sp.Add(*terms)
+        return sp.Add(*(row[k] * low.increments[k - 1][a] for k in range(1, d + 1)))
 
     v = [NOTHING] * low.n
     if moving:
@@ -70,6 +84,8 @@ def node_point(
 
 class CoupledSolver:
     """All increments are unknowns: D_k L_d = 0 for 0 < k < d and p0 + D_0 L_d = 0."""
+
+    carried: tuple[tuple[int, int], ...] = ()
 
     def __init__(self, low: Lowering, part: Coupled) -> None:
         self._low, self._part = low, part
@@ -124,6 +140,12 @@ class CoupledSolver:
             for a in group
         ]
         return right, matrix
+
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give nothing: every increment is an unknown."""
+        return {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 at the solution."""

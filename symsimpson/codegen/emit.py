@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
+import re
 import textwrap
-from collections.abc import Iterable, Iterator
-from functools import cache
-from importlib import resources
+from collections.abc import Callable, Iterable, Iterator
 
 import sympy as sp
 
@@ -15,6 +13,7 @@ from symsimpson.codegen.ir import (
     Assign,
     Call,
     Function,
+    Index,
     Kernel,
     Load,
     Loop,
@@ -25,6 +24,7 @@ from symsimpson.codegen.ir import (
     Store,
     When,
 )
+from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import Printer
 from symsimpson.discrete.equations import DiscreteEquations
 
@@ -34,6 +34,10 @@ __all__ = ["INTERFACE", "emit"]
 INTERFACE = 2
 
 _WIDTH = 99
+#: Lists of more integers than this are arrays.
+_LONG = 16
+#: Beyond so many terms a formula is told by its families.
+_SHOWN = 40
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
@@ -52,6 +56,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         A module that imports numba and math alone.
     """
     printer = Printer()
+    tables = _tables(equations, module, printer)
     body = "\n\n\n".join(
         [
             *(_function(f, printer) for f in module.functions),
@@ -59,11 +64,14 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         ]
     )
     constants = _constants(module, printer)
-    tables = _tables(equations, module.newton_unknowns, printer)
     library = _library(body)
     numbers = "\n".join(
         part
-        for part in (_imports(printer.used), _facts(equations, module), _layout(module))
+        for part in (
+            _imports(printer.used, arrays="array(" in tables),
+            _facts(equations, module),
+            _layout(module),
+        )
         if part
     )
     text = "\n".join(
@@ -92,10 +100,7 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
     shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
     shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
-    n = system.n
-    kinetic = sp.Add(
-        *(plain.mass[i, j] * plain.v[i] * plain.v[j] for i in range(n) for j in range(n))
-    ) / 2  # fmt: skip
+    kinetic = sp.Add(*(m * plain.v[i] * plain.v[j] / 2 for (i, j), m in plain.mass.todok().items()))
     linear = sp.Add(*(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True)))
     formulas = {"T": kinetic, "a": linear, "V": plain.potential}
     lines = [
@@ -104,7 +109,9 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
         "    L(q, q') = T - V" if linear == 0 else "    L(q, q') = T + a - V",
     ]
     for name, value in formulas.items():
-        if name != "a" or value != 0:
+        if len(value.args) > _SHOWN:
+            lines += [f"    {name} = a sum of {len(value.args)} terms, told below by families"]
+        elif name != "a" or value != 0:
             lines += _folded(f"    {name} = ", sp.sstr(value.xreplace(shown)), "        ")
     kind = scheme.quadrature.kind.capitalize()
     lines += [
@@ -127,10 +134,11 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
     return "\n".join(lines)
 
 
-def _imports(used: Iterable[str]) -> str:
+def _imports(used: Iterable[str], *, arrays: bool) -> str:
     names = sorted(set(used))
     first = f"from math import {', '.join(names)}\n\n" if names else ""
-    return first + "from numba import carray, njit\n\nreal = float\n"
+    second = "from numpy import array\n" if arrays else ""
+    return first + "from numba import carray, njit\n" + second + "\nreal = float\n"
 
 
 def _facts(equations: DiscreteEquations, module: Module) -> str:
@@ -171,7 +179,7 @@ def _layout(module: Module) -> str:
     return "\n".join([*lines, f"ROWS = {module.rows}", ""])
 
 
-def _tables(equations: DiscreteEquations, newton_unknowns: int, printer: Printer) -> str:
+def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> str:
     scheme = equations.scheme
     exact = Printer(exact=True)
 
@@ -188,7 +196,7 @@ def _tables(equations: DiscreteEquations, newton_unknowns: int, printer: Printer
         f"DIMENSION = {n}",
         f"DEGREE = {d}",
         f"UNKNOWNS = {d * n}",
-        f"NEWTON_UNKNOWNS = {newton_unknowns}",
+        f"NEWTON_UNKNOWNS = {module.newton_unknowns}",
         f"NODES = {scheme.stages}",
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
@@ -209,8 +217,25 @@ def _tables(equations: DiscreteEquations, newton_unknowns: int, printer: Printer
         for values in table:
             lines += ["    " + line for line in _folded("", row(values) + ",", "    ")]
         lines += [")"]
+    lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
+    for name, value in module.tables.items():
+        lines += _folded(f"{name} = ", _table(value, number), "    ")
     printer.used |= exact.used
     return "\n".join([*lines, ""])
+
+
+def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
+    """Write a table; of integers, long ones and those of rows are arrays: quick to index."""
+    if isinstance(value, sp.Expr):
+        return number(value)
+    if not isinstance(value, tuple):
+        return repr(value)
+    if value and isinstance(value[0], int):
+        text = _literal_tuple(map(repr, value))
+        return f"array({text})" if len(value) > _LONG else text
+    text = _literal_tuple(_table(item, number) for item in value)
+    integers = value and isinstance(value[0], tuple) and isinstance(value[0][0], int)
+    return f"array({text.replace('array(', '(')})" if integers else text
 
 
 def _constants(module: Module, printer: Printer) -> str:
@@ -222,21 +247,16 @@ def _constants(module: Module, printer: Printer) -> str:
 
 def _library(body: str) -> Iterator[str]:
     """Give the library functions that the body calls, as they stand in their file."""
-    sources = _library_sources()
-    for name, source in sources.items():
-        if f"{name}(" in body:
-            yield source
-
-
-@cache
-def _library_sources() -> dict[str, str]:
-    text = resources.files("symsimpson.codegen").joinpath("library.py").read_text("utf-8")
-    lines = text.splitlines()
-    return {
-        node.name: "\n".join(lines[node.decorator_list[0].lineno - 1 : node.end_lineno])
-        for node in ast.parse(text).body
-        if isinstance(node, ast.FunctionDef)
-    }
+    sources = library_sources()
+    called: dict[str, str] = {}
+    texts = [body]
+    while texts:
+        text = texts.pop()
+        for name, source in sources.items():
+            if name not in called and re.search(rf"\b{name}\(", text):
+                called[name] = source
+                texts.append(source)
+    yield from (source for name, source in sources.items() if name in called)
 
 
 def _function(function: Function, printer: Printer) -> str:
@@ -272,17 +292,21 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return _folded(f"{pad}{target} = ", write(value), pad + "    ", parentheses=True)
         case SinCos(sine, cosine, angle):
             return [f"{pad}{sine}, {cosine} = sincos({write(angle)})"]
-        case Store(row, value, None):
-            return _folded(f"{pad}{row} = ", write(value), pad + "    ", parentheses=True)
-        case Store(row, value, keep):
+        case Store(row, value, None, add):
+            return _folded(
+                f"{pad}{row} {'+=' if add else '='} ", write(value), pad + "    ", parentheses=True
+            )
+        case Store(row, value, keep, _):
             return [f"{pad}{row} = {write(value)} if active != 0 else {keep}"]
         case Call(function, arguments, result):
             target = f"{result} = " if result is not None else ""
             return [f"{pad}{target}{function}({', '.join(arguments)})"]
         case Section(title, body):
             return [f"{pad}# {title}", *_statements(body, printer, depth)]
-        case Loop(index, count, body):
-            return [f"{pad}for {index} in range({count}):", *_statements(body, printer, depth + 1)]
+        case Index(target, source):
+            return [f"{pad}{target} = {source}"]
+        case Loop(index, over, body):
+            return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
         case When(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 

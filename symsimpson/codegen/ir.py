@@ -13,6 +13,7 @@ __all__ = [
     "Assign",
     "Call",
     "Function",
+    "Index",
     "Kernel",
     "Load",
     "Loop",
@@ -28,10 +29,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the workspace: a named block and an index in it."""
+    """One row of the workspace: a named block and an index in it, a number or an expression."""
 
     block: str
-    index: int
+    index: int | str
 
     def __str__(self) -> str:
         return f"W[{self.block} + {self.index}, lane]" if self.index else f"W[{self.block}, lane]"
@@ -47,11 +48,23 @@ class Load:
 
 @dataclass(frozen=True)
 class Store:
-    """``W[row, lane] = value``; with ``keep``, only on active lanes, the others keep that."""
+    """``W[row, lane] = value``; with ``keep``, only on active lanes, the others keep that.
+
+    With ``add`` it is ``+=``.
+    """
 
     row: Row
     value: sp.Expr
     keep: sp.Symbol | None = None
+    add: bool = False
+
+
+@dataclass(frozen=True)
+class Index:
+    """``target = table[...]``: an integer from a table of the module."""
+
+    target: str
+    source: str
 
 
 @dataclass(frozen=True)
@@ -90,10 +103,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Loop:
-    """``for index in range(count)``; ``count`` is a named constant."""
+    """``for index in over``."""
 
     index: str
-    count: str
+    over: str
     body: tuple[Statement, ...]
 
 
@@ -104,7 +117,7 @@ class When:
     body: tuple[Statement, ...]
 
 
-Statement = Load | Store | Assign | SinCos | Call | Section | Loop | When
+Statement = Load | Store | Index | Assign | SinCos | Call | Section | Loop | When
 
 
 @dataclass(frozen=True)
@@ -130,7 +143,8 @@ class Module:
     """Everything that an emitter needs to write a module.
 
     ``layout`` gives the first row of each block of the workspace, ``rows`` their number.
-    ``newton_unknowns`` is the number of unknowns of a step, 0 where it needs no iteration.
+    ``newton_unknowns`` is the number of unknowns of a step, 0 where it needs no iteration, and
+    ``tables`` are constants that its loops read.
     """
 
     names: NameTable
@@ -140,3 +154,4 @@ class Module:
     layout: Mapping[str, int]
     rows: int
     newton_unknowns: int
+    tables: Mapping[str, object]

@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Kernel, Module, Row, Store
+from symsimpson.codegen.ir import Call, Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import (
+    energy_kernel,
     equations_kernel,
-    jet_function,
-    looped_energy,
     looped_kernels,
-    node_functions,
+    solve_tables,
 )
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.straight import STATE, lanes, straight_kernels, velocity
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.terms_of_l import family_functions, straight_functions
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.reductions import Linear, Part
+from symsimpson.discrete.families import families, neighbours, ordering
+from symsimpson.discrete.reductions import Linear, Part, Separable
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower"]
 
-#: Up to so many unknowns a step is emitted as straight lines, beyond as loops.
+#: Parts with up to so many unknowns are emitted as straight lines; with more, all is loops.
 UNROLLED_UNKNOWNS = 8
+#: Loops over families of terms are worth their indices from so many members on, on average.
+FAMILY_MEMBERS = 2
 
 
 def lower(equations: DiscreteEquations) -> Module:
@@ -38,35 +42,102 @@ def lower(equations: DiscreteEquations) -> Module:
     Module
         Kernels, constants, layout of the workspace and the library functions they call.
     """
+    if max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS:
+        return _straight(equations)
+    return _looped(equations)
+
+
+def _straight(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
-    straight = max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
-    kernels: list[Kernel]
-    if straight:
-        kernels = [*straight_kernels(low), _energy(low)]
-        newton_unknowns = sum(part_unknowns(part) for part in equations.parts)
-        functions = [jet_function(low)]
-    else:
-        functions = [jet_function(low), *node_functions(low)]
-        kernels = [*looped_kernels(low), looped_energy(low)]
-        newton_unknowns = equations.scheme.degree * low.n
+    storage, degree = Storage.dense(low.n), equations.scheme.degree
+    kernels = [*straight_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
-    kernels.append(equations_kernel())
-    # the last, because only now it is known what the others want computed once a run
-    stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
+    kernels.append(equations_kernel(storage, degree))
+    unknowns = sum(part_unknowns(part) for part in equations.parts)
+    tables = {
+        **storage.node_constants(),
+        **storage.constants("EQUATION", degree),
+        **{f"SOLVE_{name}": value for name, value in (
+            ("STRIDE", unknowns), ("OFFSET", 0), ("LOWER", unknowns), ("UPPER", unknowns))},
+    }  # fmt: skip
+    functions = straight_functions(low, ("jet",))
+    return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
+
+
+def _looped(equations: DiscreteEquations) -> Module:
+    low = Lowering(equations)
+    part, degree = equations.joined(), equations.scheme.degree
+    constant = isinstance(part, Separable)
+    found = families(equations.plain)
+    storage = Storage.dense(low.n)
+    if "sparse" in equations.exploit:
+        banded = Storage(*ordering(neighbours(found, low.n)), banded=True)
+        if banded.size(degree) < storage.size(degree):
+            storage = banded
+    names = (
+        "jet", *(("forces",) if constant else ()), "gradient", "mass", "potential",
+    )  # fmt: skip
+    tables: dict[str, object] = {}
+    members = sum(len(family.coordinates) for family in found)
+    if storage.banded or members >= FAMILY_MEMBERS * len(found):
+        places = sorted(range(low.n), key=storage.order.__getitem__)
+        functions, own = family_functions(low, found, places, names)
+        tables |= own
+    else:
+        functions = straight_functions(low, names)
+    kernels = looped_kernels(part, storage, degree)
+    kernels.append(energy_kernel())
+    if equations.plain.invariants:
+        kernels.append(_watched(low))
+    kernels.append(equations_kernel(storage, degree))
+    blocks = len(part.columns)
+    tables = {
+        **storage.node_constants(),
+        **storage.constants("EQUATION", degree),
+        **storage.constants("SOLVE", blocks),
+        **solve_tables(part, equations.scheme),
+        **tables,
+    }
+    unknowns = blocks * low.n
+    return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=constant)
+
+
+def _module(
+    low: Lowering,
+    storage: Storage,
+    functions: list[Function],
+    kernels: list[Kernel],
+    tables: dict[str, object],
+    unknowns: int,
+    *,
+    constant_mass: bool,
+) -> Module:
+    """Add what is computed once a run, when it is known what that is; lay out the workspace."""
+    stores = [
+        Store(Row("COEFFICIENT", i), low.graph.define("coefficient", _own(low, value), "constants"))
+        for i, value in enumerate(low.coefficients)
+    ]
+    low.statements(stores, (Level.RUN,))
+    stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
-    kernels.insert(
-        0, Kernel("prepare", doc, lanes(low.statements(stores, (Level.RUN,), "constants")))
-    )
-    first, rows = layout(
-        low.n,
-        equations.scheme.degree,
-        len(low.names.parameters),
-        len(low.names.invariants),
-        len(low.hoisted),
-    )
-    return Module(low.names, tuple(functions), tuple(kernels), low.graph.constants, first, rows,
-                  newton_unknowns)
+    prepare = Kernel("prepare", doc, lanes(low.statements(stores, (Level.RUN,), "constants")))
+    sizes = {
+        "PARAMETER": len(low.names.parameters),
+        "INVARIANT": len(low.names.invariants),
+        "HOISTED": len(low.hoisted),
+        "COEFFICIENT": len(low.coefficients),
+    }
+    degree = low.equations.scheme.degree
+    first, rows = layout(storage, degree, sizes, constant_mass=constant_mass)
+    return Module(
+        low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
+        unknowns, tables,
+    )  # fmt: skip
+
+
+def _own(low: Lowering, value: sp.Expr) -> sp.Expr:
+    return value.xreplace(low.parameters)
 
 
 def _size(part: Part) -> int:
@@ -102,3 +173,16 @@ def _invariants(low: Lowering) -> Kernel:
     ]
     doc = "Quantities that the exact flow conserves, at (q, p)."
     return Kernel("invariants", doc, lanes(low.statements(stores, STATE)))
+
+
+def _watched(low: Lowering) -> Kernel:
+    """The quantities to watch of a large system."""
+    point = Point("state", low.q, low.v)
+    stores = [
+        Store(Row("INVARIANT", i), low.watched.output(point, "invariants", ("invariant", name)))
+        for i, name in enumerate(low.equations.plain.invariants)
+    ]
+    names = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass")
+    body: list[Statement] = [Call(name, ("W", "lane")) for name in names]
+    doc = "Quantities that the exact flow conserves, at (q, p)."
+    return Kernel("invariants", doc, lanes((*body, *low.statements(stores, STATE))))

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from symsimpson.codegen.names import BLOCKS
+from symsimpson.codegen.storage import Storage
 
 __all__ = ["layout"]
 
 
 def layout(
-    n: int, degree: int, parameters: int, invariants: int, hoisted: int
+    storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
 ) -> tuple[dict[str, int], int]:
     """Give the first row of each block, and the number of rows.
+
+    ``sizes`` are those of blocks that depend on the module: parameters, invariants, hoisted values
+    and coefficients of families.
 
     The blocks from POSITION to INCREMENT are the state of a trajectory: position and momentum,
     what compensated summation carries along, and the increments of the control points, from which
     the next step is predicted.
     """
+    n = storage.n
     unknowns = degree * n
-    sizes = {
+    every = {
         **dict.fromkeys(BLOCKS, 1),
         **dict.fromkeys(("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW"), n),
         "INCREMENT": unknowns,
@@ -25,17 +32,16 @@ def layout(
         "PREVIOUS": 4 * n + unknowns,
         "SOLVED": unknowns,
         "VELOCITY": n,
-        "PARAMETER": parameters,
-        "INVARIANT": invariants,
-        "HOISTED": hoisted,
         **dict.fromkeys(("NODE_POSITION", "NODE_VELOCITY", "NODE_L_Q", "NODE_L_V", "METRIC"), n),
-        **dict.fromkeys(("NODE_L_QQ", "NODE_L_QV", "NODE_L_VV"), n * n),
+        **dict.fromkeys(("NODE_L_QQ", "NODE_L_QV", "NODE_L_VV"), storage.node_size),
+        "MASS": storage.node_size if constant_mass else 0,
         "RESIDUAL": unknowns,
-        "JACOBIAN": unknowns * unknowns,
+        "JACOBIAN": storage.size(degree),
+        **sizes,
     }
     first: dict[str, int] = {}
     row = 0
     for block in BLOCKS:
         first[block] = row
-        row += sizes[block]
+        row += every[block]
     return first, row

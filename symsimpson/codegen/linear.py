@@ -24,6 +24,7 @@ class LinearSolver:
     """
 
     unknowns: tuple[tuple[int, int], ...] = ()
+    carried: tuple[tuple[int, int], ...] = ()
 
     def __init__(self, low: Lowering, part: Linear) -> None:
         self._low, self.coordinates = low, part.coordinates
@@ -31,7 +32,7 @@ class LinearSolver:
         plain = low.equations.plain
         rest = dict.fromkeys(plain.q, sp.S.Zero)
         jet = low.equations.jet
-        own = {s: low.template.parameter(s) for s in plain.parameters}
+        own = low.parameters
 
         def constant(value: sp.Expr) -> sp.Expr:
             return sp.expand(value).subs(rest).xreplace(own)
@@ -46,24 +47,27 @@ class LinearSolver:
         """Give nothing to solve."""
         return [], []
 
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give nothing: no increment is left over."""
+        return {}
+
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 after all shears but the last."""
         q: Vector = {a: self._low.q[a] for a in self.coordinates}
         moved: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
         self._impulse = dict.fromkeys(self.coordinates, sp.S.Zero)
+        p: Vector = {a: self._low.p[a] for a in self.coordinates}
         for number, (is_kick, coefficients) in enumerate(self._shears[:-1]):
             if is_kick:
-                self._add(self._impulse, self._kick(number, coefficients, q), f"kick_{number}")
-                continue
-            p = {
-                a: self._define(f"p_{a}_{number}", self._low.p[a] + self._impulse[a])
-                for a in self.coordinates
-            }
-            self._add(moved, self._drift(number, coefficients, p), f"drift_{number}")
-            q = {
-                a: self._define(f"q_{a}_{number}", self._low.q[a] + moved[a])
-                for a in self.coordinates
-            }
+                change = self._kick(number, coefficients, q)
+                self._add(self._impulse, change, f"kick_{number}")
+                p = self._moved(p, change, f"p_{number}")
+            else:
+                change = self._drift(number, coefficients, p)
+                self._add(moved, change, f"drift_{number}")
+                q = self._moved(q, change, f"q_{number}")
         return moved
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
@@ -78,6 +82,9 @@ class LinearSolver:
         for a in self.coordinates:
             named = self._define(f"{wish}_{self._low.names.coordinates[a]}", change[a])
             total[a] = total[a] + named
+
+    def _moved(self, old: Vector, change: Vector, wish: str) -> Vector:
+        return {a: self._define(f"{wish}_{a}", old[a] + change[a]) for a in self.coordinates}
 
     def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
         return self._low.graph.define(wish, value, "shears")

@@ -30,6 +30,8 @@ def solve_blocks(
     One division a block instead of one a row: divisions wait for each other, so a step of the
     double pendulum became a tenth faster. Larger blocks are eliminated row by row.
     """
+    if size < len(right) <= CLOSED_FORM:
+        size = len(right)
     if size > CLOSED_FORM:
         return solve_unpivoted(graph, matrix, right, wishes, section)
     count = len(right) // size
@@ -109,6 +111,8 @@ def solve_symmetric(
     Returns the unknowns and the pivots D, all positive if and only if the matrix is.
     """
     size = len(right)
+    if size == CLOSED_FORM:
+        return _solve_two(graph, matrix, right, wishes, section)
     scaled: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
     lower: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
     pivots: list[sp.Expr] = []
@@ -131,6 +135,19 @@ def solve_symmetric(
         )
         unknowns[i] = graph.define(wishes[i], rest, section)
     return unknowns, pivots
+
+
+def _solve_two(
+    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], wishes: Sequence[str], section: str
+) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    """Solve a symmetric 2 x 2 system with one division; the pivots' signs are those of minors."""
+    (a, b), (_, d) = matrix
+    determinant = graph.define("det", a * d - b**2, section)
+    scale = graph.define("inv_det", 1 / determinant, section)
+    x, y = right
+    first = graph.define(wishes[0], (d * x - b * y) * scale, section)
+    second = graph.define(wishes[1], (a * y - b * x) * scale, section)
+    return [first, second], [a, determinant]
 
 
 def _back(

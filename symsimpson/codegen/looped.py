@@ -1,131 +1,132 @@
-"""Kernels that take the nodes in a loop: any system by need, large systems always."""
+"""Kernels of large systems: loops over nodes, coordinates and unknowns."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import sympy as sp
 
-from symsimpson.codegen.ir import Call, Function, Kernel, Loop, Row, Statement, Store, When
-from symsimpson.codegen.levels import Level
-from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.straight import STATE, lanes, momentum_stores
-from symsimpson.codegen.template import Point
+from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store, When
+from symsimpson.codegen.storage import Storage
+from symsimpson.codegen.straight import lanes
+from symsimpson.discrete.reductions import Coupled, Separable
+from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["equations_kernel", "jet_function", "looped_energy", "looped_kernels", "node_functions"]
+__all__ = ["equations_kernel", "looped_kernels", "solve_tables"]
 
 _HERE = ("W", "lane")
-
-
-def _nodes(*body: Statement) -> Loop:
-    return Loop("node", "NODES", body)
+_NODE = ("W", "h", "node", "lane")
 
 
 def _call(name: str, *arguments: str) -> Call:
     return Call(name, arguments or _HERE)
 
 
-def _entries(low: Lowering, point: Point, what: str, block: str) -> list[Store]:
-    """Store a vector or a matrix of the jet in its block."""
-    n = low.n
-    if what in ("L_q", "a"):
-        indices: Iterable[tuple[int, ...]] = ((i,) for i in range(n))
-    else:
-        indices = ((i, j) for i in range(n) for j in range(n))
-    return [
-        Store(Row(block, number), low.template.entry(point, "jet", what, *index))
-        for number, index in enumerate(indices)
-    ]
+def _nodes(over: str, *body: Statement) -> Loop:
+    return Loop("node", over, (_call("path", *_NODE), *body))
 
 
-def jet_function(low: Lowering) -> Function:
-    """Evaluate the whole jet at the node that stands in the node's rows."""
-    point = Point("i", low.node_q, low.node_v)
-
-    def momentum(a: int) -> sp.Expr:
-        return low.template.momentum(point, "jet", a)
-
-    stores = [
-        *_entries(low, point, "L_q", "NODE_L_Q"),
-        *(
-            Store(Row("NODE_L_V", a), low.graph.define(f"Lv_{name}_i", momentum(a), "jet"))
-            for a, name in enumerate(low.names.coordinates)
-        ),
-        *_entries(low, point, "L_qq", "NODE_L_QQ"),
-        *_entries(low, point, "L_qv", "NODE_L_QV"),
-        *_entries(low, point, "M", "NODE_L_VV"),
-    ]
-    doc = "L_q, L_v, L_qq, L_qv and L_vv = M at a node."
-    return Function("jet", doc, low.statements(stores, (Level.ITERATION,)))
+def equations_kernel(storage: Storage, degree: int) -> Kernel:
+    """Give the equations themselves, all of them, whatever a step solves."""
+    doc = "Residual and Jacobian of the step, rows in the order of elimination."
+    return Kernel("equations", doc, lanes(_all_rows(storage, degree)))
 
 
-def node_functions(low: Lowering) -> list[Function]:
-    """Give the parts of a jet that large systems evaluate alone."""
-    node = Point("i", low.node_q, low.node_v)
-    gradient = _entries(low, node, "L_q", "NODE_L_Q")
-    here = low.start_point()
-    mass = [*_entries(low, here, "M", "NODE_L_VV"), *_entries(low, here, "a", "NODE_L_V")]
-    v = Point(here.suffix, low.q, low.v)
-    momentum = momentum_stores(low, v)
-    return [
-        Function("gradient", "L_q at a node.", low.statements(gradient, (Level.ITERATION,))),
-        Function("mass", "M and a at q.", low.statements(mass, STATE)),
-        Function("momentum", "p = M v + a.", low.statements(momentum, STATE)),
-    ]
+def _all_rows(storage: Storage, degree: int) -> tuple[Statement, ...]:
+    return (
+        _call("clear_residual"),
+        _call("clear_matrix", "W", "lane", str(storage.size(degree))),
+        _nodes("range(NODES)", _call("jet"), _call("assemble", *_NODE)),
+    )
 
 
-def looped_kernels(low: Lowering) -> list[Kernel]:
+def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> list[Kernel]:
     """Make the kernels of a step with loops over nodes, coordinates and unknowns."""
-    solve = (_call("mass"), _call("solve_mass"))
-    advance = (
-        _call("clear_momentum"),
-        _nodes(_call("path", "W", "h", "node", "lane"), _call("gradient"),
-               _call("accumulate", "W", "h", "node", "lane")),
-        _call("close_step"),
-        *solve,
-        _call("predict", "W", "h", "lane"),
+    constant = isinstance(part, Separable)
+    velocity = (_call("path_start"), _call("mass"), _call("factor_mass"))
+    again = (_call("momentum_to_solve"), _call("solve_mass"))
+    first = (_call("keep_mass"),) if constant else ()
+    begin = (
+        _call("path_start"), _call("mass"), *first, _call("factor_mass"), *again,
+        _call("straight", "W", "h", "lane"),
     )  # fmt: skip
+    rows: tuple[Statement, ...]
+    if constant:
+        size = str(storage.size(len(part.columns)))
+        rows = (
+            _call("clear_matrix", "W", "lane", size),
+            _call("inertia", "W", "h", "lane"),
+            _nodes("FORCE_NODES", _call("forces"), _call("assemble_forces", *_NODE)),
+        )
+    else:
+        rows = _all_rows(storage, degree)
+    newton: tuple[Statement, ...] = (*rows, _call("solve_pivoted"), _call("update_increments"))
+    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"))
+    closing: tuple[Statement, ...] = ()
+    if isinstance(part, Separable) and part.last is not None:
+        closing = (
+            _call("clear_momentum"),
+            _nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
+            _call("end_path", "W", "h", "lane"),
+        )
+    advance = (
+        *closing,
+        _call("clear_momentum"),
+        _nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
+        _call("close_step"),
+        *(() if constant else velocity),
+        *(following if part.columns else ()),
+    )
+    step = lanes((When(advance),))
+    if not part.columns:  # nothing to solve, nothing to predict
+        newton = (Store(Row("CORRECTION_SQUARED", 0), sp.S.Zero),)
+        step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
     return [
-        Kernel("start", "Begin at (q, p) with increments of constant velocity.",
-               lanes((*solve, _call("straight", "W", "h", "lane")))),
-        Kernel("legendre", "p = dL/dv from q and v.", lanes((_call("momentum"),))),
-        newton_kernel("newton"),
+        Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
+        Kernel("legendre", "p = dL/dv from q and v.",
+               lanes((_call("path_start"), _call("mass"), _call("momentum")))),
+        Kernel("newton", "One Newton iteration, assembled node by node, with row pivoting.",
+               lanes((When(newton),))),
         Kernel("advance", "Close a step by compensated sums, then predict the next increments.",
-               lanes((When(advance),))),
+               step),
     ]  # fmt: skip
 
 
-def looped_energy(low: Lowering) -> Kernel:
-    """H = v.(p - a)/2 + V for a large system."""
-    potential = low.template.output(low.start_point(), "potential", ("V",))
-    kinetic = low.names.fresh("kinetic")
-    store = Store(Row("ENERGY", 0), kinetic + potential)
-    body = (
-        _call("mass"),
-        _call("solve_mass"),
-        Call("kinetic_energy", _HERE, result=kinetic),
-        *low.statements((store,), STATE),
-    )
-    return Kernel("energy", "The Hamiltonian at (q, p).", lanes(body))
+def energy_kernel() -> Kernel:
+    """H = v.(p - a)/2 + V."""
+    body = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass",
+            "kinetic_energy", "path_start", "potential")  # fmt: skip
+    return Kernel("energy", "The Hamiltonian at (q, p).", lanes(_call(name) for name in body))
 
 
-def equations_body() -> tuple[Statement, ...]:
-    """Give the statements that leave residual and Jacobian in their rows."""
-    everywhere = ("W", "h", "node", "lane")
-    return (
-        _call("clear"),
-        _nodes(_call("path", *everywhere), _call("jet"), _call("assemble", *everywhere)),
-    )
+def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]:
+    """Give the tables by which the loops combine nodes and control points."""
+    tables: dict[str, object] = {"BLOCKS": len(part.columns), "SOLVE_COLUMNS": part.columns}
+    if isinstance(part, Coupled):
+        return tables
+    b, A, S, d = scheme.quadrature.weights, scheme.A, scheme.stiffness, scheme.degree
+    nodes = range(scheme.stages)
 
+    def force(test: tuple[sp.Expr, ...], i: int) -> sp.Expr:
+        return sp.radsimp(b[i] * sp.Add(*(c * x for c, x in zip(test, A[i], strict=True))))
 
-def newton_kernel(name: str) -> Kernel:
-    """Make a Newton iteration with loops and pivoting."""
-    body = (*equations_body(), _call("solve_pivoted"), _call("update_increments"))
-    doc = "One Newton iteration, assembled node by node and solved with row pivoting."
-    return Kernel(name, doc, lanes((When(body),)))
+    def inertia(test: tuple[sp.Expr, ...], m: int) -> sp.Expr:
+        return sp.radsimp(sp.expand(sp.Add(*(c * S[k][m] for k, c in enumerate(test)))))
 
-
-def equations_kernel() -> Kernel:
-    """Give the equations themselves, all of them, whatever a step solves."""
-    doc = "Residual and Jacobian of the step, rows in the order of elimination."
-    return Kernel("equations", doc, lanes(equations_body()))
+    tables |= {
+        "TEST_START": tuple(test[0] for test in part.tests),
+        "TEST_STIFFNESS": tuple(
+            tuple(inertia(test, m) for m in part.columns) for test in part.tests
+        ),
+        "TEST_FORCE": tuple(tuple(force(test, i) for test in part.tests) for i in nodes),
+        "FORCE_NODES": tuple(i for i in nodes if any(force(test, i) != 0 for test in part.tests)),
+    }
+    if part.last is not None:
+        test = tuple(sp.Integer(k == part.last) for k in range(d + 1))
+        scale = sp.radsimp(-1 / S[part.last][d])
+        tables |= {
+            "LAST_START": test[0],
+            "LAST_SCALE": scale,
+            "LAST_FORCE": tuple(force(test, i) for i in nodes),
+            "LAST_NODES": tuple(i for i in nodes if force(test, i) != 0),
+            "LAST_INCREMENT": tuple(sp.radsimp(scale * S[part.last][m]) for m in range(1, d)),
+        }
+    return tables

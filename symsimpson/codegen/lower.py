@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 
 import sympy as sp
 
@@ -64,12 +65,28 @@ class Lowering:
             Level.ITERATION,
         )  # fmt: skip
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
-        self.template = JetTemplate(
-            equations.jet, equations.plain, self.graph, coordinates, self.names.parameters,
-            momenta=self.p, more=_factors(equations, coordinates), rewrite=_half_angles(equations),
+        own = [sp.Symbol(name, real=True) for name in self.names.parameters]
+        self.parameters = dict(zip(equations.plain.parameters, own, strict=True))
+        for i, symbol in enumerate(own):
+            self.rows[self.graph.declare(symbol, Level.RUN)] = Row("PARAMETER", i)
+        self.coefficients: tuple[sp.Expr, ...] = ()
+
+    @cached_property
+    def template(self) -> JetTemplate:
+        """The jet of L and what is evaluated beside it."""
+        equations, names = self.equations, self.names.coordinates
+        return JetTemplate(
+            equations.jet, equations.plain, self.graph, names, self.parameters,
+            momenta=self.p, more=_factors(equations, names), rewrite=_half_angles(equations),
         )  # fmt: skip
-        for i, name in enumerate(self.names.parameters):
-            self.rows[sp.Symbol(name, real=True)] = Row("PARAMETER", i)
+
+    @cached_property
+    def watched(self) -> JetTemplate:
+        """The invariants alone, without the jet of L."""
+        equations, names = self.equations, self.names.coordinates
+        return JetTemplate(
+            None, equations.plain, self.graph, names, self.parameters, momenta=self.p
+        )
 
     @property
     def n(self) -> int:
@@ -174,9 +191,7 @@ class Lowering:
             yield self.active
 
 
-def _factors(
-    equations: DiscreteEquations, names: Sequence[str]
-) -> dict[tuple[str, ...], sp.Expr]:
+def _factors(equations: DiscreteEquations, names: Sequence[str]) -> dict[tuple[str, ...], sp.Expr]:
     """List the factors of the mass matrices of cyclic coordinates."""
     found: dict[tuple[str, ...], sp.Expr] = {}
     for part in equations.parts:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import builtins
 import keyword
 import re
+from functools import cache
 
 import sympy as sp
 
+from symsimpson.codegen.library import library_sources
 from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["NameTable"]
@@ -19,7 +21,9 @@ BLOCKS = (
     "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
     "PREVIOUS", "SOLVED",
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
-    "NODE_L_Q", "NODE_L_V", "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "METRIC", "RESIDUAL", "JACOBIAN",
+    "NODE_L_Q", "NODE_L_V",
+    "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT", "RESIDUAL",
+    "JACOBIAN",
 )  # fmt: skip
 
 #: What an emitted module defines or imports; no symbol may take these names.
@@ -58,6 +62,14 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "DIMENSION",
         "UNKNOWNS",
         "NEWTON_UNKNOWNS",
+        "POINTS",
+        "active",
+        "array",
+        "term",
+        "max",
+        "min",
+        "abs",
+        "range",
         "COORDINATES",
         "PARAMETERS",
         "DEFAULTS",
@@ -72,33 +84,6 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "EXTRAPOLATION",
         "END_SLOPE",
         "START_SLOPE",
-        "prepare",
-        "start",
-        "legendre",
-        "newton",
-        "advance",
-        "energy",
-        "invariants",
-        "equations",
-        "newton_pivoted",
-        "path",
-        "jet",
-        "gradient",
-        "mass",
-        "straight",
-        "assemble",
-        "clear_momentum",
-        "momentum",
-        "accumulate",
-        "solve_pivoted",
-        "solve_mass",
-        "close_step",
-        "predict",
-        "clear",
-        "update_increments",
-        "kinetic_energy",
-        "POINTS",
-        "active",
         "sin",
         "cos",
         "tan",
@@ -117,6 +102,21 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "sqrt",
     ]
 )
+
+
+#: Functions that a module may define.
+KERNELS = frozenset(
+    [
+        "prepare", "start", "legendre", "newton", "advance", "energy", "invariants", "equations",
+        "newton_pivoted", "jet", "forces", "gradient", "mass", "potential",
+    ]
+)  # fmt: skip
+
+
+@cache
+def library_names() -> frozenset[str]:
+    """Give the names of functions of the module."""
+    return KERNELS | frozenset(library_sources())
 
 
 class NameTable:
@@ -146,13 +146,15 @@ class NameTable:
             and not keyword.issoftkeyword(name)
             and not hasattr(builtins, name)
             and name not in RESERVED
+            and name not in library_names()
+            and not re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", name)
         )
         return self.fresh(name if safe else substitute).name
 
     def fresh(self, wish: str) -> sp.Symbol:
         """Give a symbol with the wished name, or the wished name and a number."""
         name, count = wish, 1
-        while name in self._taken or name in RESERVED:
+        while name in self._taken or name in RESERVED or name in library_names():
             count += 1
             name = f"{wish}_{count}"
         self._taken.add(name)

@@ -36,6 +36,8 @@ class _Node:
 class RouthSolver:
     """D_k L_d for the other coordinates, at the velocities that the cyclic momenta give."""
 
+    carried: tuple[tuple[int, int], ...] = ()
+
     def __init__(self, low: Lowering, part: Routh) -> None:
         self._low, self._part = low, part
         self.coordinates = part.coordinates
@@ -86,6 +88,12 @@ class RouthSolver:
                 matrix.append(row)
         return right, matrix
 
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give nothing: no increment is left over."""
+        return {}
+
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 at the solution, without the cyclic ones."""
         return {a: self._low.increments[-1][a] for a in self.coordinates}
@@ -123,7 +131,11 @@ class RouthSolver:
                 )
             )  # fmt: skip
 
-        matrix = [[entry(r, c, s, e) for s, e in S] for r, c in S]
+        define = self._low.graph.define
+        matrix = [
+            [define(f"S_{r}{c}_{s}{e}", entry(r, c, s, e), "multipliers") for s, e in S]
+            for r, c in S
+        ]
         wishes = [f"{wish}_{r}_{c}" for r, c in S]
         return solve_symmetric(self._low.graph, matrix, right, wishes, "multipliers")[0]
 
@@ -158,19 +170,23 @@ class RouthSolver:
 
     def _solved_nodes(self, end: Point | None) -> list[_Node]:
         """Evaluate the nodes and find the velocities of the cyclic coordinates there."""
-        part, C, b = self._part, self._part.annihilator, self._weights
+        part, b = self._part, self._weights
         middle = self._factored(part.reference, end)
         nodes = [self._node(i, end, middle) for i in range(len(b))]
         negative = [[-x for x in node.momentum] for node in nodes]
         right = self.project(nodes, negative, "g")
         found = dict(zip(self._multipliers, self.solve(nodes, right, "lambda"), strict=True))
-        return [self._moving(node, C, found) for node in nodes]
+        closing = end is not None
+        return [self._moving(node, found, closing=closing) for node in nodes]
 
     def _moving(
-        self, node: _Node, C: tuple[tuple[sp.Expr, ...], ...], found: Mapping[object, sp.Expr]
+        self, node: _Node, found: Mapping[tuple[int, int], sp.Expr], *, closing: bool
     ) -> _Node:
-        """Complete a node: L_vy = p + sum_r C_ri / b_i lambda_r, v_y = L^-T D^-1 L^-1 (L_vy - beta)."""
-        low, i = self._low, node.number
+        """Complete a node.
+
+        L_vy = p + sum_r C_ri / b_i lambda_r and v_y = L^-T D^-1 L^-1 (L_vy - beta).
+        """
+        low, C, i = self._low, self._part.annihilator, node.number
         section = f"node {i}, all velocities known"
         momentum = []
         for k in self._size:
@@ -186,7 +202,10 @@ class RouthSolver:
             value = sp.Add(node.D_inverse[k] * momentum[k], *terms)
             a = self._part.cyclic[k]
             v[a] = low.graph.define(f"v_{low.names.coordinates[a]}_{i}", value, section)
-        return replace(node, momentum=momentum, point=replace(node.point, v=tuple(v)))
+        # while a step is closed, velocities differ from those of the iteration under the same names
+        suffix = f"{node.point.suffix}_closed" if closing else node.point.suffix
+        point = replace(node.point, suffix=suffix, v=tuple(v))
+        return replace(node, momentum=momentum, point=point)
 
     def _factored(self, i: int, end: Point | None) -> _Node:
         """Give a node with the factors of its cyclic mass matrix."""
@@ -198,9 +217,7 @@ class RouthSolver:
             return low.template.output(point, section, key)
 
         names = [low.names.coordinates[a] for a in self._part.cyclic]
-        D_inverse = [
-            self._define(f"inv_D_{name}_{i}", 1 / factor("D", name), i) for name in names
-        ]
+        D_inverse = [self._define(f"inv_D_{name}_{i}", 1 / factor("D", name), i) for name in names]
         L = [
             [
                 factor("L0", names[r], names[c]) + factor("L", names[r], names[c]) if c < r else

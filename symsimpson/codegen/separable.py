@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import sympy as sp
 
@@ -22,7 +22,9 @@ class SeparableSolver:
         self._low, self._part = low, part
         self.coordinates = part.coordinates
         self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
-        self._found: dict[tuple[int, int], sp.Expr] = {}
+        end = low.equations.scheme.degree
+        carried = part.last is not None and self.unknowns
+        self.carried = [(end, a) for a in part.coordinates] if carried else []
 
     def _force_factor(self, test: tuple[sp.Expr, ...], i: int) -> sp.Expr:
         """Give b_i sum_k test_k A_ik: how often the force at node i enters a row."""
@@ -78,43 +80,77 @@ class SeparableSolver:
                 matrix.append(row)
         return right, matrix
 
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give the new X_d where it is no unknown, from its row with the force linearised.
+
+        So it takes the values that it would have as an unknown, and the force at the solution need
+        not be known before the end of the path is.
+        """
+        if not self.carried:
+            return {}
+        low = self._low
+        scheme, section = low.equations.scheme, "end of the path"
+
+        def force(i: int, point: Point, a: int) -> sp.Expr:
+            terms = [low.template.entry(point, f"node {i}", "L_q", a)]
+            for m, b in self.unknowns:
+                slope = low.template.entry(point, f"node {i}", "L_qq", a, b)
+                terms.append(scheme.A[i][m] * slope * changes[m, b])
+            return low.graph.define(
+                f"Lq_{low.names.coordinates[a]}_{i}_new", sp.Add(*terms), section
+            )
+
+        new = {(m, b): low.increments[m - 1][b] + changes[m, b] for m, b in self.unknowns}
+        return self._end_of_path(force, new)
+
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 at the solution: X_d by its own row where it is no unknown."""
-        low, part, h = self._low, self._part, self._low.equations.h
-        scheme, group = low.equations.scheme, part.coordinates
-        d, last = scheme.degree, part.last
-        self._found = {(m, a): low.increments[m - 1][a] for m, a in self.unknowns}
-        if last is not None:
-            test = tuple(sp.Integer(k == last) for k in range(d + 1))
-            used = [i for i in range(scheme.stages) if self._force_factor(test, i) != 0]
-            points = {i: node_point(low, i, group, moving=False) for i in used}
-            impulses = []
-            for a in group:
-                terms = [
-                    h * self._force_factor(test, i)
-                    * low.template.entry(points[i], f"node {i}", "L_q", a)
-                    for i in used
-                ]  # fmt: skip
-                value = sp.Add(test[0] * low.p[a], *terms)
-                name = f"impulse_{low.names.coordinates[a]}"
-                impulses.append(low.graph.define(name, value, "end of the path"))
-            velocity = self._velocity(impulses)
-            scale = sp.radsimp(-1 / scheme.stiffness[last][d])
-            for number, a in enumerate(group):
-                terms = [
-                    sp.radsimp(scale * scheme.stiffness[last][m]) * low.increments[m - 1][a]
-                    for m in part.columns
-                ]
-                value = sp.Add(scale * h * velocity[number], *terms)
-                name = f"{low.names.coordinates[a]}_X{d}"
-                self._found[d, a] = low.graph.define(name, value, "end of the path")
-        return {a: self._found[d, a] for a in group}
+        """Give q1 - q0 at the solution."""
+        low, d = self._low, self._low.equations.scheme.degree
+        if self._part.last is None or self.carried:
+            return {a: low.increments[d - 1][a] for a in self.coordinates}
+
+        def force(i: int, point: Point, a: int) -> sp.Expr:
+            return low.template.entry(point, f"node {i}", "L_q", a)
+
+        return {a: value for (_, a), value in self._end_of_path(force, {}).items()}
+
+    def _end_of_path(
+        self,
+        force: Callable[[int, Point, int], sp.Expr],
+        X: Mapping[tuple[int, int], sp.Expr],
+    ) -> dict[tuple[int, int], sp.Expr]:
+        """Solve the row left over for X_d."""
+        low, h, last = self._low, self._low.equations.h, self._part.last
+        assert last is not None
+        scheme, group, section = low.equations.scheme, self.coordinates, "end of the path"
+        d = scheme.degree
+        test = tuple(sp.Integer(k == last) for k in range(d + 1))
+        used = [i for i in range(scheme.stages) if self._force_factor(test, i) != 0]
+        points = {i: node_point(low, i, group, moving=False) for i in used}
+        impulses = []
+        for a in group:
+            terms = [h * self._force_factor(test, i) * force(i, points[i], a) for i in used]
+            name = f"impulse_{low.names.coordinates[a]}"
+            impulses.append(low.graph.define(name, sp.Add(test[0] * low.p[a], *terms), section))
+        velocity = self._velocity(impulses)
+        scale = sp.radsimp(-1 / scheme.stiffness[last][d])
+        found: dict[tuple[int, int], sp.Expr] = {}
+        for number, a in enumerate(group):
+            terms = [
+                sp.radsimp(scale * scheme.stiffness[last][m]) * X[m, a] for m in self._part.columns
+            ]
+            value = sp.Add(scale * h * velocity[number], *terms)
+            name = f"{low.names.coordinates[a]}_X{d}_new"
+            found[d, a] = low.graph.define(name, value, section)
+        return found
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
         """Give p1 - p0 = h sum_i b_i L_q(q_i)."""
         low, eqs = self._low, self._low.equations
         points = [
-            node_point(low, i, self.coordinates, moving=False, end=end, X=self._found)
+            node_point(low, i, self.coordinates, moving=False, end=end)
             for i in range(eqs.scheme.stages)
         ]
 
@@ -122,10 +158,6 @@ class SeparableSolver:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
         return {a: eqs.impulse(a, entry) for a in self.coordinates}
-
-    def path_end(self, a: int) -> sp.Expr:
-        """Give X_d at the solution."""
-        return self._found[self._low.equations.scheme.degree, a]
 
     def _mass(self, a: int, b: int) -> sp.Expr:
         return self._low.template.entry(self._low.start_point(), "mass", "M", a, b)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
 
 import sympy as sp
 
@@ -24,7 +23,7 @@ __all__ = ["STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
 STATE = (Level.STEP, Level.ITERATION)
 
 
-_SOLVERS: dict[type, Callable[[Lowering, Any], Solver]] = {
+_SOLVERS: dict[type, Callable[..., Solver]] = {
     Coupled: CoupledSolver,
     Linear: LinearSolver,
     Routh: RouthSolver,
@@ -45,9 +44,14 @@ def unknowns(solvers: Iterable[Solver]) -> list[tuple[int, int]]:
     return [unknown for solver in solvers for unknown in solver.unknowns]
 
 
+def solved(solvers: Iterable[Solver]) -> list[tuple[int, int]]:
+    """List control point and coordinate of each increment that an iteration changes."""
+    return [x for solver in solvers for x in (*solver.unknowns, *solver.carried)]
+
+
 def lanes(body: Iterable[Statement]) -> tuple[Statement, ...]:
     """Wrap statements in the loop over lanes."""
-    return (Loop("lane", "LANES", tuple(body)),)
+    return (Loop("lane", "range(LANES)", tuple(body)),)
 
 
 def velocity(
@@ -88,7 +92,7 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         wishes = [f"d_{names[a]}_X{m}" for m, a in solver.unknowns]
         size = len(solver.coordinates)
         found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
-    stores = _update(low, unknowns(solvers), found)
+    stores = _update(low, solvers, found)
     doc = "One Newton iteration for the increments X_k of the control points."
     return Kernel("newton", doc, lanes(low.statements(stores, (Level.ITERATION,))))
 
@@ -106,28 +110,34 @@ def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
             place = (first + i) * len(every)
             stores += [Store(Row("JACOBIAN", place + j), value) for j, value in entries.items()]
         first += len(right)
-    assembled = low.statements(stores, (Level.ITERATION,))
-    update = _update(low, every, [-x for x in low.solution[: len(every)]])
-    solved = low.statements(update, (Level.ITERATION,))
+    assembled = low.statements(stores, STATE)  # the other iteration may keep other values
+    update = _update(low, solvers, [-x for x in low.solution[: len(every)]])
+    closing = low.statements(update, (Level.ITERATION,))
     doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
     call = Call("solve_pivoted", ("W", "lane"))
-    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *solved)),)))
+    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *closing)),)))
 
 
 def _update(
-    low: Lowering, every: Sequence[tuple[int, int]], changes: Sequence[sp.Expr]
+    low: Lowering, solvers: Sequence[Solver], corrections: Sequence[sp.Expr]
 ) -> list[Store]:
     """Apply a Newton correction and measure it."""
     define, names = low.graph.define, low.names.coordinates
-    stores, corrections, increments = [], [], []
-    for (m, a), change in zip(every, changes, strict=True):
-        old = low.increments[m - 1][a]
-        new = define(f"{names[a]}_X{m}_new", old + change, "update")
-        stores.append(Store(Row("INCREMENT", (m - 1) * low.n + a), new, keep=old))
-        corrections.append(low.metric[a] * change**2)
-        increments.append(low.metric[a] * new**2)
+    changes = dict(zip(unknowns(solvers), corrections, strict=True))
+    new = {(m, a): low.increments[m - 1][a] + change for (m, a), change in changes.items()}
+    for solver in solvers:
+        for (m, a), value in solver.carry(changes).items():
+            new[m, a] = value
+            changes[m, a] = define(f"d_{names[a]}_X{m}", value - low.increments[m - 1][a], "update")
+    stores, squares, increments = [], [], []
+    for (m, a), value in new.items():
+        named = define(f"{names[a]}_X{m}_new", value, "update")
+        row = Row("INCREMENT", (m - 1) * low.n + a)
+        stores.append(Store(row, named, keep=low.increments[m - 1][a]))
+        squares.append(low.metric[a] * changes[m, a] ** 2)
+        increments.append(low.metric[a] * named**2)
     for block, terms in (
-        ("CORRECTION_SQUARED", corrections),
+        ("CORRECTION_SQUARED", squares),
         ("INCREMENT_SQUARED", increments),
     ):
         value = define(block.lower(), sp.Add(*terms), "update")
@@ -166,13 +176,15 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     to = dict(zip((*low.q, *low.p), (*end.q, *momentum), strict=True))
     to |= {low.metric[a]: value for a, value in metric.items()}
     for symbol, row in low.hoisted_at(Level.STEP):
-        stores.append(Store(row, low.moved(symbol, to), keep=symbol))
+        following = low.moved(symbol, to)
+        if following != symbol:  # it is made of constant momenta alone
+            stores.append(Store(row, following, keep=symbol))
     body = lanes(low.statements(stores, (Level.ITERATION,)))
     if every:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
         return Kernel("advance", doc, body)
     doc = "Take as many steps as W[COUNT] says, without Newton's method."
-    return Kernel("advance", doc, (Loop("step", "int(W[COUNT, 0])", body),))
+    return Kernel("advance", doc, (Loop("step", "range(int(W[COUNT, 0]))", body),))
 
 
 def _predicted(
@@ -181,7 +193,7 @@ def _predicted(
     """Predict the next increments; keep what the driver needs to judge the step or take it back."""
     eqs, define, n = low.equations, low.graph.define, low.n
     scheme, names, d = eqs.scheme, low.names.coordinates, eqs.scheme.degree
-    every = unknowns(solvers)
+    every = solved(solvers)
     state = (*low.q, *low.q_low, *low.p, *low.p_low)
     stores = [Store(Row("PREVIOUS", i), old) for i, old in enumerate(state)]
     section = "predictor"
@@ -192,14 +204,12 @@ def _predicted(
         group = solver.coordinates if solver.unknowns else ()
         v = velocities(low, end, momentum, "velocity at q1", _mass_order(low, solver))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
-        for a in group if isinstance(solver, SeparableSolver) else ():
-            path[a][-1] = solver.path_end(a)
         for a in group:
             metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
             slope = sp.Add(*(scheme.end_slope[j] * path[a][j] for j in range(d)))
             bend = define(f"bend_{names[a]}", eqs.h * v[a] - slope, section)
             mismatch.append(metric[a] * bend**2)
-            for k in sorted(m for m, b in solver.unknowns if b == a):
+            for k in sorted(m for m, b in every if b == a):
                 terms = [scheme.extrapolation[k - 1][j] * path[a][j] for j in range(d)]
                 value = sp.Add(scheme.correction[k - 1] * bend, *terms)
                 following[k, a] = define(f"{names[a]}_X{k}_next", value, section)
@@ -235,7 +245,7 @@ def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     eqs, define, n = low.equations, low.graph.define, low.n
     point, section = low.start_point(), "velocity"
     v, deficit = velocity(low, point, low.p, section)
-    every = unknowns(solvers)
+    every = solved(solvers)
     stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.STEP)]
     for a, name in enumerate(low.names.coordinates):
         stores.append(Store(Row("VELOCITY", a), v[a]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import sympy as sp
 
@@ -48,22 +49,34 @@ class JetTemplate:
 
     def __init__(
         self,
-        jet: Jet,
+        jet: Jet | None,
         plain: Plain,
         graph: Graph,
         names: Sequence[str],
-        parameters: Sequence[str],
+        parameters: Mapping[sp.Symbol, sp.Symbol],
         momenta: Sequence[sp.Symbol],
-        more: Mapping[tuple[str, ...], sp.Expr],
-        rewrite: Mapping[sp.Expr, sp.Expr],
+        more: Mapping[tuple[str, ...], sp.Expr] = MappingProxyType({}),
+        rewrite: Mapping[sp.Expr, sp.Expr] = MappingProxyType({}),
     ) -> None:
         self._graph = graph
         self._plain = plain
         self._made: dict[tuple[str, sp.Symbol], sp.Expr] = {}
-        user = {a: graph.declare(sp.Symbol(name, real=True), Level.RUN)
-                for a, name in zip(plain.parameters, parameters, strict=True)}  # fmt: skip
-        self._parameters = user
+        self._parameters = parameters
         self._momenta = dict(zip(plain.p, momenta, strict=True))
+        entries: dict[tuple[str, ...], sp.Expr] = {}
+        if jet is not None:
+            entries = self._entries(jet, plain, names)
+        for name, value in plain.invariants.items():
+            entries["invariant", name] = value
+        entries |= more
+        self._steps, outputs = _search(
+            {key: value.xreplace(rewrite) for key, value in entries.items()} if rewrite else entries
+        )
+        self._outputs = outputs
+        self._names = names
+
+    @staticmethod
+    def _entries(jet: Jet, plain: Plain, names: Sequence[str]) -> dict[tuple[str, ...], sp.Expr]:
         entries: dict[tuple[str, ...], sp.Expr] = {}
         for i, a in enumerate(names):
             entries["L_q", a] = jet.L_q[i]
@@ -74,14 +87,7 @@ class JetTemplate:
                     entries["L_qq", a, b] = jet.L_qq[i, j]
                     entries["M", a, b] = jet.L_vv[i, j]
         entries["V",] = plain.potential
-        for name, value in plain.invariants.items():
-            entries["invariant", name] = value
-        entries |= more
-        self._steps, outputs = _search(
-            {key: value.xreplace(rewrite) for key, value in entries.items()} if rewrite else entries
-        )
-        self._outputs = outputs
-        self._names = names
+        return entries
 
     def entry(self, point: Point, section: str, what: str, *index: int) -> sp.Expr:
         """Give one entry of the jet at a point, making the definitions it needs."""
@@ -90,10 +96,6 @@ class JetTemplate:
         if what in ("M", "L_qq") and index[0] < index[1]:
             names = names[::-1]
         return self.output(point, section, (what, *names))
-
-    def parameter(self, symbol: sp.Symbol) -> sp.Symbol:
-        """Give the module's symbol of a parameter."""
-        return self._parameters[symbol]
 
     def momentum(
         self, point: Point, section: str, i: int, group: Iterable[int] | None = None

@@ -17,11 +17,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import sympy as sp
 
 from symsimpson.discrete.jet import Jet, derive_jet
-from symsimpson.discrete.reductions import Part, elimination_order, read_exploit, reduce
+from symsimpson.discrete.reductions import (
+    Coupled,
+    Part,
+    Separable,
+    elimination_order,
+    read_exploit,
+    reduce,
+)
 from symsimpson.mechanics.system import MechanicalSystem, Plain
 from symsimpson.schemes.scheme import Scheme
 
@@ -42,12 +50,24 @@ class DiscreteEquations:
 
     system: MechanicalSystem
     scheme: Scheme
+    exploit: frozenset[str]
     plain: Plain
-    jet: Jet
     h: sp.Symbol
     rows: tuple[int, ...]
     columns: tuple[int, ...]
     parts: tuple[Part, ...]
+
+    @cached_property
+    def jet(self) -> Jet:
+        """L and its derivatives, each entry by itself; loops over terms do without."""
+        return derive_jet(self.plain)
+
+    def joined(self) -> Coupled | Separable:
+        """Give all coordinates as one part, as loops take them."""
+        alone = self.exploit & {"constant_mass"}
+        (part,) = reduce(self.system.structure, self.scheme, alone)
+        assert isinstance(part, (Coupled, Separable))
+        return part
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
         """Give the factor of a derivative of L at node i in D_k L_d or in D_k D_m L_d.
@@ -128,4 +148,4 @@ def discretise(
     parts = reduce(structure, scheme, wanted)
     rows, columns = elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
-    return DiscreteEquations(system, scheme, plain, derive_jet(plain), h, rows, columns, parts)
+    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts)

@@ -5,8 +5,9 @@ solved one by one:
 
 - :class:`Coupled`: all increments X_1..X_d are unknowns.
 - :class:`Separable` (M constant, L = T(v) - V(q)): with the stiffness matrix
-  S_km = sum_i b_i B_ik B_im the rows are D_k L_d = sum_m S_km M X_m / h + h sum_i b_i A_ik L_q(q_i),
-  and if no row contains a force that depends on X_d, this one is eliminated.
+  S_km = sum_i b_i B_ik B_im the rows are
+  D_k L_d = sum_m S_km M X_m / h + h sum_i b_i A_ik L_q(q_i), and if no row contains a force that
+  depends on X_d, this one is no unknown.
 - :class:`Routh`: cyclic coordinates y are eliminated by their momenta. D_k L_d = 0 for y says that
   p_y = L_vy(q_i) against all polynomials of degree d - 1, so that
   L_vy(q_i) = p_y + sum_r C_ri / b_i lambda_r, where the rows of C annihilate these polynomials at
@@ -68,8 +69,9 @@ class Separable:
 class Routh:
     """Coordinates, and cyclic ones that are eliminated by their momenta.
 
-    The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is C. The multipliers are written in the basis in which the mass matrix of the
-    cyclic coordinates is diagonal at node ``reference``.
+    The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is
+    C. The multipliers are written in the basis in which the mass matrix of the cyclic coordinates
+    is diagonal at node ``reference``.
     """
 
     coordinates: tuple[int, ...]
@@ -106,10 +108,7 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
     """
     if isinstance(exploit, str):
         exploit = EXPLOITABLE if exploit == "all" else (exploit,)
-    try:
-        wanted = tuple(exploit)
-    except TypeError:
-        wanted = (exploit,)
+    wanted = tuple(exploit) if isinstance(exploit, Iterable) else (exploit,)
     for name in wanted:
         if name not in EXPLOITABLE:
             choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
@@ -150,9 +149,7 @@ def _joined(subsystems: Sequence[Subsystem]) -> Subsystem:
     )
 
 
-def _part(
-    subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset[str]
-) -> Part:
+def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset[str]) -> Part:
     coordinates = subsystem.coordinates
     if subsystem.linear and "linear" in exploit:
         shears = shear_factors(scheme)

@@ -25,7 +25,7 @@ TOO_LONG = 400
 
 def vanishes(expression: sp.Expr) -> bool | None:
     """Tell whether an expression is zero for all values of its symbols; None if undecided."""
-    if expression.is_zero or not expression.free_symbols and sp.expand(expression) == 0:
+    if expression.is_zero or (not expression.free_symbols and sp.expand(expression) == 0):
         return True
     for sample in SAMPLES:
         value = _sample(expression, sample)

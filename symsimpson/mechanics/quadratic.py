@@ -91,7 +91,7 @@ def check_mass_matrix(
         With the coordinate that has no mass, where there is one.
     """
     blocks = _blocks(mass)
-    for (i, *others) in blocks:
+    for i, *others in blocks:
         if not others and sp.expand(mass[i, i]) == 0:
             velocity = spell(back[v[i]])
             name = spell(back[q[i]])

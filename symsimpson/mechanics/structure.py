@@ -87,12 +87,12 @@ class Structure:
     system: MechanicalSystem = field(repr=False, compare=False)
 
     def __str__(self) -> str:
-        from symsimpson.mechanics.report import as_text
+        from symsimpson.report import as_text
 
         return as_text(self)
 
     def _repr_html_(self) -> str:
-        from symsimpson.mechanics.report import as_html
+        from symsimpson.report import as_html
 
         return as_html(self)
 
@@ -130,9 +130,7 @@ def analyse(system: MechanicalSystem) -> Structure:
         f"whether {what} depends on {names[q.index(x)]}" for what, x in simplify.open_questions
     }
     places = {(max(i, j), min(i, j)) for i, j in entries}
-    derivatives = sum(
-        (1 + (i != j)) * len(entries[i, j].free_symbols & set(q)) for i, j in places
-    )
+    derivatives = sum((1 + (i != j)) * len(entries[i, j].free_symbols & set(q)) for i, j in places)
     hessian = sum(1 + (i != j) for i, j in terms.pairs(q))
     return Structure(
         n=n,
@@ -261,5 +259,3 @@ def _angle(plain: Plain, x: sp.Symbol) -> bool:
 
     entries: list[sp.Expr] = [*plain.mass.todok().values(), *plain.gyroscopic, plain.potential]
     return all(answer for entry in entries for answer in walk(entry))
-
-

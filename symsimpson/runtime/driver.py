@@ -11,6 +11,9 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+#: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
+#: time of a small step). This text is compiled with other numbers too.
+LANES = 1
 # addresses of kernels
 PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
@@ -27,7 +30,7 @@ MOST_ITERATIONS = 40
 NEGLIGIBLE = 2.0**-51
 #: From here on, in relative size squared, corrections shrink quadratically.
 SMALL = 1e-2
-#: By what the ratio is raised in each step, up to 1, until it is seen again.
+#: By what the ratio is raised in each step, until it is 1 or seen again.
 FADING = 1.05
 #: Corrections that stop shrinking below this relative size, squared, are round-off.
 STAGNATION = 1e-20
@@ -41,6 +44,8 @@ PIECES = 16
 
 
 OPTIONS = {"nogil": True, "error_model": "numpy"}
+#: For what is called in each step: a call costs reference counts of its arrays.
+INLINE = {"inline": "always", **OPTIONS}
 KERNELS, PLACES, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 NUMBERS, STATES, COUNTS = types.float64[::1], types.float64[:, :, ::1], types.int64[:, ::1]
 #: What is called from Python, each compiled by itself when it is first needed.
@@ -53,14 +58,6 @@ SIGNATURES = {
     ),
     "mend": types.void(
         KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64,
-    ),
-    "march": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1], types.int64,
-        types.int64, STATES, STATES, COUNTS,
-    ),
-    "evaluate": types.void(
-        types.int64, types.int64, types.float64, WORKSPACE, PLACES, types.float64[:, :],
-        types.float64[:, :], types.int64, WORKSPACE,
     ),
 }  # fmt: skip
 
@@ -82,6 +79,15 @@ def call(typing_context, address, h, t, workspace):
 
 
 @njit(**OPTIONS)
+def give_up(W, at):
+    """Mark the lanes that have not converged."""
+    for lane in range(LANES):
+        if W[at[ACTIVE], lane] > 0.0:
+            W[at[ACTIVE], lane] = -NOT_CONVERGED
+    return NOT_CONVERGED
+
+
+@njit(**INLINE)
 def solve(newton, h, t, W, at, relative):
     """Iterate until every active lane has converged; give 0, or the status of a lane that failed.
 
@@ -91,14 +97,13 @@ def solve(newton, h, t, W, at, relative):
     that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
     """
     worst = 0
-    lanes = W.shape[1]
+    lanes = LANES
     active, correction_row, increment_row = at[ACTIVE], at[CORRECTION], at[NORM]
     contraction, iterations = at[CONTRACTION], at[ITERATIONS]
     for lane in range(lanes):
         relative[lane] = np.inf
-        if W[active, lane] > 0.0:  # trust fades, so that now and then it is measured anew
-            known = W[contraction, lane]
-            W[contraction, lane] = max(known, min(1.0, FADING * known))
+        if W[contraction, lane] < 1.0:  # trust fades, so that now and then it is measured anew
+            W[contraction, lane] *= FADING
     for _ in range(MOST_ITERATIONS):
         call(newton, h, t, W)
         busy = 0
@@ -128,14 +133,10 @@ def solve(newton, h, t, W, at, relative):
                 busy += 1
         if busy == 0:
             return worst
-    for lane in range(lanes):
-        if W[active, lane] > 0.0:
-            W[active, lane] = -NOT_CONVERGED
-            worst = NOT_CONVERGED
-    return worst
+    return give_up(W, at)
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def keep(W, first, last, lane, copy):
     """Copy rows of a lane."""
     for row in range(first, last):
@@ -160,7 +161,7 @@ def step_back(W, at, lane):
 @njit(**OPTIONS)
 def activate_only(W, active, lane):
     """Let kernels work on one lane."""
-    for other in range(W.shape[1]):
+    for other in range(LANES):
         W[active, other] = 1.0 if other == lane else 0.0
 
 
@@ -181,7 +182,7 @@ def follow(kernels, h, t, W, at, relative, lane):
     The state of the lane must be that at the start of the step. Only its increments change.
     """
     first, last = at[INCREMENT], at[STATE_END]
-    rows, lanes = W.shape
+    rows, lanes = W.shape[0], LANES
     unknowns = last - first
     whole = np.empty((rows, lanes))
     for other in range(lanes):
@@ -225,7 +226,7 @@ def follow(kernels, h, t, W, at, relative, lane):
     return status
 
 
-@njit(**OPTIONS)
+@njit(**INLINE)
 def suspicious(W, at, lane):
     """Tell whether a lane's solution may not be the one that smaller steps lead to.
 
@@ -242,7 +243,7 @@ def suspicious(W, at, lane):
 def verify(kernels, h, t, W, at, relative, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
-    rows, lanes = W.shape
+    rows, lanes = W.shape[0], LANES
     increments = np.empty((last - first, lanes))
     keep(W, at[SOLVED], at[SOLVED] + last - first, lane, increments)
     after = np.empty((rows, lanes))
@@ -283,7 +284,7 @@ def mend(kernels, h, t, W, at, relative, event):
     ``relative`` is as ``run`` left it.
     """
     first, last = at[INCREMENT], at[STATE_END]
-    lanes = W.shape[1]
+    lanes = LANES
     if event == FAILED:
         for lane in range(lanes):
             failure = -W[at[ACTIVE], lane]
@@ -304,7 +305,7 @@ def mend(kernels, h, t, W, at, relative, event):
 @njit(**OPTIONS)
 def begin(kernels, legendre, h, t, W, at):
     """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
-    for lane in range(W.shape[1]):
+    for lane in range(LANES):
         W[at[ACTIVE], lane] = 1.0
         W[at[STATUS], lane] = 0.0
         W[at[CONTRACTION], lane] = 1.0
@@ -320,13 +321,13 @@ def begin(kernels, legendre, h, t, W, at):
 def switch(kernels, h, t, W, at):
     """Go on with other kernels of the same layout, from the state and the predicted increments."""
     first, last = at[INCREMENT], at[STATE_END]
-    increments = np.empty((last - first, W.shape[1]))
-    for lane in range(W.shape[1]):
+    increments = np.empty((last - first, LANES))
+    for lane in range(LANES):
         keep(W, first, last, lane, increments)
         W[at[STATUS], lane] = 0.0
     call(kernels[PREPARE], h, t, W)
     call(kernels[START], h, t, W)
-    for lane in range(W.shape[1]):
+    for lane in range(LANES):
         put_back(W, first, last, lane, increments)
         put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
 
@@ -341,7 +342,7 @@ def run(
     other than 0 is not touched. At an event the step is not finished: ``mend`` does that, and
     ``run`` goes on. ``relative`` is scratch for a number a lane.
     """
-    lanes = W.shape[1]
+    lanes = LANES
     position, momentum = at[POSITION], at[MOMENTUM]
     active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[NORM]
     step, mended = progress[0], progress[1] != 0
@@ -383,78 +384,3 @@ def run(
                     iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
                     W[at[ITERATIONS], lane] = 0.0
     progress[0] = step
-
-
-@njit(**OPTIONS)
-def finite(W, first, last, lane):
-    """Tell whether rows of a lane are finite."""
-    for row in range(first, last):
-        if not abs(W[row, lane]) < np.inf:
-            return False
-    return True
-
-
-@njit(**OPTIONS)
-def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
-    """Take steps that need no iteration, all up to the next state to store in one call.
-
-    Arguments are as for ``run``. A lane whose state would not be finite stops before that step.
-    """
-    n, lanes = at[DIMENSION], W.shape[1]
-    position, momentum, status = at[POSITION], at[MOMENTUM], at[STATUS]
-    state_end = position + 4 * n
-    before = np.empty((4 * n, lanes))
-    step = progress[0]
-    single = 0
-    while step < stop:
-        count = stop - step if every == 0 else min(stop - step, every - step % every)
-        count = 1 if single > 0 else count
-        alive = 0
-        for lane in range(lanes):
-            keep(W, position, state_end, lane, before)
-            W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            W[at[COUNT], lane] = count
-            alive += W[status, lane] == 0.0
-        if alive == 0:
-            break
-        call(kernels[ADVANCE], h, t0 + h * step, W)
-        lost = 0
-        for lane in range(lanes):
-            if W[status, lane] == 0.0 and not finite(W, position, state_end, lane):
-                lost += 1
-        if lost > 0:
-            for lane in range(lanes):
-                if count == 1 and finite(W, position, state_end, lane):
-                    continue
-                put_back(W, position, state_end, lane, before)
-                if count == 1 and W[status, lane] == 0.0:
-                    W[status, lane] = NOT_FINITE
-            if count > 1:  # take these steps again, one by one
-                single = count
-                call(kernels[START], h, t0 + h * step, W)
-                continue
-        step += count
-        single -= 1
-        if every != 0 and step % every == 0:
-            place = step // every
-            for lane in range(lanes):
-                if W[status, lane] == 0.0:
-                    for a in range(n):
-                        q_out[place, a, lane] = W[position + a, lane]
-                        p_out[place, a, lane] = W[momentum + a, lane]
-                    iterations_out[place, lane] = 0
-    progress[0] = step
-
-
-@njit(**OPTIONS)
-def evaluate(prepare, kernel, h, W, at, q, p, block, out):
-    """Evaluate a kernel that maps (q, p) to the rows of a block, for each of many states."""
-    n = at[DIMENSION]
-    call(prepare, h, 0.0, W)
-    for i in range(q.shape[0]):
-        for a in range(n):
-            W[at[POSITION] + a, 0] = q[i, a]
-            W[at[MOMENTUM] + a, 0] = p[i, a]
-        call(kernel, h, 0.0, W)
-        for k in range(out.shape[1]):
-            out[i, k] = W[block + k, 0]

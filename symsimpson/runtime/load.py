@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import StaleKernelError
 from symsimpson.runtime.cache import compiled
 
-__all__ = ["INTERFACE", "Facts", "Kernels", "read_facts"]
+__all__ = ["INTERFACE", "Facts", "Kernels", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
 INTERFACE = 2
@@ -43,6 +43,7 @@ class Facts:
     rows: int
     row_order: tuple[int, ...]
     column_order: tuple[int, ...]
+    coordinate_order: tuple[int, ...]
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -65,6 +66,25 @@ class Facts:
         return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
 
 
+def equations_of(facts: Facts, run: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
+
+    Rows are those of the module; columns are brought into the order X_1..X_d.
+    """
+    at, n, d = facts.layout, facts.n, facts.degree
+    place = np.argsort(facts.coordinate_order)
+    unknown = (
+        np.arange(d)[:, None] * at["EQUATION_ROW_STEP"] + place * at["EQUATION_PLACE_STEP"]
+    ).ravel()
+    residual = run.rows("RESIDUAL", d * n)[unknown].reshape(d, n)
+    near = np.abs(place[:, None] - place) <= at["BAND"]
+    inside = np.tile(near, (d, d))
+    entries = unknown[:, None] * at["EQUATION_STRIDE"] + at["EQUATION_OFFSET"] + unknown
+    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
+    jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
+    return residual, jacobian[:, :, [facts.column_order.index(k) for k in range(1, d + 1)]]
+
+
 def read_facts(text: str, where: str) -> Facts:
     """Read the constants of a generated module from its syntax tree.
 
@@ -78,8 +98,11 @@ def read_facts(text: str, where: str) -> Facts:
     functions: list[str] = []
     for node in ast.parse(text).body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            value = node.value
+            if isinstance(value, ast.Call) and value.args:  # array((...))
+                value = value.args[0]
             try:
-                constants[node.targets[0].id] = ast.literal_eval(node.value)
+                constants[node.targets[0].id] = ast.literal_eval(value)
             except ValueError:
                 continue
         elif isinstance(node, ast.FunctionDef):
@@ -92,9 +115,11 @@ def read_facts(text: str, where: str) -> Facts:
         )
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
-        "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS", "coordinates": "COORDINATES", "parameters": "PARAMETERS",
+        "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
+        "coordinates": "COORDINATES", "parameters": "PARAMETERS",
         "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
+        "coordinate_order": "COORDINATE",
     }  # fmt: skip
     blocks = {
         name: value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 from functools import cache
@@ -27,9 +28,13 @@ ROBUST_STRETCH = 64
 
 
 @cache
-def driver(name: str) -> Callable[..., Any]:
-    """Give a function of the driver, compiled by itself."""
-    text = resources.files("symsimpson.runtime").joinpath("driver.py").read_text("utf-8")
+def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
+    """Give a function of the driver for a number of lanes, compiled by itself."""
+    folder = resources.files("symsimpson.runtime")
+    parts = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in ("driver", "march")]
+    parts[1] = re.sub(r"^from symsimpson.*?\n\)\n", "", parts[1], flags=re.DOTALL | re.MULTILINE)
+    text = "\n\n".join(parts)
+    text = text.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
 
     def build(module: ModuleType) -> Callable[..., Any]:
         from numba import njit

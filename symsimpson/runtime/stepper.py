@@ -17,7 +17,7 @@ from symsimpson.runtime.inputs import (
     read_steps,
     read_vector,
 )
-from symsimpson.runtime.load import Facts, Kernels, read_facts
+from symsimpson.runtime.load import Facts, Kernels, equations_of, read_facts
 from symsimpson.runtime.machine import Run, driver
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
@@ -233,11 +233,8 @@ class Stepper:
             prepare, equations, h, run.W, facts.places, q[None, :], p[None, :],
             layout["RESIDUAL"], np.empty((1, 0)),
         )  # fmt: skip
-        residual = run.rows("RESIDUAL", d * n).reshape(d, n)
-        jacobian = run.rows("JACOBIAN", (d * n) ** 2).reshape(d, n, d, n)
-        # the rows of q0 come last already; columns go back from the order of elimination
-        columns = [facts.column_order.index(k) for k in range(1, d + 1)]
-        return residual.ravel().copy(), jacobian[:, :, columns].reshape(d * n, d * n).copy()
+        residual, jacobian = equations_of(facts, run)
+        return residual.ravel(), jacobian.reshape(d * n, d * n)
 
     def _values(self, given: Parameters | None) -> Floats:
         facts = self._facts

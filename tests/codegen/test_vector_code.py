@@ -49,9 +49,9 @@ def test_lanes_do_not_know_of_each_other():
         W = new_workspace(module, q, p, [1.0, 1.0, length, length, 9.81])
         at = stepper._facts.places
         stored = np.empty((1, 2, 8))
-        driver("begin")(addresses, 0, 0.02, 0.0, W, at)
+        driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(2, dtype=np.int64)
-        driver("run")(addresses, 0.02, 0.0, W, at, np.empty(8), progress, 200, 0, stored,
+        driver("run", 8)(addresses, 0.02, 0.0, W, at, np.empty(8), progress, 200, 0, stored,
                       stored.copy(), np.zeros((1, 8), dtype=np.int64))  # fmt: skip
         assert progress.tolist() == [200, 0]
         return W[module.POSITION : module.POSITION + 4]

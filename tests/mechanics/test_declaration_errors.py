@@ -116,17 +116,3 @@ def test_a_system_is_frozen_and_known_by_its_equations():
     assert system.digest != declare(potential=V**2).digest
     assert (system.n, system.mass_matrix[0, 0]) == (1, m)
     assert sp.simplify(system.lagrangian - (T - V)) == 0
-
-
-def test_structure_is_exact():
-    system = ss.systems.lagrange_top()
-    found = system.structure
-    assert found.cyclic == ("phi", "psi")
-    assert not found.constant_mass
-    assert found.zeros["L_q"] == (2, 3)
-    assert "phi, psi" in str(found)
-    assert "<table>" in found._repr_html_()
-    flat = ss.systems.henon_heiles().structure
-    assert flat.constant_mass
-    assert flat.diagonal_mass
-    assert flat.zeros["L_qv"] == (4, 4)

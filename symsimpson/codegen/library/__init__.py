@@ -1,0 +1,31 @@
+"""Functions that emitted modules carry along, written once as ordinary Python.
+
+The emitter copies their text. The names that a file declares are constants of the emitted module:
+the blocks of the workspace and the scheme's tables. Nothing here but this reader runs in the
+package itself.
+"""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from importlib import resources
+
+__all__ = ["library_sources"]
+
+#: The files, in the order in which their functions stand in a module.
+FILES = ("sincos", "path", "clear", "assemble", "solve", "mass", "close")
+
+
+@cache
+def library_sources() -> dict[str, str]:
+    """Give the text of each function, by name."""
+    found: dict[str, str] = {}
+    for file in FILES:
+        text = resources.files(__name__).joinpath(f"{file}.py").read_text("utf-8")
+        lines = text.splitlines()
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.FunctionDef):
+                first = node.decorator_list[0].lineno - 1
+                found[node.name] = "\n".join(lines[first : node.end_lineno])
+    return found

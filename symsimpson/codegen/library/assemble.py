@@ -1,0 +1,107 @@
+"""Residual and Jacobian from what the nodes contribute."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+
+DIMENSION: int
+DEGREE: int
+MOMENTUM: int
+INCREMENT: int
+NODE_L_Q: int
+NODE_L_V: int
+NODE_L_QQ: int
+NODE_L_QV: int
+NODE_L_VV: int
+MASS: int
+BLOCKS: int
+BAND: int
+NODE_STRIDE: int
+NODE_OFFSET: int
+EQUATION_ROW_STEP: int
+EQUATION_PLACE_STEP: int
+EQUATION_STRIDE: int
+EQUATION_OFFSET: int
+SOLVE_ROW_STEP: int
+SOLVE_PLACE_STEP: int
+SOLVE_STRIDE: int
+SOLVE_OFFSET: int
+COORDINATE: tuple[int, ...]
+SOLVE_COLUMNS: tuple[int, ...]
+TEST_START: tuple[float, ...]
+TEST_STIFFNESS: tuple[tuple[float, ...], ...]
+TEST_FORCE: tuple[tuple[float, ...], ...]
+RESIDUAL: int
+JACOBIAN: int
+ROW_ORDER: tuple[int, ...]
+COLUMN_ORDER: tuple[int, ...]
+WEIGHTS: tuple[float, ...]
+BASIS: tuple[tuple[float, ...], ...]
+BASIS_SLOPE: tuple[tuple[float, ...], ...]
+
+
+@compiled
+def assemble(W, h, node, lane):
+    """Add a node's part to D_k L_d and to D_k D_m L_d."""
+    for row in range(DEGREE):
+        k = ROW_ORDER[row]
+        weight_q = h * WEIGHTS[node] * BASIS[node][k]
+        weight_v = WEIGHTS[node] * BASIS_SLOPE[node][k]
+        for a in range(DIMENSION):
+            i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
+            W[RESIDUAL + i, lane] += (
+                weight_q * W[NODE_L_Q + a, lane] + weight_v * W[NODE_L_V + a, lane]
+            )
+            for column in range(DEGREE):
+                m = COLUMN_ORDER[column]
+                weight_qq = weight_q * BASIS[node][m]
+                weight_qv = WEIGHTS[node] * BASIS[node][k] * BASIS_SLOPE[node][m]
+                weight_vq = weight_v * BASIS[node][m]
+                weight_vv = weight_v * BASIS_SLOPE[node][m] / h
+                entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
+                entry += column * EQUATION_ROW_STEP
+                for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
+                    ab = a * NODE_STRIDE + b + NODE_OFFSET
+                    ba = b * NODE_STRIDE + a + NODE_OFFSET
+                    W[entry + b * EQUATION_PLACE_STEP, lane] += (
+                        weight_qq * W[NODE_L_QQ + ab, lane]
+                        + weight_qv * W[NODE_L_QV + ab, lane]
+                        + weight_vq * W[NODE_L_QV + ba, lane]
+                        + weight_vv * W[NODE_L_VV + ab, lane]
+                    )
+
+
+@compiled
+def inertia(W, h, lane):
+    """Begin the rows of a constant M: S M X / h, and p0 where a row contains it."""
+    for row in range(BLOCKS):
+        for s in range(DIMENSION):
+            i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
+            value = TEST_START[row] * W[MOMENTUM + COORDINATE[s], lane]
+            for column in range(BLOCKS):
+                stiffness = TEST_STIFFNESS[row][column] / h
+                increment = INCREMENT + (SOLVE_COLUMNS[column] - 1) * DIMENSION
+                entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
+                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                    mass = stiffness * W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+                    value += mass * W[increment + COORDINATE[b], lane]
+                    W[entry + b * SOLVE_PLACE_STEP, lane] = mass
+            W[RESIDUAL + i, lane] = value
+
+
+@compiled
+def assemble_forces(W, h, node, lane):
+    """Add the forces at a node and their derivatives to these rows."""
+    for row in range(BLOCKS):
+        weight = h * TEST_FORCE[node][row]
+        for s in range(DIMENSION):
+            i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
+            W[RESIDUAL + i, lane] += weight * W[NODE_L_Q + s, lane]
+            for column in range(BLOCKS):
+                slope = weight * BASIS[node][SOLVE_COLUMNS[column]]
+                entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
+                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                    W[entry + b * SOLVE_PLACE_STEP, lane] += (
+                        slope * W[NODE_L_QQ + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+                    )

@@ -1,0 +1,76 @@
+"""Sums begin with zero."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+DIMENSION: int
+DEGREE: int
+MOMENTUM: int
+NODE_L_Q: int
+NODE_L_V: int
+NODE_L_QQ: int
+NODE_L_QV: int
+NODE_L_VV: int
+MASS: int
+EQUATION_ROW_STEP: int
+EQUATION_PLACE_STEP: int
+COORDINATE: tuple[int, ...]
+RESIDUAL: int
+JACOBIAN: int
+ROW_ORDER: tuple[int, ...]
+
+
+@compiled
+def clear_gradient(W, lane):
+    """Begin the sum over the terms of L that makes L_q."""
+    for s in range(DIMENSION):
+        W[NODE_L_Q + s, lane] = real(0)
+
+
+@compiled
+def clear_hessian(W, lane):
+    """Begin the sum over the terms of L that makes L_qq."""
+    for entry in range(NODE_L_QV - NODE_L_QQ):
+        W[NODE_L_QQ + entry, lane] = real(0)
+
+
+@compiled
+def clear_mass(W, lane):
+    """Begin the sums over the terms of L that make L_v or a, and L_vv = M."""
+    for s in range(DIMENSION):
+        W[NODE_L_V + s, lane] = real(0)
+    for entry in range(MASS - NODE_L_VV):
+        W[NODE_L_VV + entry, lane] = real(0)
+
+
+@compiled
+def clear_mixed(W, lane):
+    """Begin the sum over the terms of L that makes L_qv."""
+    for entry in range(NODE_L_VV - NODE_L_QV):
+        W[NODE_L_QV + entry, lane] = real(0)
+
+
+@compiled
+def clear_matrix(W, lane, entries):
+    """Begin the sum over nodes that makes a Jacobian."""
+    for entry in range(entries):
+        W[JACOBIAN + entry, lane] = real(0)
+
+
+@compiled
+def clear_residual(W, lane):
+    """Residual p0 in the rows of q0, zero elsewhere."""
+    for row in range(DEGREE):
+        for s in range(DIMENSION):
+            start = W[MOMENTUM + COORDINATE[s], lane] if ROW_ORDER[row] == 0 else real(0)
+            W[RESIDUAL + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] = start
+
+
+@compiled
+def clear_momentum(W, lane):
+    """Begin the sum that makes p1 - p0."""
+    for a in range(DIMENSION):
+        W[RESIDUAL + a, lane] = real(0)

@@ -1,0 +1,88 @@
+"""The end of a step."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+solve_mass: Callable[..., Any]
+
+DIMENSION: int
+DEGREE: int
+UNKNOWNS: int
+POSITION: int
+POSITION_LOW: int
+MOMENTUM: int
+MOMENTUM_LOW: int
+INCREMENT: int
+VELOCITY: int
+NODE_VELOCITY: int
+NODE_L_Q: int
+METRIC: int
+COORDINATE: tuple[int, ...]
+LAST_START: float
+LAST_SCALE: float
+LAST_FORCE: tuple[float, ...]
+LAST_INCREMENT: tuple[float, ...]
+RESIDUAL: int
+SURPRISE_SQUARED: int
+PREDICTED: int
+PREVIOUS: int
+SOLVED: int
+WEIGHTS: tuple[float, ...]
+
+
+@compiled
+def accumulate(W, h, node, lane):
+    """Add a node's part to p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+    for s in range(DIMENSION):
+        W[RESIDUAL + COORDINATE[s], lane] += h * WEIGHTS[node] * W[NODE_L_Q + s, lane]
+
+
+@compiled
+def accumulate_last(W, h, node, lane):
+    """Add the forces at a node to the row that gives the end of the path."""
+    for s in range(DIMENSION):
+        W[RESIDUAL + COORDINATE[s], lane] += h * LAST_FORCE[node] * W[NODE_L_Q + s, lane]
+
+
+@compiled
+def end_path(W, h, lane):
+    """Find X_d from its row: a velocity, and what the other increments add."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + LAST_START * W[MOMENTUM + a, lane]
+    solve_mass(W, lane)
+    for a in range(DIMENSION):
+        value = LAST_SCALE * h * W[VELOCITY + a, lane]
+        for m in range(DEGREE - 1):
+            value += LAST_INCREMENT[m] * W[INCREMENT + m * DIMENSION + a, lane]
+        W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] = value
+
+
+@compiled
+def close_step(W, lane):
+    """Add the increments to q and p, with what rounding lost carried along."""
+    for row in range(4 * DIMENSION):
+        W[PREVIOUS + row, lane] = W[POSITION + row, lane]
+    for row in range(UNKNOWNS):
+        W[PREVIOUS + 4 * DIMENSION + row, lane] = W[PREDICTED + row, lane]
+        W[SOLVED + row, lane] = W[INCREMENT + row, lane]
+    surprise_squared = real(0)
+    for a in range(DIMENSION):
+        for row in range(a, UNKNOWNS, DIMENSION):
+            surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
+            surprise_squared += W[METRIC + a, lane] * surprise**2
+        increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
+        old = W[POSITION + a, lane]
+        new = old + increment
+        taken = new - old
+        W[POSITION + a, lane] = new
+        W[POSITION_LOW + a, lane] = (old - (new - taken)) + (increment - taken)
+        increment = W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane]
+        old = W[MOMENTUM + a, lane]
+        new = old + increment
+        taken = new - old
+        W[MOMENTUM + a, lane] = new
+        W[MOMENTUM_LOW + a, lane] = (old - (new - taken)) + (increment - taken)
+    W[SURPRISE_SQUARED, lane] = surprise_squared

@@ -1,0 +1,80 @@
+"""The polynomial path of a step, and where its nodes are."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+DIMENSION: int
+DEGREE: int
+UNKNOWNS: int
+POSITION: int
+INCREMENT: int
+VELOCITY: int
+NODE_POSITION: int
+NODE_VELOCITY: int
+METRIC: int
+COORDINATE: tuple[int, ...]
+RESIDUAL: int
+MISMATCH_SQUARED: int
+PREDICTED: int
+POINTS: tuple[float, ...]
+BASIS: tuple[tuple[float, ...], ...]
+BASIS_SLOPE: tuple[tuple[float, ...], ...]
+EXTRAPOLATION: tuple[tuple[float, ...], ...]
+END_SLOPE: tuple[float, ...]
+START_SLOPE: tuple[float, ...]
+
+
+@compiled
+def path(W, h, node, lane):
+    """Position and velocity of the path at a node."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        q = real(0)
+        v = real(0)
+        for k in range(DEGREE):
+            increment = W[INCREMENT + k * DIMENSION + a, lane]
+            q += BASIS[node][k + 1] * increment
+            v += BASIS_SLOPE[node][k + 1] * increment
+        W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + q
+        W[NODE_VELOCITY + s, lane] = v / h
+
+
+@compiled
+def path_start(W, lane):
+    """Position and velocity at the start of the path."""
+    for s in range(DIMENSION):
+        W[NODE_POSITION + s, lane] = W[POSITION + COORDINATE[s], lane]
+        W[NODE_VELOCITY + s, lane] = W[VELOCITY + COORDINATE[s], lane]
+
+
+@compiled
+def straight(W, h, lane):
+    """Increments of a path with the constant velocity v."""
+    for k in range(DEGREE):
+        for a in range(DIMENSION):
+            increment = POINTS[k + 1] * h * W[VELOCITY + a, lane]
+            W[INCREMENT + k * DIMENSION + a, lane] = increment
+            W[PREDICTED + k * DIMENSION + a, lane] = increment
+
+
+@compiled
+def predict(W, h, lane):
+    """Extrapolate the last path, bent to leave the new point with its velocity v."""
+    mismatch_squared = real(0)
+    for a in range(DIMENSION):
+        mismatch = h * W[VELOCITY + a, lane]
+        for j in range(DEGREE):
+            mismatch -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
+        mismatch_squared += W[METRIC + a, lane] * mismatch**2
+        for k in range(DEGREE):
+            increment = START_SLOPE[k] * mismatch
+            for j in range(DEGREE):
+                increment += EXTRAPOLATION[k][j] * W[INCREMENT + j * DIMENSION + a, lane]
+            W[RESIDUAL + k * DIMENSION + a, lane] = increment
+    for row in range(UNKNOWNS):
+        W[INCREMENT + row, lane] = W[RESIDUAL + row, lane]
+        W[PREDICTED + row, lane] = W[RESIDUAL + row, lane]
+    W[MISMATCH_SQUARED, lane] = mismatch_squared

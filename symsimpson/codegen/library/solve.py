@@ -1,0 +1,82 @@
+"""Newton corrections."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+DIMENSION: int
+NEWTON_UNKNOWNS: int
+INCREMENT: int
+METRIC: int
+BLOCKS: int
+SOLVE_ROW_STEP: int
+SOLVE_PLACE_STEP: int
+SOLVE_STRIDE: int
+SOLVE_OFFSET: int
+SOLVE_LOWER: int
+SOLVE_UPPER: int
+COORDINATE: tuple[int, ...]
+SOLVE_COLUMNS: tuple[int, ...]
+RESIDUAL: int
+JACOBIAN: int
+CORRECTION_SQUARED: int
+INCREMENT_SQUARED: int
+
+
+@compiled
+def solve_pivoted(W, lane):
+    """Solve J x = R in place by Gaussian elimination with row pivoting; x takes the place of R."""
+    for k in range(NEWTON_UNKNOWNS):
+        last = min(NEWTON_UNKNOWNS, k + SOLVE_LOWER + 1)
+        end = min(NEWTON_UNKNOWNS, k + SOLVE_UPPER + 1)
+        row_k = JACOBIAN + k * SOLVE_STRIDE + SOLVE_OFFSET
+        pivot = k
+        largest = abs(W[row_k + k, lane])
+        for i in range(k + 1, last):
+            here = abs(W[JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + k, lane])
+            if here > largest:
+                largest = here
+                pivot = i
+        if pivot != k:
+            row_pivot = JACOBIAN + pivot * SOLVE_STRIDE + SOLVE_OFFSET
+            for j in range(k, end):
+                swap = W[row_k + j, lane]
+                W[row_k + j, lane] = W[row_pivot + j, lane]
+                W[row_pivot + j, lane] = swap
+            swap = W[RESIDUAL + k, lane]
+            W[RESIDUAL + k, lane] = W[RESIDUAL + pivot, lane]
+            W[RESIDUAL + pivot, lane] = swap
+        inverse = 1 / W[row_k + k, lane]
+        for i in range(k + 1, last):
+            row_i = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET
+            factor = W[row_i + k, lane] * inverse
+            for j in range(k + 1, end):
+                W[row_i + j, lane] -= factor * W[row_k + j, lane]
+            W[RESIDUAL + i, lane] -= factor * W[RESIDUAL + k, lane]
+    for back in range(NEWTON_UNKNOWNS):
+        k = NEWTON_UNKNOWNS - 1 - back
+        row_k = JACOBIAN + k * SOLVE_STRIDE + SOLVE_OFFSET
+        x = W[RESIDUAL + k, lane]
+        for j in range(k + 1, min(NEWTON_UNKNOWNS, k + SOLVE_UPPER + 1)):
+            x -= W[row_k + j, lane] * W[RESIDUAL + j, lane]
+        W[RESIDUAL + k, lane] = x / W[row_k + k, lane]
+
+
+@compiled
+def update_increments(W, lane):
+    """Apply the Newton correction and measure it and the increments in the metric of M(q0)."""
+    correction_squared = real(0)
+    increment_squared = real(0)
+    for row in range(BLOCKS):
+        first = INCREMENT + (SOLVE_COLUMNS[row] - 1) * DIMENSION
+        for s in range(DIMENSION):
+            a = COORDINATE[s]
+            correction = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
+            increment = W[first + a, lane] + correction
+            W[first + a, lane] = increment
+            correction_squared += W[METRIC + a, lane] * correction**2
+            increment_squared += W[METRIC + a, lane] * increment**2
+    W[CORRECTION_SQUARED, lane] = correction_squared
+    W[INCREMENT_SQUARED, lane] = increment_squared

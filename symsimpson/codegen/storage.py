@@ -1,0 +1,74 @@
+"""How a system of equations stands in the workspace: dense, or a band along a chain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Storage"]
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Places of matrix entries of a large system.
+
+    Dense, unknown ``row * n + s`` belongs to coordinate s and block ``row`` (one for each control
+    point that is solved for). Banded, coordinates are taken in another order in which those that
+    meet in a term of L stand close; s is the place there, and the unknown is ``s * blocks + row``.
+    Elimination with row pivoting widens a band of half-width b to b below and 2 b above.
+
+    Attributes
+    ----------
+    order : tuple of int
+        The coordinate at each place.
+    band : int
+        Largest distance of two places whose coordinates meet; n - 1 if dense.
+    banded : bool
+    """
+
+    order: tuple[int, ...]
+    band: int
+    banded: bool
+
+    @classmethod
+    def dense(cls, n: int) -> Storage:
+        """Keep the order, and all entries."""
+        return cls(tuple(range(n)), n - 1, banded=False)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.order)
+
+    @property
+    def node_size(self) -> int:
+        """Rows of an n by n matrix."""
+        return self.n * (2 * self.band + 1) if self.banded else self.n**2
+
+    def size(self, blocks: int) -> int:
+        """Rows of a matrix of all unknowns."""
+        unknowns = self.n * blocks
+        return unknowns * (3 * self._half(blocks) + 1) if self.banded else unknowns**2
+
+    def node_constants(self) -> dict[str, object]:
+        """Give what loops over the entries of an n by n matrix must know."""
+        return {
+            "COORDINATE": self.order,
+            "BAND": self.band,
+            "NODE_STRIDE": 2 * self.band if self.banded else self.n,
+            "NODE_OFFSET": self.band if self.banded else 0,
+        }
+
+    def constants(self, prefix: str, blocks: int) -> dict[str, object]:
+        """Give what loops over the entries of a system of blocks times n unknowns must know."""
+        half, unknowns = self._half(blocks), self.n * blocks
+        return {
+            f"{prefix}_ROW_STEP": 1 if self.banded else self.n,
+            f"{prefix}_PLACE_STEP": blocks if self.banded else 1,
+            f"{prefix}_STRIDE": 3 * half if self.banded else unknowns,
+            f"{prefix}_OFFSET": half if self.banded else 0,
+            f"{prefix}_LOWER": half if self.banded else max(unknowns - 1, 0),
+            f"{prefix}_UPPER": 2 * half if self.banded else max(unknowns - 1, 0),
+        }
+
+    def _half(self, blocks: int) -> int:
+        return blocks * (self.band + 1) - 1
