@@ -44,3 +44,49 @@ def random_state(seed, n):
     q = [pick.randint(-80, 80) / 100 for _ in range(n)]
     v = [pick.randint(-80, 80) / 100 for _ in range(n)]
     return q, v
+
+
+def structured_system(seed):
+    """A random system with planted structure: cyclic coordinates, constant mass, linear or
+    decoupled parts, alone and together. Gives the system and what was planted."""
+    pick = random.Random(10_000 + seed)
+    m, k, w = sp.symbols("m k w", positive=True)
+    q, kinetic, potential, gyroscopic, planted = [], 0, 0, 0, set()
+    groups = pick.choice([1, 1, 1, 2])
+    for number in range(groups):
+        kind = pick.choice(["cyclic", "cyclic", "constant", "linear", "plain"])
+        x = list(ss.coordinates(" ".join(f"x{number}{i}" for i in range(pick.randint(1, 2)))))
+        y = []
+        v = [c.diff() for c in x]
+        planted.add(kind)
+        wave = [sp.Rational(pick.randint(1, 9), 10) * sp.cos(c + i) for i, c in enumerate(x)]
+        if kind == "cyclic":
+            y = list(ss.coordinates(" ".join(f"y{number}{i}" for i in range(pick.randint(1, 2)))))
+            u = [c.diff() for c in y]
+            kinetic += sum(m * z**2 for z in (*v, *u)) / 2
+            for z in u:  # sums of squares with couplings keep M positive definite
+                coupling = sum(c * b for c, b in zip(wave, v, strict=True))
+                kinetic += (z * pick.choice([1 + wave[0], sp.exp(wave[-1])]) + coupling) ** 2 / 2
+            if len(u) == 2:
+                kinetic += (u[0] + wave[0] * u[1]) ** 2 / 4
+            if pick.random() < 0.3:
+                gyroscopic += wave[0] * u[0] / 3
+            potential += sum(k * sp.cos(c) for c in x) + sum(x) ** 4 / 9
+        elif kind == "plain":
+            kinetic += sum(m * z**2 * (2 + a) for z, a in zip(v, wave, strict=True)) / 2
+            potential += sum(k * sp.sin(w * c) for c in x) + sum(x) ** 2 / 2
+        else:
+            kinetic += sum(m * z**2 for z in v) / 2 + m * sum(v) ** 2 / 5
+            potential += (
+                k * sum(x) ** 2 / 2 + sum((2 + i) * c**2 for i, c in enumerate(x)) - x[0] / 3
+            )
+            if kind == "constant":
+                potential += sum(sp.cos(w * c) for c in x) + sum(x) ** 4 / 20
+        q += x + y
+    order = list(range(len(q)))
+    pick.shuffle(order)
+    system = ss.MechanicalSystem(
+        f"structured_{seed}", coordinates=[q[i] for i in order], kinetic=sp.expand(kinetic),
+        potential=potential, gyroscopic=gyroscopic, parameters={m: 1.25, k: 0.5, w: 1.5},
+    )  # fmt: skip
+    return system, planted | ({"decoupled"} if groups > 1 else set())

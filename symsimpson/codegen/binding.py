@@ -20,7 +20,7 @@ __all__ = ["bind", "bind_complex", "bind_float", "bind_mpmath", "plain_arithmeti
 
 _MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    "exp", "log", "sqrt", "pi",
+    "exp", "log", "sqrt",
 )  # fmt: skip
 
 
@@ -61,6 +61,7 @@ def plain_arithmetic(
     """Give the names that a module takes from its arithmetic; one function may stand for all."""
     named = dict.fromkeys([*_MATH, "atan2"], functions) if callable(functions) else functions
     return {
+        "pi": math.pi,
         **named,
         "real": real,
         "array": np.array,
@@ -84,6 +85,7 @@ def bind_complex(source: str) -> SimpleNamespace:
 
 def bind_mpmath(source: str) -> SimpleNamespace:
     """Bind to mpmath at its present working precision, in which the kernels must be called too."""
-    functions: dict[str, Any] = {name: getattr(mpmath.mp, name) for name in [*_MATH, "atan2"]}
+    names = [*_MATH, "atan2", "pi"]
+    functions: dict[str, Any] = {name: getattr(mpmath.mp, name) for name in names}
     functions["sincos"] = lambda x: mpmath.mp.cos_sin(x)[::-1]
     return bind(source, plain_arithmetic(functions, mpmath.mpf))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
@@ -55,19 +55,20 @@ class LinearSolver:
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 after all shears but the last."""
-        q: Vector = {a: self._low.q[a] for a in self.coordinates}
+        low = self._low
+        q: Vector = {a: low.q[a] for a in self.coordinates}
         moved: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
         self._impulse = dict.fromkeys(self.coordinates, sp.S.Zero)
-        p: Vector = {a: self._low.p[a] for a in self.coordinates}
+        p: Vector = {a: low.p[a] for a in self.coordinates}
         for number, (is_kick, coefficients) in enumerate(self._shears[:-1]):
             if is_kick:
                 change = self._kick(number, coefficients, q)
                 self._add(self._impulse, change, f"kick_{number}")
-                p = self._moved(p, change, f"p_{number}")
+                p = self._moved(low.p, low.p_low, self._impulse, f"p_{number}")
             else:
                 change = self._drift(number, coefficients, p)
                 self._add(moved, change, f"drift_{number}")
-                q = self._moved(q, change, f"q_{number}")
+                q = self._moved(low.q, low.q_low, moved, f"q_{number}")
         return moved
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
@@ -83,8 +84,12 @@ class LinearSolver:
             named = self._define(f"{wish}_{self._low.names.coordinates[a]}", change[a])
             total[a] = total[a] + named
 
-    def _moved(self, old: Vector, change: Vector, wish: str) -> Vector:
-        return {a: self._define(f"{wish}_{a}", old[a] + change[a]) for a in self.coordinates}
+    def _moved(
+        self, old: Sequence[sp.Symbol], rest: Sequence[sp.Symbol], change: Vector, wish: str
+    ) -> Vector:
+        """Round the exact value: a shear by a function of that is symplectic, rounded or not."""
+        small = {a: self._define(f"{wish}_{a}_step", rest[a] + change[a]) for a in self.coordinates}
+        return {a: self._define(f"{wish}_{a}", old[a] + small[a]) for a in self.coordinates}
 
     def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
         return self._low.graph.define(wish, value, "shears")

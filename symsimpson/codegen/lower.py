@@ -162,7 +162,8 @@ class Lowering:
         if self.graph.levels[symbol] != Level.STEP:
             return symbol
         definition = self.graph.definitions[symbol]
-        replaced = {s: self.moved(s, to) for s in definition.value.free_symbols}
+        before = sorted(definition.value.free_symbols, key=str)  # the order of the lines
+        replaced = {s: self.moved(s, to) for s in before}
         value = definition.value.xreplace(replaced)
         if definition.is_sincos:
             wish = value.name if value.is_Symbol else f"angle_{symbol.name}_next"

@@ -131,7 +131,7 @@ def analyse(system: MechanicalSystem) -> Structure:
     }
     places = {(max(i, j), min(i, j)) for i, j in entries}
     derivatives = sum((1 + (i != j)) * len(entries[i, j].free_symbols & set(q)) for i, j in places)
-    hessian = sum(1 + (i != j) for i, j in terms.pairs(q))
+    hessian = sum(1 + (i != j) for i, j in terms.pairs(q) if terms.diff(q[i], q[j]) != 0)
     return Structure(
         n=n,
         constant_mass=all(s.constant_mass for s in subsystems),

@@ -8,15 +8,15 @@ import sympy as sp
 
 __all__ = ["Sum", "connected"]
 
-#: Factors in front of sums of more terms than this are multiplied out.
+#: Factors with ``variables`` in front of sums of more terms than this are multiplied out.
 LONG = 8
 
 
 class Sum:
     """The terms of an expression, found by the symbols that they contain.
 
-    Derivatives equal those of the expression; they only cost less. A factor in front of a long
-    sum that contains ``variables`` is multiplied out.
+    Derivatives equal those of the expression; they only cost less. A factor in front of a sum
+    that contains ``variables`` is multiplied out if it is free of them or the sum is long.
     """
 
     def __init__(self, expression: sp.Expr, variables: Iterable[sp.Symbol] = ()) -> None:
@@ -49,13 +49,11 @@ class Sum:
 
 def _split(expression: sp.Expr, variables: set[sp.Symbol]) -> Iterator[sp.Expr]:
     for term in sp.Add.make_args(expression):
-        sums = [
-            factor
-            for factor in (term.args if term.is_Mul else ())
-            if factor.is_Add and len(factor.args) > LONG and factor.free_symbols & variables
-        ]
+        factors = term.args if term.is_Mul else ()
+        moving = [factor for factor in factors if factor.free_symbols & variables]
+        sums = [f for f in moving if f.is_Add and (len(moving) == 1 or len(f.args) > LONG)]
         if len(sums) == 1:
-            rest = term.func(*(factor for factor in term.args if factor is not sums[0]))
+            rest = term.func(*(factor for factor in factors if factor is not sums[0]))
             for part in sums[0].args:
                 yield rest * part
         else:

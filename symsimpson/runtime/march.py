@@ -80,6 +80,7 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
             if W[status, lane] == 0.0 and not finite(W, position, state_end, lane):
                 lost += 1
         if lost > 0:
+            alive -= lost
             for lane in range(lanes):
                 if count == 1 and finite(W, position, state_end, lane):
                     continue
@@ -90,6 +91,8 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
                 single = count
                 call(kernels[START], h, t0 + h * step, W)
                 continue
+            if alive == 0:
+                break
         step += count
         single -= 1
         if every != 0 and step % every == 0:
