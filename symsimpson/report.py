@@ -7,14 +7,20 @@ import textwrap
 from collections.abc import Sequence
 
 from symsimpson.codegen.counting import Cost, cost
+from symsimpson.codegen.kernels import unrolled
 from symsimpson.codegen.pipeline import source
+from symsimpson.discrete.equations import discretise
+from symsimpson.discrete.reductions import Linear, Part, Routh
 from symsimpson.mechanics.structure import Structure
+from symsimpson.schemes.scheme import SIMPSON
 
 __all__ = ["as_html", "as_text", "costs", "rows"]
 
 #: Beyond so many coordinates operations are not counted for a report: that takes long.
 COUNTED = 8
 SCHEMES = ("simpson", "midpoint")
+#: What is removed by a finding that the loops for large systems make no use of.
+NOTHING = "nothing: loops take all coordinates together"
 Row = tuple[str, str, str, str]
 HEAD: Row = ("finding", "here", "because", "removes")
 
@@ -22,6 +28,13 @@ HEAD: Row = ("finding", "here", "because", "removes")
 def rows(found: Structure) -> list[Row]:
     """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
     names = [user.func.__name__ for user in found.system.coordinates]
+    equations = discretise(found.system, SIMPSON)
+    straight = unrolled(equations)
+
+    def removed(what: str, kind: type[Part] | None = None) -> str:
+        used = kind is None or any(isinstance(part, kind) for part in equations.parts)
+        return what if straight and used else NOTHING
+
     mass = ", ".join(
         word for word, holds in (("constant", found.constant_mass),
                                  ("diagonal", found.diagonal_mass)) if holds
@@ -38,15 +51,27 @@ def rows(found: Structure) -> list[Row]:
         table.append(("separable", "L = T(v) - V(q)", "M is constant and L has no terms a(q).v",
                       "the end of the path from Newton's unknowns"))  # fmt: skip
     if found.linear:
-        table.append(("linear", "forces linear in q", "second derivatives of V are constant",
-                      "Newton's method: a step is a product of shears"))  # fmt: skip
+        table.append(
+            (
+                "linear",
+                "forces linear in q",
+                "second derivatives of V are constant",
+                removed("Newton's method: a step is a product of shears", Linear),
+            )
+        )
     if found.cyclic:
-        table.append(("cyclic", ", ".join(found.cyclic), "L does not contain them",
-                      "them from Newton's unknowns; their momenta are constants"))  # fmt: skip
+        table.append(
+            (
+                "cyclic",
+                _some(found.cyclic),
+                "L does not contain them",
+                removed("them from Newton's unknowns; their momenta are constants", Routh),
+            )
+        )
     if len(found.subsystems) > 1:
         groups = (", ".join(names[i] for i in s.coordinates) for s in found.subsystems)
         table.append(("subsystems", _some([f"({g})" for g in groups]), "no term of L joins them",
-                      "their coupling: one small solve each"))  # fmt: skip
+                      removed("their coupling: one small solve each")))  # fmt: skip
     if found.periodic:
         table.append(("angles", _some(found.periodic),
                       "only in sines and cosines of whole multiples", ""))  # fmt: skip

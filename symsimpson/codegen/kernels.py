@@ -20,9 +20,9 @@ from symsimpson.codegen.template import Point
 from symsimpson.codegen.terms_of_l import family_functions, straight_functions
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import families, neighbours, ordering
-from symsimpson.discrete.reductions import Linear, Part, Separable
+from symsimpson.discrete.reductions import Linear, Part, Routh, Separable
 
-__all__ = ["UNROLLED_UNKNOWNS", "lower"]
+__all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
 #: Parts with up to so many unknowns are emitted as straight lines; with more, all is loops.
 UNROLLED_UNKNOWNS = 8
@@ -42,9 +42,12 @@ def lower(equations: DiscreteEquations) -> Module:
     Module
         Kernels, constants, layout of the workspace and the library functions they call.
     """
-    if max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS:
-        return _straight(equations)
-    return _looped(equations)
+    return _straight(equations) if unrolled(equations) else _looped(equations)
+
+
+def unrolled(equations: DiscreteEquations) -> bool:
+    """Tell whether the parts are emitted one by one as straight lines, or all as loops."""
+    return max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
 
 
 def _straight(equations: DiscreteEquations) -> Module:
@@ -141,8 +144,11 @@ def _own(low: Lowering, value: sp.Expr) -> sp.Expr:
 
 
 def _size(part: Part) -> int:
-    """Measure a part by its unknowns, a linear one by its matrices."""
-    return 2 * len(part.coordinates) if isinstance(part, Linear) else part_unknowns(part)
+    """Measure a part by its unknowns or multipliers, a linear one by its matrices."""
+    if isinstance(part, Linear):
+        return 2 * len(part.coordinates)
+    multipliers = len(part.cyclic) * len(part.annihilator) if isinstance(part, Routh) else 0
+    return max(part_unknowns(part), multipliers)
 
 
 def part_unknowns(part: Part) -> int:

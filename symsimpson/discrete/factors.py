@@ -17,7 +17,9 @@ __all__ = ["Factors", "factorise"]
 #: Up to so many coordinates every order of elimination is tried.
 FEW = 3
 #: Longer expressions are left as they are.
-LONG = 200
+LONG = 60
+#: Factors longer than this are worth less than they cost.
+TOO_LONG = 5000
 
 
 @dataclass(frozen=True)
@@ -37,12 +39,17 @@ class Factors:
     half_angles: tuple[sp.Symbol, ...]
 
 
-def factorise(mass: sp.ImmutableDenseMatrix, q: tuple[sp.Symbol, ...]) -> Factors:
-    """Factorise in the order that gives the shortest factors, the given one if several do."""
+def factorise(mass: sp.ImmutableDenseMatrix, q: tuple[sp.Symbol, ...]) -> Factors | None:
+    """Factorise in the order that gives the shortest factors, the given one if several do.
+
+    None if they are too long to be of use.
+    """
     size = mass.rows
     orders = permutations(range(size)) if size <= FEW else [tuple(range(size))]
-    found = [(order, *_eliminate(mass, order)) for order in orders]
-    order, lower, pivots = min(found, key=lambda f: sum(sp.count_ops(x) for x in (*f[1], *f[2])))
+    tried = [(order, *factors) for order in orders if (factors := _eliminate(mass, order))]
+    if not tried:
+        return None
+    order, lower, pivots = min(tried, key=lambda f: sum(sp.count_ops(x) for x in (*f[1], *f[2])))
     halves = tuple(
         x for x in q
         if any(x in pivot.free_symbols and pivot.subs(x, 0) == 0 for pivot in pivots)
@@ -65,7 +72,7 @@ def factorise(mass: sp.ImmutableDenseMatrix, q: tuple[sp.Symbol, ...]) -> Factor
 
 def _eliminate(
     mass: sp.ImmutableDenseMatrix, order: tuple[int, ...]
-) -> tuple[sp.Matrix, list[sp.Expr]]:
+) -> tuple[sp.Matrix, list[sp.Expr]] | None:
     size = len(order)
     lower = sp.eye(size)
     pivots: list[sp.Expr] = []
@@ -77,6 +84,8 @@ def _eliminate(
         rest = mass[order[i], order[i]]
         rest -= sp.Add(*(lower[i, k] ** 2 * pivots[k] for k in range(i)))
         pivots.append(_tidy(rest))
+        if sp.count_ops(pivots[-1]) > TOO_LONG:
+            return None
     return lower, pivots
 
 

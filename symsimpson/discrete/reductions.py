@@ -160,11 +160,11 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
     rows, columns = elimination_order(scheme.degree)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
     if subsystem.cyclic and others and "cyclic" in exploit:
-        annihilator = annihilating(scheme)
         factors = factorise(plain.mass.extract(subsystem.cyclic, subsystem.cyclic), plain.q)
-        cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
-        middle = scheme.stages // 2
-        return Routh(others, rows, columns, cyclic, annihilator, middle, factors)
+        if factors is not None:
+            cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
+            middle = scheme.stages // 2
+            return Routh(others, rows, columns, cyclic, annihilating(scheme), middle, factors)
     return Coupled(coordinates, rows, columns)
 
 

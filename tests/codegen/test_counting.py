@@ -1,0 +1,38 @@
+"""Operations counted by running a module are those that its text shows."""
+
+import re
+
+import pytest
+
+import symsimpson as ss
+from symsimpson.codegen.counting import Cost, cost
+from symsimpson.codegen.pipeline import source
+
+
+def kernel_of(text, name):
+    body = text[text.index(f"def {name}(") :]
+    return body[: body.index("\n\n\n")]
+
+
+@pytest.mark.parametrize("make", [ss.systems.kepler, ss.systems.lagrange_top])
+@pytest.mark.parametrize("exploit", [(), "all"])
+def test_straight_lines_are_counted_as_their_sections_say(make, exploit):
+    """But for changes of sign, which only the sections count."""
+    text = source(make(), "simpson", exploit)
+    counted = cost(text)
+    for kernel, total in (("newton", counted.iteration), ("advance", counted.closing)):
+        body = kernel_of(text, kernel)
+        stated = sum(map(int, re.findall(r": (\d+) operations", body)))
+        pairs = sum(map(int, re.findall(r"(\d+) sincos", body)))
+        assert total <= stated + pairs <= 1.07 * total
+
+
+def test_a_direct_step_has_no_iteration():
+    found = cost(source(ss.systems.harmonic_oscillator()))
+    assert found == Cost(unknowns=0, iteration=0, closing=found.closing)
+    assert 20 < found.closing < 40
+
+
+def test_loops_are_counted_each_time():
+    short, long = (cost(source(ss.systems.fermi_pasta_ulam(n))) for n in (10, 20))
+    assert 1.9 < long.iteration / short.iteration < 2.2

@@ -1,0 +1,86 @@
+"""Families of terms stand for the terms they were read from."""
+
+import random
+from itertools import pairwise
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.discrete.families import families, neighbours, ordering
+
+
+def lagrangian(plain):
+    quadratic = sum(
+        plain.mass[i, j] * plain.v[i] * plain.v[j]
+        for i in range(len(plain.v)) for j in range(len(plain.v))
+    ) / 2  # fmt: skip
+    linear = sum(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True))
+    return quadratic + linear - plain.potential
+
+
+def total(found, plain):
+    """Put coordinates and coefficients into the slots of each member and add up."""
+    value = sp.S.Zero
+    for family in found:
+        term = lagrangian(family.plain)
+        for places, numbers in zip(family.coordinates, family.coefficients, strict=True):
+            q = dict(zip(family.plain.q, (plain.q[i] for i in places), strict=True))
+            v = dict(zip(family.plain.v, (plain.v[i] for i in places), strict=True))
+            slots = dict(zip(family.plain.parameters[: family.slots], numbers, strict=True))
+            value += term.xreplace(q | v | slots)
+    return value
+
+
+@pytest.mark.parametrize(
+    ("make", "most"),
+    [
+        (lambda: ss.systems.n_pendulum(8), 4),
+        (lambda: ss.systems.fermi_pasta_ulam(12), 6),
+        (ss.systems.double_pendulum, 6),
+        (ss.systems.heavy_top, 20),
+        (ss.systems.rigid_body, 30),
+    ],
+)
+def test_families_add_up_to_the_lagrangian(make, most):
+    plain = make().structure.plain
+    found = families(plain)
+    assert len(found) <= most
+    gap = total(found, plain) - lagrangian(plain)
+    symbols = sorted(gap.free_symbols, key=str)
+    assert sp.expand(gap) == 0 or abs(
+        gap.evalf(40, subs={s: sp.Rational(k + 3, 7) for k, s in enumerate(symbols)}, maxn=400)
+    ) < 1e-30  # fmt: skip
+
+
+def test_terms_of_other_signs_and_orders_are_one_family():
+    x = ss.coordinates("x0:6")
+    v = [c.diff() for c in x]
+    chain = ss.MechanicalSystem(
+        "chain", coordinates=x, parameters={},
+        kinetic=sum((3 + i) * u**2 for i, u in enumerate(v)) / 2,
+        potential=sum(sp.cos((2 + i) * (x[i] - x[i + 1])) * (5 - i) for i in range(5)),
+    )  # fmt: skip
+    found = families(chain.structure.plain)
+    assert sorted(len(family.coordinates) for family in found) == [5, 6]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_shuffled_chain_gets_its_order_back(seed):
+    n = 30
+    names = list(range(n))
+    random.Random(seed).shuffle(names)
+    near = [set() for _ in range(n)]
+    for a, b in pairwise(names):
+        near[a].add(b)
+        near[b].add(a)
+    order, band = ordering(near)
+    assert band == 1
+    assert list(order) in (names, names[::-1])
+
+
+def test_a_ladder_has_its_width_as_its_band():
+    plain = ss.systems.fermi_pasta_ulam(20).structure.plain
+    order, band = ordering(neighbours(families(plain), 40))
+    assert sorted(order) == list(range(40))
+    assert band == 3
