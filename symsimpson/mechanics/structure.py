@@ -44,7 +44,7 @@ class Subsystem:
     linear: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Structure:
     """Findings about a system; each holds for every value of q and of the parameters.
 
@@ -83,10 +83,10 @@ class Structure:
     subsystems: tuple[Subsystem, ...]
     zeros: dict[str, tuple[int, int]]
     undecided: tuple[str, ...]
-    plain: Plain = field(repr=False, compare=False)
-    system: MechanicalSystem = field(repr=False, compare=False)
+    plain: Plain = field(compare=False)
+    system: MechanicalSystem = field(compare=False)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         from symsimpson.report import as_text
 
         return as_text(self)

@@ -198,7 +198,7 @@ def declared(system, kinetic, potential):
 
 
 def test_report_in_a_terminal():
-    text = str(ss.systems.lagrange_top().structure)
+    text = repr(ss.systems.lagrange_top().structure)
     for line in ("cyclic       phi, psi", "L does not contain them", "6 > 2", "3 > 1"):
         assert line in text
     assert max(map(len, text.splitlines())) <= 79
