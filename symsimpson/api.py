@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import GenerationError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme, read_scheme
 
@@ -20,6 +22,8 @@ def compile(
     scheme: str | Scheme = "simpson",
     *,
     exploit: str | Iterable[str] = "all",
+    precision: int | None = None,
+    arithmetic: Literal["mpmath", "arb"] = "mpmath",
 ) -> Stepper:
     """Derive, emit and compile the integrator of a system.
 
@@ -33,6 +37,12 @@ def compile(
         What the generator may make use of: "decoupled", "cyclic", "constant_mass", "linear",
         "sparse" (see :attr:`MechanicalSystem.structure`). All of it gives the same trajectory up
         to rounding; ``()`` keeps the general path, for comparison.
+    precision : int, optional
+        Decimal digits. The same module then runs in Python, states are numbers of mpmath, and
+        Newton's method goes on to all digits. Numbers can be given as strings (``"0.1"``), as
+        SymPy numbers or as numbers of mpmath; a float stands for the binary number that it is.
+    arithmetic : {"mpmath", "arb"}
+        What computes with many digits; "arb" is python-flint, many times as fast.
 
     Returns
     -------
@@ -45,18 +55,31 @@ def compile(
         If there is no such scheme.
     GenerationError
         If the equations cannot be written as code, or ``exploit`` names something else.
+    InputError
+        If there is no such precision.
 
     Examples
     --------
     >>> import symsimpson as ss
     >>> ss.compile(ss.systems.pendulum(), "midpoint")
     Stepper(pendulum, midpoint, order 2)
+    >>> precise = ss.compile(ss.systems.pendulum(), precision=30)
+    >>> precise.integrate(["0.1"], v0=[0], h="0.01", steps=1).q[1, 0]
+    mpf('')
     """
     _check_system(system)
     found = read_scheme(scheme)
+    numbers = FLOAT64
+    if precision is not None:
+        from symsimpson.runtime.digits import read_precision  # loads mpmath
+
+        numbers = read_precision(precision, arithmetic)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
     return Stepper(
-        source(system, found, exploit), f"{system.name}__{found.name}", defaults=defaults
+        source(system, found, exploit),
+        f"{system.name}__{found.name}",
+        defaults=defaults,
+        numbers=numbers,
     )
 
 

@@ -25,9 +25,7 @@ def test_the_runtime_does_without_sympy():
 
 
 def test_the_symbolic_half_does_without_numba():
-    assert "numba" not in loaded_by(
-        "import symsimpson.codegen.pipeline, symsimpson.codegen.binding"
-    )
+    assert "numba" not in loaded_by("import symsimpson.codegen.pipeline, symsimpson.binding")
 
 
 @pytest.mark.parametrize(

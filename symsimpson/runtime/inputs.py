@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 
+if TYPE_CHECKING:
+    from symsimpson.runtime.numbers import Numbers
+
 __all__ = [
+    "read_array",
     "read_every",
-    "read_floats",
     "read_number",
     "read_parameters",
     "read_steps",
@@ -27,17 +29,20 @@ STEP_FRACTION = 1e-6
 MOST_STEPS = 2**53
 
 
-def read_vector(name: str, value: ArrayLike, coordinates: tuple[str, ...]) -> NDArray[np.float64]:
+def read_vector(
+    name: str, value: ArrayLike, coordinates: tuple[str, ...], numbers: Numbers
+) -> NDArray[Any]:
     """Read one finite number for each coordinate."""
-    vector = read_floats(name, value)
+    vector = read_array(name, value, numbers)
     n = len(coordinates)
     if vector.shape != (n,):
         raise InputError(
             f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
             f"{', '.join(coordinates)}.\nThe order is that of the coordinates in the declaration."
         )
-    if not np.isfinite(vector).all():
-        where = coordinates[int(np.argmin(np.isfinite(vector)))]
+    finite = numbers.finite(vector)
+    if not finite.all():
+        where = coordinates[int(np.argmin(finite))]
         raise InputError(
             f"{name} is not finite for {where}: {value!r}.\n"
             "A run must begin at a finite state. Look where the number comes from."
@@ -45,33 +50,28 @@ def read_vector(name: str, value: ArrayLike, coordinates: tuple[str, ...]) -> ND
     return vector
 
 
-def read_number(name: str, value: Any) -> float:
+def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     """Read one finite real number."""
-    if type(value) is float and math.isfinite(value):
-        return value
-    array = read_floats(name, value)
-    if array.shape != () or not math.isfinite(float(array)):
+    array = read_array(name, value, numbers)
+    if array.shape != () or not numbers.finite(array).all():
         raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
-    return float(array)
+    return array.item()
 
 
-def read_floats(name: str, value: Any) -> NDArray[np.float64]:
+def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
     """Read an array of real numbers of any shape."""
     try:
-        array = np.array(value)
-        if array.dtype.kind not in "fiuO":
-            raise TypeError(array.dtype)
-        return array.astype(np.float64)
+        return numbers.read(value)
     except (TypeError, ValueError, OverflowError):
         raise InputError(
             f"{name} is {_short(value)}, not real numbers.\nPass a list or an array of floats."
         ) from None
 
 
-def read_steps(h: Any, t_end: Any, steps: Any, t0: Any) -> tuple[float, int, float]:
+def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tuple[Any, int, Any]:
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
-    h, t0 = read_number("h", h), read_number("t0", t0)
-    if h == 0.0:
+    h, t0 = read_number("h", h, numbers), read_number("t0", t0, numbers)
+    if h == 0:
         raise InputError(
             "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
         )
@@ -83,11 +83,11 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any) -> tuple[float, int, flo
         )
     if steps is not None:
         return h, _count("steps", steps, least=0), t0
-    end = read_number("t_end", t_end)
-    exact = (end - t0) / h
+    end = read_number("t_end", t_end, numbers)
+    exact = float((end - t0) / h)
     if exact < 0:
         raise InputError(
-            f"t_end={end:g} is not reached from t0={t0:g} with h={h:g}.\n"
+            f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
             "Use a negative h to run backwards."
         )
     number = round(exact)
@@ -95,9 +95,9 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any) -> tuple[float, int, flo
         raise InputError(f"{exact:.3g} steps are too many to count.\nUse a larger h.")
     if abs(exact - number) > STEP_FRACTION:
         raise InputError(
-            f"t_end={end:g} is not a whole number of steps of h={h:g} from t0={t0:g}: it is "
-            f"{exact:.6g}.\nA fixed step keeps the method symplectic. Use "
-            f"h={(end - t0) / max(number, 1):.17g}, or steps={number}."
+            f"t_end={float(end):g} is not a whole number of steps of h={float(h):g} from "
+            f"t0={float(t0):g}: it is {exact:.6g}.\nA fixed step keeps the method symplectic. Use "
+            f"h={float(end - t0) / max(number, 1):.17g}, or steps={number}."
         )
     return h, number, t0
 
@@ -123,9 +123,10 @@ def read_parameters(
     names: tuple[str, ...],
     aliases: Mapping[str, int],
     signs: tuple[str, ...],
-    defaults: NDArray[np.float64],
+    defaults: NDArray[Any],
     given: Mapping[Any, Any] | None,
-) -> NDArray[np.float64]:
+    numbers: Numbers,
+) -> NDArray[Any]:
     """Merge run-time values, by symbol or by name, into the defaults."""
     values = defaults.copy()
     if given is None:
@@ -141,13 +142,14 @@ def read_parameters(
                 f"there is no parameter {_short(str(key))}.\n"
                 f"The system has {', '.join(names) or 'none'}."
             )
-        number = read_number(f"parameter {names[slot]}", value)
+        number = read_number(f"parameter {names[slot]}", value, numbers)
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0
         ):
             raise InputError(
-                f"parameter {names[slot]} is declared {signs[slot]} and given as {number:g}.\n"
-                "The equations were simplified with that sign. Change the value or the declaration."
+                f"parameter {names[slot]} is declared {signs[slot]} and given as "
+                f"{float(number):g}.\nThe equations were simplified with that sign. "
+                "Change the value or the declaration."
             )
         values[slot] = number
     return values

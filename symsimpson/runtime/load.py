@@ -66,7 +66,7 @@ class Facts:
         return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
 
 
-def equations_of(facts: Facts, run: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def equations_of(facts: Facts, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
 
     Rows are those of the module; columns are brought into the order X_1..X_d.

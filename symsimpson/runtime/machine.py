@@ -8,33 +8,38 @@ from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.cache import compiled
-from symsimpson.runtime.load import Facts, Kernels
+from symsimpson.runtime.load import Facts
 from symsimpson.runtime.status import Status
 
-__all__ = ["Run", "driver"]
+if TYPE_CHECKING:
+    from symsimpson.runtime.numbers import KernelSet, Numbers
+
+__all__ = ["Run", "driver", "driver_text"]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
-#: Steps of the first stretch, before their cost is known.
-FIRST_STRETCH = 4096
 #: After a step that only the robust kernels could take, so many more are taken with them.
 ROBUST_STRETCH = 64
+
+
+def driver_text(lanes: int = 1) -> str:
+    """Give the text of the driver for a number of lanes."""
+    folder = resources.files("symsimpson.runtime")
+    parts = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in ("driver", "march")]
+    parts[1] = re.sub(r"^from symsimpson.*?\n\)\n", "", parts[1], flags=re.DOTALL | re.MULTILINE)
+    text = "\n\n".join(parts)
+    return text.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
 
 
 @cache
 def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
     """Give a function of the driver for a number of lanes, compiled by itself."""
-    folder = resources.files("symsimpson.runtime")
-    parts = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in ("driver", "march")]
-    parts[1] = re.sub(r"^from symsimpson.*?\n\)\n", "", parts[1], flags=re.DOTALL | re.MULTILINE)
-    text = "\n\n".join(parts)
-    text = text.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
 
     def build(module: ModuleType) -> Callable[..., Any]:
         from numba import njit
@@ -45,7 +50,7 @@ def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
         )(function)  # fmt: skip
         return made
 
-    return compiled(text, f"driver-{name}", build)
+    return compiled(driver_text(lanes), f"driver-{name}", build)
 
 
 class Run:
@@ -57,27 +62,29 @@ class Run:
     def __init__(
         self,
         facts: Facts,
-        kernels: Kernels,
-        parameters: NDArray[np.float64],
-        h: float,
-        t0: float,
+        kernels: KernelSet,
+        numbers: Numbers,
+        parameters: NDArray[Any],
+        h: Any,
+        t0: Any,
         every: int,
         stored: int,
     ) -> None:
         layout, n = facts.layout, facts.n
         self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
-        self.W = np.zeros((facts.rows, 1))
+        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
+        self.W = numbers.zeros((facts.rows, 1))
         first = layout["PARAMETER"]
         self.W[first : first + parameters.size, 0] = parameters
-        self.q = np.empty((stored, n, 1))
-        self.p = np.empty((stored, n, 1))
+        self.q = numbers.zeros((stored, n, 1))
+        self.p = numbers.zeros((stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
-        self._relative = np.empty(1)
+        self._relative = numbers.zeros(1)
         self._progress = np.zeros(2, dtype=np.int64)
         self._robust_until = -1
-        self._stretch = FIRST_STRETCH
+        self._stretch = numbers.stretch
 
-    def begin(self, q: NDArray[np.float64], other: NDArray[np.float64], *, velocity: bool) -> None:
+    def begin(self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool) -> None:
         """Begin at (q, p), or at (q, v)."""
         layout, n = self.facts.layout, self.facts.n
         legendre = 0
@@ -86,7 +93,9 @@ class Run:
             legendre, second = self.kernels.address("legendre"), layout["VELOCITY"]
         self.W[layout["POSITION"] : layout["POSITION"] + n, 0] = q
         self.W[second : second + n, 0] = other
-        driver("begin")(self.kernels.step, legendre, self.h, self.t0, self.W, self.facts.places)
+        self._driver("begin")(
+            self.kernels.step, legendre, self.h, self.t0, self.W, self.facts.places
+        )
         self.store(0)
 
     def store(self, place: int) -> None:
@@ -95,7 +104,7 @@ class Run:
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
 
-    def rows(self, block: str, count: int) -> NDArray[np.float64]:
+    def rows(self, block: str, count: int) -> NDArray[Any]:
         """Give rows of the workspace."""
         first = self.facts.layout[block]
         return self.W[first : first + count, 0]
@@ -113,7 +122,7 @@ class Run:
     @property
     def last_correction(self) -> float:
         """Size of the last Newton correction relative to the increment."""
-        return float(np.sqrt(self._relative[0]))
+        return float(self._relative[0]) ** 0.5
 
     @property
     def last_iterations(self) -> int:
@@ -128,7 +137,8 @@ class Run:
             if robust:
                 until = min(until, self._robust_until)
             before, start = self.step, time.perf_counter()
-            self._stretch_until(self.kernels.robust if robust else self.kernels.step, until)
+            with self._undisturbed():
+                self._stretch_until(self.kernels.robust if robust else self.kernels.step, until)
             spent = time.perf_counter() - start
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
@@ -138,22 +148,22 @@ class Run:
             elif robust and self.step == self._robust_until:
                 self._switch(self.kernels.step)
 
-    def _switch(self, kernels: NDArray[np.int64]) -> None:
-        driver("switch")(kernels, self.h, self._time(), self.W, self.facts.places)
+    def _switch(self, kernels: Any) -> None:
+        self._driver("switch")(kernels, self.h, self._time(), self.W, self.facts.places)
 
-    def _time(self) -> float:
+    def _time(self) -> Any:
         return self.t0 + self.h * self.step
 
-    def _stretch_until(self, kernels: NDArray[np.int64], stop: int) -> None:
+    def _stretch_until(self, kernels: Any, stop: int) -> None:
         """Run compiled, mending the steps at which the loop stops."""
         at, W = self.facts.places, self.W
         if self.facts.newton_unknowns == 0:
-            driver("march")(
+            self._driver("march")(
                 kernels, self.h, self.t0, W, at, self._progress, stop, self.every, self.q, self.p,
                 self.iterations,
             )  # fmt: skip
             return
-        run = driver("run")
+        run = self._driver("run")
         while True:
             run(
                 kernels, self.h, self.t0, W, at, self._relative, self._progress, stop, self.every,
@@ -162,7 +172,7 @@ class Run:
             event = self._progress[1]
             if event == 0:
                 return
-            driver("mend")(kernels, self.h, self._time(), W, at, self._relative, event)
+            self._driver("mend")(kernels, self.h, self._time(), W, at, self._relative, event)
             if self.status is not Status.SUCCESS:
                 self._progress[1] = 0
                 return

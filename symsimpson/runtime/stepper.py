@@ -10,22 +10,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError, Interrupted
 from symsimpson.runtime.inputs import (
+    read_array,
     read_every,
-    read_floats,
     read_number,
     read_parameters,
     read_steps,
     read_vector,
 )
-from symsimpson.runtime.load import Facts, Kernels, equations_of, read_facts
-from symsimpson.runtime.machine import Run, driver
+from symsimpson.runtime.load import Facts, equations_of, read_facts
+from symsimpson.runtime.machine import Run
+from symsimpson.runtime.numbers import FLOAT64, Numbers
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
 __all__ = ["Stepper"]
 
-Floats = NDArray[np.float64]
-Parameters = Mapping[Any, float]
+#: float64, or numbers of mpmath in an object array.
+Reals = NDArray[Any]
+Parameters = Mapping[Any, Any]
 
 
 class Stepper:
@@ -39,6 +41,8 @@ class Stepper:
         Names it in messages.
     defaults : mapping from str to float, optional
         Parameter values in the module's order, by the names that a user may call them.
+    numbers : Numbers, optional
+        What to compute with; double precision unless given.
 
     Attributes
     ----------
@@ -49,20 +53,26 @@ class Stepper:
     """
 
     def __init__(
-        self, source: str, where: str, *, defaults: Mapping[str, float] | None = None
+        self,
+        source: str,
+        where: str,
+        *,
+        defaults: Mapping[str, float] | None = None,
+        numbers: Numbers = FLOAT64,
     ) -> None:
         facts = read_facts(source, where)
         self.source = source
         self._facts: Facts = facts
-        self._kernels = Kernels(source, facts)
+        self._numbers = numbers
+        self._kernels = numbers.kernels(source, facts)
         self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
         self.coordinates, self.parameters = facts.coordinates, facts.parameters
         self.invariants = facts.invariants
         self._aliases = {name: i for i, name in enumerate(facts.parameters)}
-        self._defaults = np.array(facts.defaults, dtype=np.float64)
+        self._defaults = numbers.read(facts.defaults)
         if defaults is not None:
             self._aliases |= {name: i for i, name in enumerate(defaults)}
-            self._defaults = np.array(list(defaults.values()), dtype=np.float64)
+            self._defaults = numbers.read(list(defaults.values()))
 
     @property
     def n(self) -> int:
@@ -78,10 +88,10 @@ class Stepper:
         v0: ArrayLike | None = None,
         *,
         p0: ArrayLike | None = None,
-        h: float,
-        t_end: float | None = None,
+        h: Any,
+        t_end: Any = None,
         steps: int | None = None,
-        t0: float = 0.0,
+        t0: Any = 0.0,
         parameters: Parameters | None = None,
         every: int | None = 1,
         on_failure: Literal["raise", "return"] = "raise",
@@ -130,35 +140,37 @@ class Stepper:
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        facts = self._facts
-        h, count, t0 = read_steps(h, t_end, steps, t0)
-        stride = read_every(every)
         if on_failure not in ("raise", "return"):
             raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
-        values = self._values(parameters)
+        with self._numbers.working():
+            values = self._values(parameters)
+            h, count, t0 = read_steps(h, t_end, steps, t0, self._numbers)
+            run = self._new_run(values, h, t0, count, read_every(every))
+            self._begin(run, q0, v0, p0)
+            interrupted = False
+            try:
+                run.advance(count)
+            except KeyboardInterrupt:
+                interrupted = True
+            status = Status.INTERRUPTED if interrupted else run.status
+            trajectory = self._trajectory(run, count, status, values)
+            if status is not Status.SUCCESS and on_failure == "raise":
+                self._fail(run, trajectory)
+        return trajectory
+
+    def _new_run(self, values: Reals, h: Any, t0: Any, count: int, stride: int) -> Run:
         stored = count // stride + 1 if stride else 1
         try:
-            run = Run(facts, self._kernels, values, h, t0, stride, stored)
+            return Run(self._facts, self._kernels, self._numbers, values, h, t0, stride, stored)
         except (MemoryError, ValueError):
             raise InputError(
                 f"{stored} stored states of {2 * self.n} numbers do not fit into memory.\n"
                 "Store fewer: every=1000, or every=None for the last state only."
             ) from None
-        self._begin(run, q0, v0, p0)
-        interrupted = False
-        try:
-            run.advance(count)
-        except KeyboardInterrupt:
-            interrupted = True
-        status = Status.INTERRUPTED if interrupted else run.status
-        trajectory = self._trajectory(run, count, status, values)
-        if status is not Status.SUCCESS and on_failure == "raise":
-            self._fail(run, trajectory)
-        return trajectory
 
     def step(
         self, q: ArrayLike, p: ArrayLike, h: float, parameters: Parameters | None = None
-    ) -> tuple[Floats, Floats]:
+    ) -> tuple[Reals, Reals]:
         """Take one step from (q, p).
 
         Returns
@@ -180,7 +192,7 @@ class Stepper:
         nodes: ArrayLike,
         h: float,
         parameters: Parameters | None = None,
-    ) -> Floats:
+    ) -> Reals:
         """Evaluate the discrete Euler-Lagrange equations at given nodes.
 
         Parameters
@@ -196,7 +208,8 @@ class Stepper:
         ndarray, shape (d n,)
             D_k L_d for k = 1..d-1, then p0 + D_0 L_d.
         """
-        return self._equations(q0, p0, nodes, h, parameters)[0]
+        with self._numbers.working():
+            return self._equations(q0, p0, nodes, h, parameters)[0]
 
     def jacobian(
         self,
@@ -205,40 +218,43 @@ class Stepper:
         nodes: ArrayLike,
         h: float,
         parameters: Parameters | None = None,
-    ) -> Floats:
+    ) -> Reals:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n)."""
-        return self._equations(q0, p0, nodes, h, parameters)[1]
+        with self._numbers.working():
+            return self._equations(q0, p0, nodes, h, parameters)[1]
 
     def _equations(
         self, q0: ArrayLike, p0: ArrayLike, nodes: ArrayLike, h: float, given: Parameters | None
-    ) -> tuple[Floats, Floats]:
-        facts, n = self._facts, self.n
+    ) -> tuple[Reals, Reals]:
+        facts, n, numbers = self._facts, self.n, self._numbers
         d = facts.degree
-        q = read_vector("q0", q0, self.coordinates)
-        p = read_vector("p0", p0, self.coordinates)
-        h = read_number("h", h)
-        points = read_floats("nodes", nodes)
+        q = read_vector("q0", q0, self.coordinates, numbers)
+        p = read_vector("p0", p0, self.coordinates, numbers)
+        h = read_number("h", h, numbers)
+        points = read_array("nodes", nodes, numbers)
         if points.shape != (d, n):
             raise InputError(
                 f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
                 "Pass the inner control points and q1, one row each."
             )
         layout = facts.layout
-        run = Run(facts, self._kernels, self._values(given), h, 0.0, 0, 1)
+        run = Run(facts, self._kernels, numbers, self._values(given), h, h * 0, 0, 1)
         run.rows("POSITION", n)[:] = q
         run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         prepare, equations = (self._kernels.address(k) for k in ("prepare", "equations"))
-        driver("evaluate")(
+        numbers.driver("evaluate")(
             prepare, equations, h, run.W, facts.places, q[None, :], p[None, :],
-            layout["RESIDUAL"], np.empty((1, 0)),
+            layout["RESIDUAL"], numbers.zeros((1, 0)),
         )  # fmt: skip
-        residual, jacobian = equations_of(facts, run)
+        residual, jacobian = map(numbers.result, equations_of(facts, run))
         return residual.ravel(), jacobian.reshape(d * n, d * n)
 
-    def _values(self, given: Parameters | None) -> Floats:
+    def _values(self, given: Parameters | None) -> Reals:
         facts = self._facts
-        return read_parameters(self.parameters, self._aliases, facts.signs, self._defaults, given)
+        return read_parameters(
+            self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
+        )
 
     def _begin(self, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None) -> None:
         if (v0 is None) == (p0 is None):
@@ -247,13 +263,14 @@ class Stepper:
                 f"a run needs exactly one of v0 and p0, and has {given}.\n"
                 "Pass initial velocities v0=[...] or initial momenta p0=[...]."
             )
-        q = read_vector("q0", q0, self.coordinates)
+        numbers = self._numbers
+        q = read_vector("q0", q0, self.coordinates, numbers)
         if p0 is not None:
-            run.begin(q, read_vector("p0", p0, self.coordinates), velocity=False)
+            run.begin(q, read_vector("p0", p0, self.coordinates, numbers), velocity=False)
         elif v0 is not None:
-            run.begin(q, read_vector("v0", v0, self.coordinates), velocity=True)
-        deficit = run.rows("MASS_PIVOT", 1)[0]
-        if deficit < 0 or not np.isfinite(run.rows("VELOCITY", self.n)).all():
+            run.begin(q, read_vector("v0", v0, self.coordinates, numbers), velocity=True)
+        deficit = float(run.rows("MASS_PIVOT", 1)[0])
+        if deficit < 0 or not numbers.finite(run.rows("VELOCITY", self.n)).all():
             values = dict(
                 zip(
                     self.parameters,
@@ -261,7 +278,7 @@ class Stepper:
                     strict=True,
                 )
             )
-            if np.isfinite(q).all() and (deficit < 0 or not np.isfinite(deficit)):
+            if numbers.finite(q).all() and (deficit < 0 or not np.isfinite(deficit)):
                 raise InputError(
                     f"{self.system}: the mass matrix at q0={q.tolist()} is not positive definite "
                     f"with the parameters {values}.\nKinetic energy must be positive for every "
@@ -274,23 +291,25 @@ class Stepper:
                 "for them. Begin elsewhere."
             )
 
-    def _trajectory(self, run: Run, count: int, status: Status, values: Floats) -> Trajectory:
+    def _trajectory(self, run: Run, count: int, status: Status, values: Reals) -> Trajectory:
         done = run.step
         if run.every:
             kept = done // run.every + 1
-            t = run.t0 + run.h * np.arange(0, done + 1, run.every, dtype=np.float64)
+            t = run.t0 + self._numbers.counted(0, done + 1, run.every) * run.h
             q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
         else:
             run.store(0)
-            t = np.array([run.t0 + run.h * done])
+            t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
             q, p = run.q[:, :, 0], run.p[:, :, 0]
             iterations = run.rows("ITERATIONS", 1).astype(np.int64)
         message = status.message
         if status is not Status.SUCCESS:
+            time, h = float(run.t0 + run.h * done), float(run.h)
             message = (
-                f"{self.system}, {self.scheme}: step {done} of {count} at "
-                f"t={run.t0 + run.h * done:g} with h={run.h:g} was not taken. {message}"
+                f"{self.system}, {self.scheme}: step {done} of {count} at t={time:g} with h={h:g} "
+                f"was not taken. {message}"
             )
+        t, q, p, values = map(self._numbers.result, (t, q, p, values))
         return Trajectory(
             t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
             message=message,
@@ -307,22 +326,24 @@ class Stepper:
             f"by a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
             trajectory=trajectory,
             step=run.step,
-            time=run.t0 + run.h * run.step,
+            time=float(run.t0 + run.h * run.step),
             residual=residual,
             status=status,
         )
 
     def _evaluate(
-        self, kernel: str, block: str, count: int, q: Floats, p: Floats, values: Floats
-    ) -> Floats:
+        self, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
+    ) -> Reals:
         """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-        facts = self._facts
-        W = np.zeros((facts.rows, 1))
-        first = facts.layout["PARAMETER"]
-        W[first : first + values.size, 0] = values
-        out = np.empty((len(q), count))
-        driver("evaluate")(
-            self._kernels.address("prepare"), self._kernels.address(kernel), 1.0, W, facts.places,
-            q, p, facts.layout[block], out,
-        )  # fmt: skip
-        return out
+        facts, numbers = self._facts, self._numbers
+        with numbers.working():
+            W = numbers.zeros((facts.rows, 1))
+            first = facts.layout["PARAMETER"]
+            W[first : first + values.size, 0] = numbers.read(values)
+            out = numbers.zeros((len(q), count))
+            numbers.driver("evaluate")(
+                self._kernels.address("prepare"), self._kernels.address(kernel),
+                numbers.read(1.0).item(), W, facts.places, numbers.read(q), numbers.read(p),
+                facts.layout[block], out,
+            )  # fmt: skip
+            return numbers.result(out)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ __all__ = ["Trajectory"]
 class Trajectory:
     """States of a run, and how it ended.
 
+    Numbers are float64, or numbers of mpmath in arrays of objects where the stepper was compiled
+    with a ``precision``.
+
     Attributes
     ----------
     t : ndarray, shape (N + 1,)
@@ -30,7 +33,7 @@ class Trajectory:
         Positions and conjugate momenta.
     newton_iterations : ndarray of int, shape (N + 1,)
         Iterations since the state stored before; 0 for the first.
-    h : float
+    h : number
         The step.
     steps : int
         Steps done.
@@ -40,16 +43,16 @@ class Trajectory:
         The outcome in words.
     """
 
-    t: NDArray[np.float64]
-    q: NDArray[np.float64]
-    p: NDArray[np.float64]
+    t: NDArray[Any]
+    q: NDArray[Any]
+    p: NDArray[Any]
     newton_iterations: NDArray[np.int64]
-    h: float
+    h: Any
     steps: int
     status: Status
     message: str
     _stepper: Stepper = field(repr=False)
-    _values: NDArray[np.float64] = field(repr=False)
+    _values: NDArray[Any] = field(repr=False)
 
     @property
     def parameters(self) -> Mapping[str, float]:
@@ -57,19 +60,19 @@ class Trajectory:
         return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
 
     @cached_property
-    def energy(self) -> NDArray[np.float64]:
+    def energy(self) -> NDArray[Any]:
         """H at the stored states, shape (N + 1,); computed when first asked for."""
         return self._stepper._evaluate("energy", "ENERGY", 1, self.q, self.p, self._values)[:, 0]
 
     @cached_property
-    def energy_error(self) -> NDArray[np.float64]:
+    def energy_error(self) -> NDArray[Any]:
         """(H - H0)/|H0|, or H - H0 where H0 = 0; shape (N + 1,)."""
         change = self.energy - self.energy[0]
-        start = abs(float(self.energy[0]))
+        start = abs(self.energy[0])
         return change / start if start > 0 else change
 
     @cached_property
-    def invariants(self) -> dict[str, NDArray[np.float64]]:
+    def invariants(self) -> dict[str, NDArray[Any]]:
         """The system's named invariants at the stored states, each of shape (N + 1,)."""
         names = self._stepper.invariants
         if not names:
@@ -85,6 +88,6 @@ class Trajectory:
     def __repr__(self) -> str:
         stepper = self._stepper
         return (
-            f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of h={self.h:g}, "
-            f"{self.t.size} states stored, {self.status.name})"
+            f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of "
+            f"h={float(self.h):g}, {self.t.size} states stored, {self.status.name})"
         )

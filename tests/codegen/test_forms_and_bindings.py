@@ -10,8 +10,8 @@ from random_systems import random_state, random_system
 from workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
+from symsimpson.binding import bind_complex, bind_float, bind_mpmath
 from symsimpson.codegen import kernels
-from symsimpson.codegen.binding import bind_complex, bind_float, bind_mpmath
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise

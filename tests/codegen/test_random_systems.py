@@ -8,7 +8,7 @@ from random_systems import random_state, random_system
 from workspace import TABLES, begin, block, new_workspace, take_step
 
 import symsimpson as ss
-from symsimpson.codegen.binding import bind_float
+from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 
 SCHEMES = ("simpson", "midpoint", "gauss4", "simpson", "midpoint")

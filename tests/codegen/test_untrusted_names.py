@@ -10,7 +10,7 @@ from sympy.physics.mechanics import dynamicsymbols
 from workspace import begin, block, take_step
 
 import symsimpson as ss
-from symsimpson.codegen.binding import bind_float
+from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 
 HOSTILE = [

@@ -9,7 +9,7 @@ from numba import cfunc
 from workspace import new_workspace
 
 import symsimpson as ss
-from symsimpson.codegen.binding import bind_float
+from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 from symsimpson.runtime.cache import compiled
 from symsimpson.runtime.machine import driver

@@ -13,7 +13,7 @@ from workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.cli import SCHEMES
-from symsimpson.codegen.binding import bind_float
+from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 
 GENERATED = Path(__file__).parents[2] / "generated"

@@ -5,6 +5,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.runtime.machine import Run, driver
+from symsimpson.runtime.numbers import FLOAT64
 
 PENDULUM = ss.systems.double_pendulum()
 SHORT = {"l1": 0.25, "l2": 0.25}
@@ -112,7 +113,8 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     stepper = ss.compile(system, scheme)
     state = system.reference_state
     runs = [
-        Run(stepper._facts, stepper._kernels, stepper._defaults, h, 0.0, 1, 401) for _ in range(2)
+        Run(stepper._facts, stepper._kernels, FLOAT64, stepper._defaults, h, 0.0, 1, 401)
+        for _ in range(2)
     ]
     for run in runs:
         velocity = "v0" in state
@@ -136,8 +138,10 @@ def test_stopping_leaves_no_trace_where_steps_are_mended(monkeypatch):
             mended.append(name)
         return original(name)
 
-    monkeypatch.setattr("symsimpson.runtime.machine.driver", counted)
-    runs = [Run(stepper._facts, stepper._kernels, values, 0.1, 0.0, 1, 41) for _ in range(2)]
+    monkeypatch.setattr("symsimpson.runtime.numbers.driver", counted)
+    runs = [
+        Run(stepper._facts, stepper._kernels, FLOAT64, values, 0.1, 0.0, 1, 41) for _ in range(2)
+    ]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)
     runs[0].advance(40)

@@ -66,7 +66,7 @@ def test_the_predictor_continues_polynomials(name):
 def test_elimination_meets_no_singular_pivot(name):
     """For the oscillator no leading minor vanishes at any step: x2 = (h omega)^2 > 0."""
     scheme = read_scheme(name)
-    rows, columns = elimination_order(scheme)
+    rows, columns = elimination_order(scheme.degree)
     x2 = sp.Symbol("x2")
     weights = scheme.quadrature.weights
     matrix = sp.Matrix(len(rows), len(rows), lambda i, j: sp.expand(sum(

@@ -5,7 +5,7 @@ import pytest
 from workspace import begin, state, take_step
 
 import symsimpson as ss
-from symsimpson.codegen.binding import bind_complex, bind_float
+from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
 
 PENDULUM = ss.systems.double_pendulum()

@@ -7,7 +7,7 @@ from random_systems import random_state, structured_system
 from workspace import begin, block, new_workspace, state
 
 import symsimpson as ss
-from symsimpson.codegen.binding import bind_float, bind_mpmath
+from symsimpson.binding import bind_float, bind_mpmath
 from symsimpson.codegen.counting import cost
 from symsimpson.codegen.pipeline import source
 

@@ -16,7 +16,7 @@ from typing import Any
 import mpmath
 import numpy as np
 
-__all__ = ["bind", "bind_complex", "bind_float", "bind_mpmath", "plain_arithmetic"]
+__all__ = ["bind", "bind_arb", "bind_complex", "bind_float", "bind_mpmath", "plain_arithmetic"]
 
 _MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
@@ -41,6 +41,8 @@ def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
     """
     tree = ast.parse(source)
     tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
+    if "power" in arithmetic:
+        tree = ast.fix_missing_locations(_Powers().visit(tree))
     namespace: dict[str, Any] = dict(arithmetic)
     exec(compile(tree, "<generated module>", "exec"), namespace)
     return SimpleNamespace(**{k: v for k, v in namespace.items() if not k.startswith("__")})
@@ -83,9 +85,45 @@ def bind_complex(source: str) -> SimpleNamespace:
     return bind(source, plain_arithmetic(functions, float))
 
 
-def bind_mpmath(source: str) -> SimpleNamespace:
-    """Bind to mpmath at its present working precision, in which the kernels must be called too."""
+def bind_mpmath(source: str, context: Any = mpmath.mp) -> SimpleNamespace:
+    """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
     names = [*_MATH, "atan2", "pi"]
-    functions: dict[str, Any] = {name: getattr(mpmath.mp, name) for name in names}
-    functions["sincos"] = lambda x: mpmath.mp.cos_sin(x)[::-1]
-    return bind(source, plain_arithmetic(functions, mpmath.mpf))
+    functions: dict[str, Any] = {name: getattr(context, name) for name in names}
+    functions["pi"] = +context.pi
+    functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
+    return bind(source, plain_arithmetic(functions, context.mpf))
+
+
+def bind_arb(source: str) -> SimpleNamespace:
+    """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
+    from flint import arb
+
+    def method(name: str) -> Callable[[Any], Any]:
+        return lambda x: getattr(arb(x), name)()
+
+    functions: dict[str, Any] = {name: method(name) for name in _MATH}
+    functions["pi"] = arb.pi()
+    functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
+    functions["sincos"] = method("sin_cos")
+    functions["power"] = _power
+    return bind(source, plain_arithmetic(functions, arb))
+
+
+def _power(base: Any, exponent: Any) -> Any:
+    """Multiply where a ball around zero has no logarithm."""
+    if not isinstance(exponent, int) or exponent < 1:
+        return base**exponent
+    result = base
+    for _ in range(exponent - 1):
+        result = result * base
+    return result
+
+
+class _Powers(ast.NodeTransformer):
+    """Writes a**b as power(a, b)."""
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
+        if not isinstance(node.op, ast.Pow):
+            return node
+        return ast.Call(ast.Name("power", ast.Load()), [node.left, node.right], [])

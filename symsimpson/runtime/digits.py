@@ -1,0 +1,254 @@
+"""Any number of digits: the same module and the same driver, run by Python.
+
+mpmath is the reference; the balls of python-flint are faster. Both run the text of the compiled
+code; only the thresholds that name a rounding error are other ones.
+"""
+
+from __future__ import annotations
+
+import operator
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from fractions import Fraction
+from functools import cache, cached_property
+from types import FrameType, SimpleNamespace
+from typing import Any, cast
+
+import mpmath
+import numpy as np
+from mpmath.libmp import from_man_exp
+from numpy.typing import NDArray
+
+from symsimpson.binding import bind, bind_arb, bind_mpmath
+from symsimpson.errors import GenerationError, InputError
+from symsimpson.runtime.load import Facts
+from symsimpson.runtime.machine import driver_text
+from symsimpson.runtime.numbers import Numbers
+
+__all__ = ["read_precision"]
+
+FEWEST, MOST = 15, 10_000
+ARITHMETICS = ("mpmath", "arb")
+
+
+@cache
+def _numbers(digits: int, arithmetic: str) -> Numbers:
+    return Arb(digits) if arithmetic == "arb" else Digits(digits)
+
+
+def read_precision(precision: Any, arithmetic: Any) -> Numbers:
+    """Give the numbers of so many decimal digits.
+
+    Raises
+    ------
+    InputError
+        If there is no such precision or arithmetic.
+    GenerationError
+        If python-flint is asked for and not installed.
+    """
+    if arithmetic not in ARITHMETICS:
+        raise InputError(
+            f"arithmetic is {arithmetic!r}.\nChoose 'mpmath', or 'arb' with python-flint."
+        )
+    try:
+        if isinstance(precision, bool):
+            raise TypeError
+        digits = operator.index(precision)
+    except TypeError:
+        digits = 0
+    if not FEWEST <= digits <= MOST:
+        raise InputError(
+            f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
+            f"{MOST}.\nPass precision=64, or None for compiled double precision."
+        )
+    if arithmetic == "arb":
+        try:
+            import flint  # noqa: F401
+        except ImportError:
+            raise GenerationError(
+                "arithmetic='arb' needs python-flint, which is not installed.\n"
+                "Install it with pip install 'symsimpson[precise]', or use mpmath."
+            ) from None
+    return _numbers(digits, arithmetic)
+
+
+class _Anything:
+    """Stands for the types that only a compiler asks for."""
+
+    def __getattr__(self, name: str) -> _Anything:
+        return self
+
+    def __getitem__(self, index: Any) -> _Anything:
+        return self
+
+    def __call__(self, *arguments: Any) -> _Anything:
+        return self
+
+
+class _Functions:
+    """Kernels as Python functions."""
+
+    def __init__(self, module: SimpleNamespace) -> None:
+        self._module = module
+
+    @cached_property
+    def step(self) -> Sequence[Any]:
+        return tuple(map(self.address, ("prepare", "start", "newton", "advance")))
+
+    @cached_property
+    def robust(self) -> Sequence[Any]:
+        pivoted = getattr(self._module, "newton_pivoted", None)
+        prepare, start, newton, advance = self.step
+        return prepare, start, pivoted or newton, advance
+
+    def address(self, name: str) -> Any:
+        return getattr(self._module, name, None)
+
+
+class Digits(Numbers):
+    """Numbers of mpmath, in a context of their own."""
+
+    stretch = 1
+
+    def __init__(self, digits: int) -> None:
+        self.digits = digits
+        self.context = mpmath.mp.clone()
+        self.context.dps = digits
+
+    def read(self, value: Any) -> NDArray[Any]:
+        """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
+        given = np.array(value, dtype=object)
+        array = self.zeros(given.shape)
+        for index, one in np.ndenumerate(given):
+            array[index] = self._inner(self._number(one))
+        return array
+
+    def _number(self, value: Any) -> Any:
+        context = self.context
+        if isinstance(value, Fraction):
+            return context.mpf(value.numerator) / value.denominator
+        if isinstance(value, np.integer):
+            return context.mpf(int(value))
+        if hasattr(value, "evalf") and hasattr(value, "free_symbols"):  # SymPy, if it is loaded
+            return context.mpf(str(value.evalf(self.digits + 10)))
+        found = context.convert(value if not hasattr(value, "as_tuple") else str(value))
+        if not isinstance(found, context.mpf):
+            raise TypeError(value)
+        return found
+
+    def _inner(self, number: Any) -> Any:
+        """Give a number as the kernels take it."""
+        return number
+
+    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+        """Give an array of zeros."""
+        return np.full(shape, self._inner(self.context.zero), dtype=object)
+
+    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are finite."""
+        finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
+        return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
+
+    def _outer(self, number: Any) -> Any:
+        """Give a number as a user gets it."""
+        return number
+
+    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+        """Give whole numbers to multiply with."""
+        return np.array(range(first, stop, stride), dtype=object)
+
+    def kernels(self, text: str, facts: Facts) -> _Functions:
+        """Bind the kernels of a module."""
+        return _Functions(bind_mpmath(text, self.context))
+
+    def driver(self, name: str) -> Callable[..., Any]:
+        """Give a function of the driver, bound to these numbers."""
+        return cast(Callable[..., Any], getattr(self._driver, name))
+
+    @cached_property
+    def _driver(self) -> SimpleNamespace:
+        unit = self.context.mpf(10) ** -self.digits
+        replaced = {
+            "njit": lambda **options: lambda function: function,
+            "types": _Anything(),
+            "call": self._call,
+            "np": SimpleNamespace(
+                inf=float("inf"), int64=int, sqrt=self._root, empty=self.zeros, zeros=self.zeros
+            ),
+            "NEGLIGIBLE": self._inner(2 * unit),
+            "STAGNATION": self._inner(unit ** self.context.mpf("1.25")),
+        }
+        return bind(driver_text(), replaced)
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        kernel(h, t, W)
+
+    def _root(self, number: Any) -> Any:
+        return self.context.sqrt(number)
+
+    @contextmanager
+    def _shielded(self) -> Iterator[None]:
+        heard: list[tuple[int, FrameType | None]] = []
+        before = signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
+        if heard and callable(before):
+            before(*heard[0])
+
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """Put off Ctrl-C to the end of a step, which would be lost half done."""
+        main = threading.current_thread() is threading.main_thread()
+        return self._shielded() if main else nullcontext()
+
+
+class Arb(Digits):
+    """Midpoints of the balls of python-flint."""
+
+    def __init__(self, digits: int) -> None:
+        super().__init__(digits)
+        from flint import arb
+
+        self._arb = arb
+
+    def _inner(self, number: Any) -> Any:
+        sign, mantissa, exponent, _ = number._mpf_
+        if not mantissa:
+            return self._arb(str(number))
+        return self._arb((-mantissa if sign else mantissa, exponent))
+
+    def _outer(self, number: Any) -> Any:
+        if not isinstance(number, self._arb):
+            return self.context.convert(number)
+        if not number.is_finite():
+            return self.context.nan
+        mantissa, exponent = number.mid().man_exp()
+        return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
+
+    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Give numbers of mpmath."""
+        return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
+
+    def kernels(self, text: str, facts: Facts) -> _Functions:
+        """Bind the kernels of a module."""
+        with self.working():
+            return _Functions(bind_arb(text))
+
+    def working(self) -> AbstractContextManager[Any]:
+        """Set the precision of python-flint, which is global, for a while."""
+        import flint
+
+        return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends."""
+        kernel(h, t, W)
+        for index, value in np.ndenumerate(W):
+            if isinstance(value, self._arb):
+                W[index] = value.mid()
+
+    def _root(self, number: Any) -> Any:
+        return self._arb(number).sqrt()

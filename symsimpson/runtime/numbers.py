@@ -1,0 +1,84 @@
+"""The numbers that a stepper computes with, and what runs kernels and driver in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.load import Facts, Kernels
+from symsimpson.runtime.machine import driver
+
+__all__ = ["FLOAT64", "KernelSet", "Numbers"]
+
+
+class KernelSet(Protocol):
+    """Kernels as the driver calls them: addresses, or functions."""
+
+    @property
+    def step(self) -> Any:
+        """Prepare, start, newton and advance."""
+
+    @property
+    def robust(self) -> Any:
+        """The same with row pivoting."""
+
+    def address(self, name: str) -> Any:
+        """Give one kernel."""
+
+
+class Numbers:
+    """Double precision, by compiled code; other numbers are subclasses.
+
+    Attributes
+    ----------
+    stretch : int
+        Steps after which a run first looks whether it was interrupted.
+    """
+
+    stretch = 4096
+
+    def read(self, value: Any) -> NDArray[Any]:
+        """Convert numbers of any shape; raises TypeError, ValueError or OverflowError."""
+        array = np.array(value)
+        if array.dtype.kind not in "fiuO":
+            raise TypeError(array.dtype)
+        return array.astype(np.float64)
+
+    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+        """Give an array of zeros."""
+        return np.zeros(shape)
+
+    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are finite."""
+        return np.isfinite(array)
+
+    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+        """Give whole numbers to multiply with."""
+        return np.arange(first, stop, stride, dtype=np.float64)
+
+    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Give an array as a user gets it."""
+        return array
+
+    def kernels(self, text: str, facts: Facts) -> KernelSet:
+        """Give the kernels of a module."""
+        return Kernels(text, facts)
+
+    def driver(self, name: str) -> Callable[..., Any]:
+        """Give a function of the driver."""
+        return driver(name)
+
+    def working(self) -> AbstractContextManager[Any]:
+        """Give the context in which these numbers are computed with."""
+        return nullcontext()
+
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """Put off Ctrl-C; what is compiled hears it only afterwards anyway."""
+        return nullcontext()
+
+
+FLOAT64 = Numbers()
