@@ -64,8 +64,8 @@ def compile(
     >>> ss.compile(ss.systems.pendulum(), "midpoint")
     Stepper(pendulum, midpoint, order 2)
     >>> precise = ss.compile(ss.systems.pendulum(), precision=30)
-    >>> precise.integrate(["0.1"], v0=[0], h="0.01", steps=1).q[1, 0]
-    mpf('')
+    >>> print(precise.integrate(["0.1"], v0=[0], h="0.01", steps=1).q[1, 0])
+    0.0999510356921338486240015870667
     """
     _check_system(system)
     found = read_scheme(scheme)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -222,6 +222,31 @@ class Stepper:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n)."""
         with self._numbers.working():
             return self._equations(q0, p0, nodes, h, parameters)[1]
+
+    def energy(self, q: ArrayLike, p: ArrayLike, parameters: Parameters | None = None) -> Reals:
+        """Evaluate the Hamiltonian at states of any origin.
+
+        Parameters
+        ----------
+        q, p : array_like, shape (N, n)
+        parameters : mapping, optional
+
+        Returns
+        -------
+        ndarray, shape (N,)
+        """
+        numbers, n = self._numbers, self.n
+        with numbers.working():
+            states = [read_array(name, x, numbers) for name, x in (("q", q), ("p", p))]
+            for name, state in zip("qp", states, strict=True):
+                if state.ndim != 2 or state.shape != (len(states[0]), n):
+                    raise InputError(
+                        f"{name} has shape {state.shape}, expected (N, {n}).\n"
+                        "Pass one row for each state; q and p of equal length."
+                    )
+            values = self._values(parameters)
+        found = self._evaluate("energy", "ENERGY", 1, states[0], states[1], values)
+        return cast(Reals, found[:, 0])
 
     def _equations(
         self, q0: ArrayLike, p0: ArrayLike, nodes: ArrayLike, h: float, given: Parameters | None

@@ -1,0 +1,31 @@
+"""The order at which errors fall with the step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["observed_orders"]
+
+
+def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> NDArray[np.float64]:
+    """Give the observed order between each error and the next.
+
+    Parameters
+    ----------
+    errors : array_like, shape (k,)
+        Errors at steps that fall by a constant ratio.
+    ratio : float
+        The ratio of a step to the next.
+
+    Returns
+    -------
+    ndarray, shape (k - 1,)
+
+    Examples
+    --------
+    >>> observed_orders([1.6e-3, 1e-4, 6.25e-6]).tolist()
+    [4.0, 4.0]
+    """
+    values = np.asarray(errors, dtype=np.float64)
+    return np.asarray(np.log(values[:-1] / values[1:]) / np.log(ratio))

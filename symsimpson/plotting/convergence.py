@@ -1,0 +1,77 @@
+"""Errors against the step, with the order as a triangle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+__all__ = ["plot_convergence", "slope_triangle"]
+
+
+def plot_convergence(
+    steps: ArrayLike,
+    errors: Mapping[str, ArrayLike],
+    *,
+    orders: Mapping[str, int] | None = None,
+    ax: Any = None,
+) -> Any:
+    """Draw errors against the step in logarithmic axes.
+
+    Parameters
+    ----------
+    steps : array_like, shape (k,)
+        Step sizes, from large to small.
+    errors : mapping from label to array_like, shape (k,)
+    orders : mapping from label to int, optional
+        Labels whose line gets a triangle of that slope.
+    ax : matplotlib axes, optional
+        Drawn into; made if there are none.
+
+    Returns
+    -------
+    matplotlib axes
+    """
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(figsize=(6, 4), layout="constrained")[1]
+    h = np.asarray(steps, dtype=np.float64)
+    for marker, (label, values) in zip("osD^vP*X" * len(errors), errors.items(), strict=False):
+        line = np.asarray(values, dtype=np.float64)
+        (drawn,) = ax.loglog(h, line, marker + "-", ms=4, lw=1.2, label=label)
+        if orders and label in orders:
+            end = min(2, h.size - 1)
+            corner = (float(h[-1]), float(line[-1]))
+            slope_triangle(ax, corner, orders[label], float(h[-1 - end]), color=drawn.get_color())
+    ax.set_xlabel("step h")
+    ax.legend()
+    return ax
+
+
+def slope_triangle(
+    ax: Any, corner: tuple[float, float], order: int, to: float, *, color: str = "0.4"
+) -> None:
+    """Draw a triangle of slope ``order`` below a line, from its smallest step to another step.
+
+    Parameters
+    ----------
+    ax : matplotlib axes
+        With logarithmic scales.
+    corner : (float, float)
+        The line's point at the smallest step.
+    order : int
+    to : float
+        The other step.
+    color : str
+    """
+    x, y = corner[0], corner[1] / 3
+    top = y * (to / x) ** order
+    ax.plot([x, to, to, x], [y, y, top, y], lw=0.8, color=color)
+    middle = float(np.sqrt(x * to))
+    ax.annotate("1", (middle, y), (0, -2), textcoords="offset points", ha="center", va="top",
+                fontsize=8, color=color)  # fmt: skip
+    ax.annotate(str(order), (to, float(np.sqrt(y * top))), (3, 0), textcoords="offset points",
+                ha="left", va="center", fontsize=8, color=color)  # fmt: skip
