@@ -46,6 +46,9 @@ def plot_convergence(
             end = min(2, h.size - 1)
             corner = (float(h[-1]), float(line[-1]))
             slope_triangle(ax, corner, orders[label], float(h[-1 - end]), color=drawn.get_color())
+    every = max(1, (h.size + 3) // 4)
+    ax.set_xticks(h[::every], [f"{step:.3g}" for step in h[::every]])
+    ax.minorticks_off()
     ax.set_xlabel("step h")
     ax.legend()
     return ax
