@@ -216,9 +216,10 @@ class Arb(Digits):
 
     def _inner(self, number: Any) -> Any:
         sign, mantissa, exponent, _ = number._mpf_
-        if not mantissa:
+        if not mantissa:  # zero, or no finite number
             return self._arb(str(number))
-        return self._arb((-mantissa if sign else mantissa, exponent))
+        whole = int(mantissa)  # gmpy2 has integers of its own
+        return self._arb((-whole if sign else whole, exponent))
 
     def _outer(self, number: Any) -> Any:
         if not isinstance(number, self._arb):
@@ -246,9 +247,9 @@ class Arb(Digits):
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends."""
         kernel(h, t, W)
-        for index, value in np.ndenumerate(W):
-            if isinstance(value, self._arb):
-                W[index] = value.mid()
+        ball = self._arb
+        for lane in W.T:
+            lane[:] = [value.mid() if type(value) is ball else value for value in lane]
 
     def _root(self, number: Any) -> Any:
         return self._arb(number).sqrt()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -246,7 +246,8 @@ class Stepper:
                     )
             values = self._values(parameters)
         found = self._evaluate("energy", "ENERGY", 1, states[0], states[1], values)
-        return cast(Reals, found[:, 0])
+        energies: Reals = found[:, 0]
+        return energies
 
     def _equations(
         self, q0: ArrayLike, p0: ArrayLike, nodes: ArrayLike, h: float, given: Parameters | None
