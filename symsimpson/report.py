@@ -39,12 +39,17 @@ def rows(found: Structure) -> list[Row]:
         word for word, holds in (("constant", found.constant_mass),
                                  ("diagonal", found.diagonal_mass)) if holds
     )  # fmt: skip
-    table: list[Row] = [
-        ("coordinates", _some(names), "", ""),
-        ("mass matrix", mass or "depends on q",
-         "no entry of M contains a coordinate" if found.constant_mass else "",
-         "dM/dq and forces that depend on v" if found.constant_mass else ""),
-    ]  # fmt: skip
+    rows_of = _some(found.constant_rows)
+    some_rows = bool(rows_of) and not found.constant_mass
+    table: list[Row] = [("coordinates", _some(names), "", "")]
+    if found.constant_mass:
+        table.append(("mass matrix", mass, "no entry of M contains a coordinate",
+                      "dM/dq and forces that depend on v"))  # fmt: skip
+    else:
+        here = ", ".join(word for word in (mass, "depends on q") if word)
+        table.append(("mass matrix", here + (f", but for {rows_of}" if some_rows else ""),
+                      "these rows of M contain no coordinate" if some_rows else "",
+                      "their part of dM/dq" if some_rows else ""))  # fmt: skip
     if found.gyroscopic:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
     if found.separable:

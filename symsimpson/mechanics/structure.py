@@ -54,6 +54,8 @@ class Structure:
         Number of coordinates.
     constant_mass, diagonal_mass : bool
         M does not depend on q; M has no entries off its diagonal.
+    constant_rows : tuple of str
+        Coordinates whose whole row of M does not depend on q.
     gyroscopic : bool
         L has terms linear in the velocities.
     separable, linear : bool
@@ -75,6 +77,7 @@ class Structure:
     n: int
     constant_mass: bool
     diagonal_mass: bool
+    constant_rows: tuple[str, ...]
     gyroscopic: bool
     separable: bool
     linear: bool
@@ -136,6 +139,7 @@ def analyse(system: MechanicalSystem) -> Structure:
         n=n,
         constant_mass=all(s.constant_mass for s in subsystems),
         diagonal_mass=all(i == j for i, j in entries),
+        constant_rows=_constant_rows(entries, q, names),
         gyroscopic=any(a != 0 for a in gyroscopic),
         separable=all(s.separable for s in subsystems),
         linear=all(s.linear for s in subsystems),
@@ -160,6 +164,16 @@ def _simplified_mass(mass: Matrix, simplify: Simplifier) -> Matrix:
         if i >= j:
             found[i, j] = found[j, i] = simplify(f"M[{i},{j}]", entry)
     return Matrix(found)
+
+
+def _constant_rows(
+    entries: dict[tuple[int, int], sp.Expr], q: Sequence[sp.Symbol], names: Sequence[str]
+) -> tuple[str, ...]:
+    moving = {
+        i for place, entry in entries.items() if not entry.free_symbols.isdisjoint(q)
+        for i in place
+    }  # fmt: skip
+    return tuple(name for i, name in enumerate(names) if i not in moving)
 
 
 def _groups(

@@ -129,6 +129,13 @@ def test_coordinates_that_are_angles():
     assert ss.systems.double_pendulum().structure.periodic == ("q1", "q2")
 
 
+def test_rows_of_the_mass_matrix_that_are_constant():
+    assert ss.systems.lagrange_top().structure.constant_rows == ("theta",)
+    assert "depends on q, but for theta" in str(ss.systems.lagrange_top().structure)
+    assert ss.systems.double_pendulum().structure.constant_rows == ()
+    assert ss.systems.henon_heiles().structure.constant_rows == ("x", "y")
+
+
 def test_zeros_are_counted():
     found = declare(
         (vx**2 + vy**2 * (2 + sp.cos(x)) + vz**2) / 2 + vx * vz / 4, y * z, (x, y, z)
