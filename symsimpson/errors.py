@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.ensemble import Ensemble
     from symsimpson.runtime.status import Status
     from symsimpson.runtime.trajectory import Trajectory
 
@@ -83,8 +84,8 @@ class ConvergenceError(SymsimpsonError):
 
 
 class Interrupted(SymsimpsonError, KeyboardInterrupt):
-    """Ctrl-C stopped a run; ``trajectory`` holds what was computed."""
+    """Ctrl-C stopped a run; ``trajectory`` (an Ensemble, for many) holds what was computed."""
 
-    def __init__(self, message: str, *, trajectory: Trajectory) -> None:
+    def __init__(self, message: str, *, trajectory: Trajectory | Ensemble) -> None:
         super().__init__(message)
         self.trajectory = trajectory

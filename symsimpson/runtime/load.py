@@ -152,10 +152,11 @@ def _check_digest(text: str, where: str) -> None:
 class Kernels:
     """The kernels of one module, compiled or loaded from the cache when first asked for."""
 
-    def __init__(self, text: str, facts: Facts) -> None:
+    def __init__(self, text: str, facts: Facts, lanes: int = 1) -> None:
         # run-time values are no part of what is compiled, nor is the banner above the module
         body = text[text.index('"""') :]
-        self._text = re.sub(r"^DEFAULTS = \([^)]*\)\n", "", body, count=1, flags=re.MULTILINE)
+        body = re.sub(r"^DEFAULTS = \([^)]*\)\n", "", body, count=1, flags=re.MULTILINE)
+        self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
 
     @cached_property
@@ -181,6 +182,15 @@ class Kernels:
     def address(self, name: str) -> int:
         """Give the address of one kernel."""
         return int(self._addresses(self._text, name, (name,))[0])
+
+    def observing(self, kernel: str, rows: int) -> int:
+        """Give the address of a further kernel, whose text is compiled behind the module's.
+
+        The workspace has so many more rows, from what was ROWS on.
+        """
+        before = self._facts.rows
+        text = self._text.replace(f"ROWS = {before}\n", f"ROWS = {before + rows}\n", 1)
+        return int(self._addresses(f"{text}\n\n{kernel}", "observe", ("observe",))[0])
 
     @staticmethod
     def _addresses(text: str, label: str, names: tuple[str, ...]) -> NDArray[np.int64]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "driver", "driver_text"]
 
+#: The modules that are compiled as one text, in this order.
+PARTS = ("driver", "march", "sweep")
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: After a step that only the robust kernels could take, so many more are taken with them.
@@ -31,9 +33,9 @@ ROBUST_STRETCH = 64
 def driver_text(lanes: int = 1) -> str:
     """Give the text of the driver for a number of lanes."""
     folder = resources.files("symsimpson.runtime")
-    parts = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in ("driver", "march")]
-    parts[1] = re.sub(r"^from symsimpson.*?\n\)\n", "", parts[1], flags=re.DOTALL | re.MULTILINE)
-    text = "\n\n".join(parts)
+    files = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in PARTS]
+    own = r"^from symsimpson[^\n(]*(\(.*?\)|[^\n(]*)\n"  # names that stand in the same text
+    text = "\n\n".join(re.sub(own, "", part, flags=re.DOTALL | re.MULTILINE) for part in files)
     return text.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
 
 

@@ -15,6 +15,7 @@ class Status(IntEnum):
     NOT_CONVERGED = 2
     NOT_FINITE = 3
     STEP_TOO_LARGE = 4
+    BAD_INPUT = 5
 
     @property
     def message(self) -> str:
@@ -36,5 +37,9 @@ _MESSAGES = {
     Status.STEP_TOO_LARGE: (
         "The equations of the step have a solution, but not one connected to the state by smaller "
         "steps. The step is too large for this motion: try a smaller h."
+    ),
+    Status.BAD_INPUT: (
+        "The run could not begin: the mass matrix is not positive definite there, or the velocity "
+        "is not finite. Check the masses, and that q0 is no singular point of the coordinates."
     ),
 }

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError, Interrupted
+from symsimpson.runtime.evaluate import evaluate_energy, evaluate_equations
 from symsimpson.runtime.inputs import (
-    read_array,
     read_every,
-    read_number,
     read_parameters,
     read_steps,
     read_vector,
 )
-from symsimpson.runtime.load import Facts, equations_of, read_facts
+from symsimpson.runtime.load import Facts, read_facts
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import FLOAT64, Numbers
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.ensemble import Ensemble
 
 __all__ = ["Stepper"]
 
@@ -168,6 +170,81 @@ class Stepper:
                 "Store fewer: every=1000, or every=None for the last state only."
             ) from None
 
+    def ensemble(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float,
+        t_end: float | None = None,
+        steps: int | None = None,
+        t0: float = 0.0,
+        parameters: Parameters | None = None,
+        every: int | None = None,
+        reduce: Mapping[str, tuple[str, Any]] | None = None,
+        threads: int | None = None,
+        progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Ensemble:
+        """Integrate many trajectories, each with its own initial state and parameters.
+
+        Members fill the lanes of vector code and the threads of the machine. What a member comes
+        to does not depend on the others, nor on the number of threads.
+
+        Parameters
+        ----------
+        q0, v0, p0 : array_like, shape (K, n) or (n,)
+            Initial positions, and velocities or momenta; one row stands for all members.
+        h, t_end, steps, t0
+            As for :meth:`integrate`.
+        parameters : mapping, optional
+            Numbers, or arrays of shape (K,), by symbol or by name.
+        every : int or None
+            Store each so-many-th state; None stores only the last.
+        reduce : mapping from str to (kind, expression), optional
+            Quantities to follow without storing states. A kind is "min", "max", "mean" or "first":
+            the time at which the expression first becomes positive, NaN if it never does. The
+            expression, a text or of SymPy, may contain coordinates, ``p_`` and a coordinate,
+            parameters, ``t`` and ``energy``.
+        threads : int, optional
+            As many as there are processors unless given.
+        progress : bool, optional
+            Whether to show a bar (needs tqdm); None shows one after two seconds.
+        on_failure : {"raise", "return"}
+            Whether Ctrl-C raises, or returns what is done. Members that fail have a status.
+
+        Returns
+        -------
+        Ensemble
+
+        Raises
+        ------
+        InputError
+            If the input makes no sense.
+        Interrupted
+            At Ctrl-C; its ``trajectory`` is the ensemble, as far as it is done.
+
+        Examples
+        --------
+        >>> import numpy as np, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> angles = np.linspace(0.1, 3.0, 30)[:, None]
+        >>> found = stepper.ensemble(angles, v0=[0.0], h=0.05, t_end=10,
+        ...                          reduce={"lowest": ("min", "theta")})
+        >>> found.q.shape, bool(abs(found.reduced["lowest"][0] + 0.1) < 1e-3)
+        ((30, 1), True)
+        """
+        from symsimpson.runtime.ensemble import run_ensemble
+        from symsimpson.runtime.members import read_task
+
+        if on_failure not in ("raise", "return"):
+            raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
+        task = read_task(
+            self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress
+        )
+        return run_ensemble(self, task, raise_interrupt=on_failure == "raise")
+
     def step(
         self, q: ArrayLike, p: ArrayLike, h: float, parameters: Parameters | None = None
     ) -> tuple[Reals, Reals]:
@@ -208,8 +285,7 @@ class Stepper:
         ndarray, shape (d n,)
             D_k L_d for k = 1..d-1, then p0 + D_0 L_d.
         """
-        with self._numbers.working():
-            return self._equations(q0, p0, nodes, h, parameters)[0]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters)[0]
 
     def jacobian(
         self,
@@ -220,8 +296,7 @@ class Stepper:
         parameters: Parameters | None = None,
     ) -> Reals:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n)."""
-        with self._numbers.working():
-            return self._equations(q0, p0, nodes, h, parameters)[1]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters)[1]
 
     def energy(self, q: ArrayLike, p: ArrayLike, parameters: Parameters | None = None) -> Reals:
         """Evaluate the Hamiltonian at states of any origin.
@@ -235,46 +310,7 @@ class Stepper:
         -------
         ndarray, shape (N,)
         """
-        numbers, n = self._numbers, self.n
-        with numbers.working():
-            states = [read_array(name, x, numbers) for name, x in (("q", q), ("p", p))]
-            for name, state in zip("qp", states, strict=True):
-                if state.ndim != 2 or state.shape != (len(states[0]), n):
-                    raise InputError(
-                        f"{name} has shape {state.shape}, expected (N, {n}).\n"
-                        "Pass one row for each state; q and p of equal length."
-                    )
-            values = self._values(parameters)
-        found = self._evaluate("energy", "ENERGY", 1, states[0], states[1], values)
-        energies: Reals = found[:, 0]
-        return energies
-
-    def _equations(
-        self, q0: ArrayLike, p0: ArrayLike, nodes: ArrayLike, h: float, given: Parameters | None
-    ) -> tuple[Reals, Reals]:
-        facts, n, numbers = self._facts, self.n, self._numbers
-        d = facts.degree
-        q = read_vector("q0", q0, self.coordinates, numbers)
-        p = read_vector("p0", p0, self.coordinates, numbers)
-        h = read_number("h", h, numbers)
-        points = read_array("nodes", nodes, numbers)
-        if points.shape != (d, n):
-            raise InputError(
-                f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
-                "Pass the inner control points and q1, one row each."
-            )
-        layout = facts.layout
-        run = Run(facts, self._kernels, numbers, self._values(given), h, h * 0, 0, 1)
-        run.rows("POSITION", n)[:] = q
-        run.rows("MOMENTUM", n)[:] = p
-        run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
-        prepare, equations = (self._kernels.address(k) for k in ("prepare", "equations"))
-        numbers.driver("evaluate")(
-            prepare, equations, h, run.W, facts.places, q[None, :], p[None, :],
-            layout["RESIDUAL"], numbers.zeros((1, 0)),
-        )  # fmt: skip
-        residual, jacobian = map(numbers.result, equations_of(facts, run))
-        return residual.ravel(), jacobian.reshape(d * n, d * n)
+        return evaluate_energy(self, q, p, parameters)
 
     def _values(self, given: Parameters | None) -> Reals:
         facts = self._facts
@@ -356,20 +392,3 @@ class Stepper:
             residual=residual,
             status=status,
         )
-
-    def _evaluate(
-        self, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
-    ) -> Reals:
-        """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-        facts, numbers = self._facts, self._numbers
-        with numbers.working():
-            W = numbers.zeros((facts.rows, 1))
-            first = facts.layout["PARAMETER"]
-            W[first : first + values.size, 0] = numbers.read(values)
-            out = numbers.zeros((len(q), count))
-            numbers.driver("evaluate")(
-                self._kernels.address("prepare"), self._kernels.address(kernel),
-                numbers.read(1.0).item(), W, facts.places, numbers.read(q), numbers.read(p),
-                facts.layout[block], out,
-            )  # fmt: skip
-            return numbers.result(out)

@@ -62,7 +62,7 @@ class Trajectory:
     @cached_property
     def energy(self) -> NDArray[Any]:
         """H at the stored states, shape (N + 1,); computed when first asked for."""
-        return self._stepper._evaluate("energy", "ENERGY", 1, self.q, self.p, self._values)[:, 0]
+        return self._evaluated("energy", "ENERGY", 1)[:, 0]
 
     @cached_property
     def energy_error(self) -> NDArray[Any]:
@@ -77,10 +77,13 @@ class Trajectory:
         names = self._stepper.invariants
         if not names:
             return {}
-        found = self._stepper._evaluate(
-            "invariants", "INVARIANT", len(names), self.q, self.p, self._values
-        )
+        found = self._evaluated("invariants", "INVARIANT", len(names))
         return {name: found[:, i] for i, name in enumerate(names)}
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        from symsimpson.runtime.evaluate import evaluate
+
+        return evaluate(self._stepper, kernel, block, count, self.q, self.p, self._values)
 
     def __len__(self) -> int:
         return self.t.size
