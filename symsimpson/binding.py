@@ -62,8 +62,14 @@ def plain_arithmetic(
 ) -> dict[str, Any]:
     """Give the names that a module takes from its arithmetic; one function may stand for all."""
     named = dict.fromkeys([*_MATH, "atan2"], functions) if callable(functions) else functions
+
+    def nothing(W: Any, lane: int) -> None:
+        """Leave it to the caller when to stop."""
+
     return {
         "pi": math.pi,
+        "judge": nothing,
+        "question": nothing,
         **named,
         "real": real,
         "array": np.array,
@@ -85,18 +91,27 @@ def bind_complex(source: str) -> SimpleNamespace:
     return bind(source, plain_arithmetic(functions, float))
 
 
-def bind_mpmath(source: str, context: Any = mpmath.mp) -> SimpleNamespace:
+def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False) -> SimpleNamespace:
     """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
     names = [*_MATH, "atan2", "pi"]
     functions: dict[str, Any] = {name: getattr(context, name) for name in names}
     functions["pi"] = +context.pi
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
-    return bind(source, plain_arithmetic(functions, context.mpf))
+    arithmetic = plain_arithmetic(functions, context.mpf)
+    return bind(source, _judged(arithmetic, context.dps) if judging else arithmetic)
 
 
-def bind_arb(source: str) -> SimpleNamespace:
+def _judged(arithmetic: dict[str, Any], digits: int) -> dict[str, Any]:
+    """Let kernels judge an iteration, with thresholds for a number of digits."""
+    real = arithmetic["real"]
+    unit = real(10) ** -digits
+    kept = {name: value for name, value in arithmetic.items() if name not in ("judge", "question")}
+    return kept | {"NEGLIGIBLE": 4 * unit**2, "STAGNATION": unit}
+
+
+def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
-    from flint import arb
+    from flint import arb, ctx
 
     def method(name: str) -> Callable[[Any], Any]:
         return lambda x: getattr(arb(x), name)()
@@ -106,7 +121,8 @@ def bind_arb(source: str) -> SimpleNamespace:
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["power"] = _power
-    return bind(source, plain_arithmetic(functions, arb))
+    arithmetic = plain_arithmetic(functions, arb)
+    return bind(source, _judged(arithmetic, ctx.dps) if judging else arithmetic)
 
 
 def _power(base: Any, exponent: Any) -> Any:

@@ -31,13 +31,24 @@ from symsimpson.discrete.equations import DiscreteEquations
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 2
+INTERFACE = 3
 
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
 _LONG = 16
 #: Beyond so many terms a formula is told by its families.
 _SHOWN = 40
+
+
+#: Constants of the library functions that judge an iteration and a step.
+_THRESHOLDS = """\
+# when Newton's method is done, and in doubt; relative sizes, squared
+INFINITE = real("inf")
+NEGLIGIBLE = 2.0**-102  # the next correction would be lost in the rounding of the residual
+QUADRATIC = 1e-2  # from here on corrections shrink quadratically
+STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
+FAR = 4.0  # a velocity at the end of the path off by more is in doubt
+"""
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
@@ -64,6 +75,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         ]
     )
     constants = _constants(module, printer)
+    if module.newton_unknowns:
+        constants = f"{constants}\n{_THRESHOLDS}" if constants else _THRESHOLDS
     library = _library(body)
     numbers = "\n".join(
         part
@@ -125,7 +138,8 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
         "",
         "Kernels take the step h, the time t and a workspace of ROWS x LANES numbers; each lane",
         "holds one trajectory with its own state and parameters. A run is prepare, start, then for",
-        "each step newton until the correction is negligible and advance.",
+        "each step newton, with RELATIVE infinite at first, until no lane is ACTIVE, and advance",
+        "with those lanes ACTIVE that are to move.",
         "",
         "References: J. E. Marsden and M. West, Acta Numerica 10 (2001); S. Ober-Bloebaum, IMA J.",
         "Numer. Anal. 37 (2017).",

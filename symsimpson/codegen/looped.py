@@ -6,7 +6,7 @@ import sympy as sp
 
 from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store, When
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.straight import lanes
+from symsimpson.codegen.straight import JUDGE, QUESTION, lanes
 from symsimpson.discrete.reductions import Coupled, Separable
 from symsimpson.schemes.scheme import Scheme
 
@@ -58,8 +58,13 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
         )
     else:
         rows = _all_rows(storage, degree)
-    newton: tuple[Statement, ...] = (*rows, _call("solve_pivoted"), _call("update_increments"))
-    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"))
+    newton: tuple[Statement, ...] = (
+        *rows,
+        _call("solve_pivoted"),
+        _call("update_increments"),
+        JUDGE,
+    )
+    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), QUESTION)
     closing: tuple[Statement, ...] = ()
     if isinstance(part, Separable) and part.last is not None:
         closing = (

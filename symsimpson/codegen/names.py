@@ -17,7 +17,8 @@ __all__ = ["NameTable"]
 #: Blocks of rows of the workspace, in their order; see :mod:`symsimpson.codegen.layout`.
 BLOCKS = (
     "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "SURPRISE_SQUARED",
-    "MASS_PIVOT", "ENERGY", "STATUS", "CONTRACTION", "SCALE", "ITERATIONS", "COUNT",
+    "MASS_PIVOT", "ENERGY", "STATUS", "RELATIVE", "CONTRACTION", "SCALE", "IN_DOUBT",
+    "ITERATIONS", "COUNT",
     "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
     "PREVIOUS", "SOLVED",
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
@@ -53,6 +54,11 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "OPTIONS",
         "SIGNATURE",
         "INTERFACE",
+        "INFINITE",
+        "NEGLIGIBLE",
+        "QUADRATIC",
+        "STAGNATION",
+        "FAR",
         "SYSTEM",
         "SCHEME",
         "DIGEST",

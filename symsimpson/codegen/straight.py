@@ -17,8 +17,10 @@ from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Coupled, Linear, Routh, Separable
 
-__all__ = ["STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
+__all__ = ["JUDGE", "QUESTION", "STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
 
+#: What ends an iteration, and a step.
+JUDGE, QUESTION = Call("judge", ("W", "lane")), Call("question", ("W", "lane"))
 #: Levels that a kernel computes which is called on a bare state (q, p).
 STATE = (Level.STEP, Level.ITERATION)
 
@@ -94,7 +96,7 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
     stores = _update(low, solvers, found)
     doc = "One Newton iteration for the increments X_k of the control points."
-    return Kernel("newton", doc, lanes(low.statements(stores, (Level.ITERATION,))))
+    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), JUDGE)))
 
 
 def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
@@ -115,7 +117,7 @@ def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     closing = low.statements(update, (Level.ITERATION,))
     doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
     call = Call("solve_pivoted", ("W", "lane"))
-    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *closing)),)))
+    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *closing, JUDGE)),)))
 
 
 def _update(
@@ -179,7 +181,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         following = low.moved(symbol, to)
         if following != symbol:  # it is made of constant momenta alone
             stores.append(Store(row, following, keep=symbol))
-    body = lanes(low.statements(stores, (Level.ITERATION,)))
+    body = lanes((*low.statements(stores, (Level.ITERATION,)), *((QUESTION,) if every else ())))
     if every:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
         return Kernel("advance", doc, body)

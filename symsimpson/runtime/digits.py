@@ -161,7 +161,7 @@ class Digits(Numbers):
 
     def kernels(self, text: str, facts: Facts) -> _Functions:
         """Bind the kernels of a module."""
-        return _Functions(bind_mpmath(text, self.context))
+        return _Functions(bind_mpmath(text, self.context, judging=True))
 
     def driver(self, name: str) -> Callable[..., Any]:
         """Give a function of the driver, bound to these numbers."""
@@ -169,24 +169,18 @@ class Digits(Numbers):
 
     @cached_property
     def _driver(self) -> SimpleNamespace:
-        unit = self.context.mpf(10) ** -self.digits
         replaced = {
             "njit": lambda **options: lambda function: function,
             "types": _Anything(),
             "call": self._call,
             "np": SimpleNamespace(
-                inf=float("inf"), int64=int, sqrt=self._root, empty=self.zeros, zeros=self.zeros
+                inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros
             ),
-            "NEGLIGIBLE": self._inner(2 * unit),
-            "STAGNATION": self._inner(unit ** self.context.mpf("1.25")),
         }
         return bind(driver_text(), replaced)
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         kernel(h, t, W)
-
-    def _root(self, number: Any) -> Any:
-        return self.context.sqrt(number)
 
     @contextmanager
     def _shielded(self) -> Iterator[None]:
@@ -236,7 +230,7 @@ class Arb(Digits):
     def kernels(self, text: str, facts: Facts) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
-            return _Functions(bind_arb(text))
+            return _Functions(bind_arb(text, judging=True))
 
     def working(self) -> AbstractContextManager[Any]:
         """Set the precision of python-flint, which is global, for a while."""
@@ -250,6 +244,3 @@ class Arb(Digits):
         ball = self._arb
         for lane in W.T:
             lane[:] = [value.mid() if type(value) is ball else value for value in lane]
-
-    def _root(self, number: Any) -> Any:
-        return self._arb(number).sqrt()

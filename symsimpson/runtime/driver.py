@@ -19,26 +19,18 @@ PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, CORRECTION, NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
 POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, SURPRISE, DIMENSION = range(8, 15)
-PREVIOUS, SOLVED, COUNT = 15, 16, 17
+PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT = range(15, 20)
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
 NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE = 2, 3, 4
 
 MOST_ITERATIONS = 40
-#: The next correction would be lost in the rounding of the residual: two units in the last place.
-NEGLIGIBLE = 2.0**-51
-#: From here on, in relative size squared, corrections shrink quadratically.
-SMALL = 1e-2
-#: By what the ratio is raised in each step, until it is 1 or seen again.
-FADING = 1.05
-#: Corrections that stop shrinking below this relative size, squared, are round-off.
-STAGNATION = 1e-20
+#: By what the ratio of a correction to the square of the one before is raised in each step (it is
+#: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
+FADING = 1.05**2
 #: Two solutions of a step are one if their relative distance is below this, squared.
 SAME_SOLUTION = 1e-12
-#: A path whose end has a velocity off by more than this, squared, in units of the largest
-#: increment so far is verified. Midpoint leaves rest with 1.
-DOUBT = 4.0
 #: From a suspicious step the solution is followed from small steps in so many pieces.
 PIECES = 16
 
@@ -47,17 +39,17 @@ OPTIONS = {"nogil": True, "error_model": "numpy"}
 #: For what is called in each step: a call costs reference counts of its arrays.
 INLINE = {"inline": "always", **OPTIONS}
 KERNELS, PLACES, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
-NUMBERS, STATES, COUNTS = types.float64[::1], types.float64[:, :, ::1], types.int64[:, ::1]
+STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
     "begin": types.void(KERNELS, types.int64, types.float64, types.float64, WORKSPACE, PLACES),
     "switch": types.void(KERNELS, types.float64, types.float64, WORKSPACE, PLACES),
     "run": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64[::1],
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1],
         types.int64, types.int64, STATES, STATES, COUNTS,
     ),
     "mend": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, NUMBERS, types.int64,
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64,
     ),
 }  # fmt: skip
 
@@ -88,50 +80,26 @@ def give_up(W, at):
 
 
 @njit(**INLINE)
-def solve(newton, h, t, W, at, relative):
-    """Iterate until every active lane has converged; give 0, or the status of a lane that failed.
+def solve(newton, h, t, W, at):
+    """Iterate until every active lane is done; give 0, or the status of a lane that failed.
 
-    ``relative`` (one number a lane) is left with the square of the last relative correction. The
-    correction after the present one is predicted from the ratio of a correction to the square of
-    the one before it, as seen of late; where it would be lost in rounding, the lane is done. Lanes
-    that are done keep ACTIVE = 0, failed ones ACTIVE = -status.
+    The kernel judges: lanes that are done have ACTIVE = 0, failed ones ACTIVE = -status.
     """
-    worst = 0
     lanes = LANES
-    active, correction_row, increment_row = at[ACTIVE], at[CORRECTION], at[NORM]
-    contraction, iterations = at[CONTRACTION], at[ITERATIONS]
+    active, relative, contraction = at[ACTIVE], at[RELATIVE], at[CONTRACTION]
     for lane in range(lanes):
-        relative[lane] = np.inf
-        if W[contraction, lane] < 1.0:  # trust fades, so that now and then it is measured anew
-            W[contraction, lane] *= FADING
+        W[relative, lane] = np.inf
+        W[contraction, lane] = min(1.0, W[contraction, lane] * FADING)
     for _ in range(MOST_ITERATIONS):
         call(newton, h, t, W)
         busy = 0
         for lane in range(lanes):
-            if W[active, lane] <= 0.0:
-                continue
-            W[iterations, lane] += 1.0
-            correction = W[correction_row, lane]
-            increment = W[increment_row, lane]
-            if not (correction < np.inf and increment < np.inf):
-                W[active, lane] = -NOT_FINITE
-                worst = NOT_FINITE
-                continue
-            if correction == 0.0:
-                W[active, lane] = 0.0
-                continue
-            before = relative[lane]
-            now = correction / increment
-            relative[lane] = now
-            if before < SMALL:  # where rounding enters, what is seen is too large: it is safe
-                observed = np.sqrt(now) / before
-                W[contraction, lane] = max(observed, 0.5 * W[contraction, lane])
-            predicted = W[contraction, lane] * now
-            if predicted <= NEGLIGIBLE or (now < STAGNATION and now >= 0.25 * before):
-                W[active, lane] = 0.0
-            else:
-                busy += 1
+            busy += W[active, lane] > 0.0
         if busy == 0:
+            worst = 0
+            for lane in range(lanes):
+                if W[active, lane] < 0.0:
+                    worst = NOT_FINITE
             return worst
     return give_up(W, at)
 
@@ -176,7 +144,7 @@ def distance(W, at, lane, a, b):
 
 
 @njit(**OPTIONS)
-def follow(kernels, h, t, W, at, relative, lane):
+def follow(kernels, h, t, W, at, lane):
     """Solve one lane's step by following the solution from small steps to h; give a status.
 
     The state of the lane must be that at the start of the step. Only its increments change.
@@ -206,7 +174,7 @@ def follow(kernels, h, t, W, at, relative, lane):
             extrapolated = 2.0 * bend[row, lane] - bend_before[row, lane]
             guess[row, lane] = straight[row, lane] + extrapolated * part * part
         put_back(W, first, last, lane, guess)
-        status = solve(kernels[NEWTON], part, t, W, at, relative)
+        status = solve(kernels[NEWTON], part, t, W, at)
         if status != 0:
             break
         keep(W, first, last, lane, found)
@@ -226,21 +194,8 @@ def follow(kernels, h, t, W, at, relative, lane):
     return status
 
 
-@njit(**INLINE)
-def suspicious(W, at, lane):
-    """Tell whether a lane's solution may not be the one that smaller steps lead to.
-
-    Its increments are further from the predicted ones than any was from zero (the first step of a
-    run has nothing to compare with), or the velocity at the end of its path is far from that of
-    the new momentum.
-    """
-    known = W[at[SCALE], lane]
-    surprised = known > 0.0 and not W[at[SURPRISE], lane] <= known
-    return surprised or not W[at[MISMATCH], lane] <= DOUBT * max(known, W[at[NORM], lane])
-
-
 @njit(**OPTIONS)
-def verify(kernels, h, t, W, at, relative, lane):
+def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
     rows, lanes = W.shape[0], LANES
@@ -254,7 +209,7 @@ def verify(kernels, h, t, W, at, relative, lane):
     if not finite:
         W[at[STATUS], lane] = NOT_FINITE
         return
-    if follow(kernels, h, t, W, at, relative, lane) != 0:
+    if follow(kernels, h, t, W, at, lane) != 0:
         W[at[STATUS], lane] = STEP_TOO_LARGE
         return
     followed = np.zeros((last - first, lanes))
@@ -278,11 +233,8 @@ def verify(kernels, h, t, W, at, relative, lane):
 
 
 @njit(**OPTIONS)
-def mend(kernels, h, t, W, at, relative, event):
-    """Finish a step at which ``run`` stopped: lanes that failed, or whose solution is suspicious.
-
-    ``relative`` is as ``run`` left it.
-    """
+def mend(kernels, h, t, W, at, event):
+    """Finish a step at which ``run`` stopped: lanes that failed, or are in doubt."""
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
     if event == FAILED:
@@ -291,15 +243,15 @@ def mend(kernels, h, t, W, at, relative, event):
             if failure > 0.0:
                 for row in range(first, last):  # the predicted increments, which stand behind
                     W[row, lane] = W[row + last - first, lane]
-                lost = follow(kernels, h, t, W, at, relative, lane)
+                lost = follow(kernels, h, t, W, at, lane)
                 if lost != 0:
                     W[at[STATUS], lane] = lost if lost == STEP_TOO_LARGE else failure
         for lane in range(lanes):
             W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
         call(kernels[ADVANCE], h, t, W)
     for lane in range(lanes):
-        if W[at[STATUS], lane] == 0.0 and suspicious(W, at, lane):
-            verify(kernels, h, t, W, at, relative, lane)
+        if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
+            verify(kernels, h, t, W, at, lane)
 
 
 @njit(**OPTIONS)
@@ -334,17 +286,17 @@ def switch(kernels, h, t, W, at):
 
 @njit(**OPTIONS)
 def run(
-    kernels, h, t0, W, at, relative, progress, stop, every, q_out, p_out, iterations_out,
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left; ``progress`` is (step, event).
 
     States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
     other than 0 is not touched. At an event the step is not finished: ``mend`` does that, and
-    ``run`` goes on. ``relative`` is scratch for a number a lane.
+    ``run`` goes on.
     """
     lanes = LANES
     position, momentum = at[POSITION], at[MOMENTUM]
-    active, status, scale, norms = at[ACTIVE], at[STATUS], at[SCALE], at[NORM]
+    active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
     step, mended = progress[0], progress[1] != 0
     progress[1] = 0
     while step < stop:
@@ -356,7 +308,7 @@ def run(
                 alive += W[status, lane] == 0.0
             if alive == 0:
                 break
-            if solve(kernels[NEWTON], h, t, W, at, relative) != 0:
+            if solve(kernels[NEWTON], h, t, W, at) != 0:
                 progress[1] = FAILED
                 break
             doubts = 0
@@ -364,11 +316,7 @@ def run(
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             call(kernels[ADVANCE], h, t, W)
             for lane in range(lanes):
-                if W[status, lane] == 0.0:
-                    if suspicious(W, at, lane):
-                        doubts += 1
-                    else:
-                        W[scale, lane] = max(W[scale, lane], W[norms, lane])
+                doubts += (W[status, lane] == 0.0) & (W[in_doubt, lane] != 0.0)
             if doubts > 0:
                 progress[1] = SUSPICIOUS
                 break

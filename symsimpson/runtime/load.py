@@ -20,7 +20,7 @@ from symsimpson.runtime.cache import compiled
 __all__ = ["INTERFACE", "Facts", "Kernels", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
-INTERFACE = 2
+INTERFACE = 3
 
 _STEP = ("prepare", "start", "newton", "advance")
 
@@ -62,7 +62,9 @@ class Facts:
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
         more = [self.layout[name] for name in ("METRIC", "SURPRISE_SQUARED")]
-        saved = [self.layout[name] for name in ("PREVIOUS", "SOLVED", "COUNT")]
+        saved = [
+            self.layout[name] for name in ("PREVIOUS", "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT")
+        ]
         return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
 
 

@@ -81,7 +81,6 @@ class Run:
         self.q = numbers.zeros((stored, n, 1))
         self.p = numbers.zeros((stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
-        self._relative = numbers.zeros(1)
         self._progress = np.zeros(2, dtype=np.int64)
         self._robust_until = -1
         self._stretch = numbers.stretch
@@ -124,7 +123,7 @@ class Run:
     @property
     def last_correction(self) -> float:
         """Size of the last Newton correction relative to the increment."""
-        return float(self._relative[0]) ** 0.5
+        return float(self.rows("RELATIVE", 1)[0]) ** 0.5
 
     @property
     def last_iterations(self) -> int:
@@ -168,13 +167,13 @@ class Run:
         run = self._driver("run")
         while True:
             run(
-                kernels, self.h, self.t0, W, at, self._relative, self._progress, stop, self.every,
+                kernels, self.h, self.t0, W, at, self._progress, stop, self.every,
                 self.q, self.p, self.iterations,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:
                 return
-            self._driver("mend")(kernels, self.h, self._time(), W, at, self._relative, event)
+            self._driver("mend")(kernels, self.h, self._time(), W, at, event)
             if self.status is not Status.SUCCESS:
                 self._progress[1] = 0
                 return

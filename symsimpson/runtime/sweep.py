@@ -131,7 +131,6 @@ def sweep(
     observed values and STATUS. ``codes_out`` takes status, steps and iterations of each member;
     ``seen`` two numbers for each reduction.
     """
-    relative = np.empty(LANES)
     progress = np.zeros(2, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
     watched = kinds.shape[0] > 0
@@ -157,12 +156,12 @@ def sweep(
             if more[3] != 0:
                 march(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted)
             else:
-                run(kernels, h, t0, W, at, relative, progress, until, every, buffer_q, buffer_p,
+                run(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
                     counted)  # fmt: skip
                 if progress[1] != 0:
-                    mend(kernels, h, t0 + h * progress[0], W, at, relative, progress[1])
+                    mend(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is mended and not yet counted: run does that first
-                    run(kernels, h, t0, W, at, relative, progress, progress[0] + 1, every,
+                    run(kernels, h, t0, W, at, progress, progress[0] + 1, every,
                         buffer_q, buffer_p, counted)  # fmt: skip
             alive = False
             for lane in range(LANES):

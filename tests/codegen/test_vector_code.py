@@ -51,7 +51,7 @@ def test_lanes_do_not_know_of_each_other():
         stored = np.empty((1, 2, 8))
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(2, dtype=np.int64)
-        driver("run", 8)(addresses, 0.02, 0.0, W, at, np.empty(8), progress, 200, 0, stored,
+        driver("run", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
                       stored.copy(), np.zeros((1, 8), dtype=np.int64))  # fmt: skip
         assert progress.tolist() == [200, 0]
         return W[module.POSITION : module.POSITION + 4]

@@ -98,13 +98,13 @@ q, p, H, steps = json.loads(sys.argv[2])
 n = m.DIMENSION
 W[m.POSITION : m.POSITION + n, 0], W[m.MOMENTUM : m.MOMENTUM + n, 0] = q, p
 W[m.PARAMETER : m.PARAMETER + len(m.DEFAULTS), 0] = m.DEFAULTS
-W[m.ACTIVE] = 1
+W[m.CONTRACTION] = W[m.ACTIVE] = 1
 call("prepare"); call("start")
 for _ in range(steps):
-    for _ in range(9):
+    W[m.RELATIVE], W[m.ACTIVE] = np.inf, 1
+    while W[m.ACTIVE, 0] > 0:
         call("newton")
-        if W[m.CORRECTION_SQUARED, 0] <= 1e-18 * W[m.INCREMENT_SQUARED, 0]:
-            break
+    W[m.ACTIVE] = 1
     call("advance")
 print(json.dumps([*W[m.POSITION : m.POSITION + n, 0], *W[m.MOMENTUM : m.MOMENTUM + n, 0]]))
 """

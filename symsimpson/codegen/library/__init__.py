@@ -14,7 +14,7 @@ from importlib import resources
 __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
-FILES = ("sincos", "path", "clear", "assemble", "solve", "mass", "close")
+FILES = ("sincos", "path", "clear", "assemble", "solve", "mass", "close", "judge")
 
 
 @cache

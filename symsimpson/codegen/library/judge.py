@@ -1,0 +1,64 @@
+"""When a lane's step is solved, and when its solution is in doubt; without branches."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+
+ACTIVE: int
+CORRECTION_SQUARED: int
+INCREMENT_SQUARED: int
+MISMATCH_SQUARED: int
+SURPRISE_SQUARED: int
+RELATIVE: int
+CONTRACTION: int
+ITERATIONS: int
+SCALE: int
+IN_DOUBT: int
+INFINITE: float
+NEGLIGIBLE: float
+QUADRATIC: float
+STAGNATION: float
+FAR: float
+
+
+@compiled
+def judge(W, lane):
+    """Go on with a lane, or not: ACTIVE becomes 0 where it is solved, -3 where it is not finite.
+
+    The correction after the present one is predicted from the ratio of a correction to the square
+    of the one before it, as seen of late; where it would be lost in rounding, the lane is done.
+    All sizes are squared: RELATIVE, a correction relative to the increments, and CONTRACTION, the
+    ratio.
+    """
+    active = W[ACTIVE, lane]
+    correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
+    before, ratio = W[RELATIVE, lane], W[CONTRACTION, lane]
+    finite = (correction < INFINITE) & (increment < INFINITE)
+    now = correction / (increment if increment != 0 else 1.0)
+    # where rounding enters, what is seen is too large: it is safe
+    seen = max(now * (1.0 / (before * before if before > 0 else 1.0)), 0.25 * ratio)
+    ratio = seen if before < QUADRATIC else ratio
+    done = (ratio * (now * now) <= NEGLIGIBLE) | ((now < STAGNATION) & (now >= 0.25 * before))
+    state = (0.0 if done else 1.0) if finite else -3.0
+    on = active > 0
+    W[ITERATIONS, lane] += 1.0 if on else 0.0
+    W[CONTRACTION, lane] = ratio if on & finite else W[CONTRACTION, lane]
+    W[RELATIVE, lane] = now if on & finite else before
+    W[ACTIVE, lane] = state if on else active
+
+
+@compiled
+def question(W, lane):
+    """Mark a solution that may not be the one that smaller steps lead to.
+
+    Its increments are further from the predicted ones than any was from zero (the first step of a
+    run has nothing to compare with), or the velocity at the end of its path is far from that of
+    the new momentum, in units of the largest increments so far. Midpoint leaves rest with 1.
+    """
+    known = W[SCALE, lane]
+    largest = max(known, W[INCREMENT_SQUARED, lane])
+    expected = (known <= 0) | (W[SURPRISE_SQUARED, lane] <= known)
+    sure = expected & (W[MISMATCH_SQUARED, lane] <= FAR * largest)
+    W[IN_DOUBT, lane] = 0.0 if sure else 1.0
+    W[SCALE, lane] = largest if sure & (W[ACTIVE, lane] > 0) else known
