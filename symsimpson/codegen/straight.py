@@ -96,7 +96,9 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
     stores = _update(low, solvers, found)
     doc = "One Newton iteration for the increments X_k of the control points."
-    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), JUDGE)))
+    judged = (JUDGE,) if found else ()  # a linear system has nothing to iterate for
+    body = (*low.statements(stores, (Level.ITERATION,)), *judged)
+    return Kernel("newton", doc, lanes(body))
 
 
 def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
