@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import Interrupted
 from symsimpson.runtime.load import Kernels
 from symsimpson.runtime.machine import driver
-from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel
+from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
 from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.status import Status
 
@@ -237,7 +237,7 @@ def _again(stepper: Stepper, task: Task, results: _Results, queue: _Queue) -> No
             run = stepper.integrate(
                 task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
                 parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
-                every=task.every or None, on_failure="return",
+                every=1 if task.reductions else task.every or None, on_failure="return",
             )  # fmt: skip
         except KeyboardInterrupt:
             queue.stopped = True
@@ -245,8 +245,13 @@ def _again(stepper: Stepper, task: Task, results: _Results, queue: _Queue) -> No
         if run.status is Status.INTERRUPTED:
             queue.stopped = True
             return
-        results.q[member, : len(run.q)], results.p[member, : len(run.p)] = run.q, run.p
-        results.q[member, len(run.q) :] = results.p[member, len(run.p) :] = np.nan
+        q, p = run.q, run.p
+        if task.reductions:
+            values = reduce_states(task.reductions, run, task.parameters[member])
+            results.seen[member, : 2 * len(values) : 2] = values
+            q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
+        results.q[member, : len(q)], results.p[member, : len(p)] = q, p
+        results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
 
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.load import Facts
 
-__all__ = ["KINDS", "Reduction", "observing_kernel", "read_reductions"]
+if TYPE_CHECKING:
+    from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = ["KINDS", "Reduction", "observing_kernel", "read_reductions", "reduce_states"]
 
 #: Ways to reduce values over the steps of a run, in the order of their numbers.
 KINDS = ("min", "max", "mean", "first")
@@ -152,3 +159,41 @@ def observing_kernel(facts: Facts, found: Sequence[Reduction]) -> str:
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
     lines += [f"        W[{facts.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"
+
+
+def reduce_states(
+    found: Sequence[Reduction], run: Trajectory, parameters: NDArray[np.float64]
+) -> list[float]:
+    """Reduce quantities over the stored states of a single run."""
+    names: dict[str, Any] = {
+        name: getattr(np, {"asin": "arcsin", "acos": "arccos", "atan": "arctan",
+                           "atan2": "arctan2"}.get(name, name))
+        for name in _FUNCTIONS - {"min", "max"}
+    }  # fmt: skip
+    names |= {
+        "min": lambda *x: functools.reduce(np.minimum, x),
+        "max": lambda *x: functools.reduce(np.maximum, x),
+    }
+    names |= {f"q_{i}": x for i, x in enumerate(run.q.T)}
+    names |= {f"p_{i}": x for i, x in enumerate(run.p.T)}
+    names |= {f"a_{i}": x for i, x in enumerate(parameters)}
+    names |= {"t": run.t, "energy": run.energy, "__builtins__": {}}
+    reduced = []
+    for one in found:
+        value = eval(one.text, names)  # written by the reader above, from its list alone
+        value = np.broadcast_to(value, run.t.shape)
+        if one.kind == "first":
+            reduced.append(_first_crossing(run.t, value))
+        else:
+            reduced.append(float(getattr(value, one.kind)()))
+    return reduced
+
+
+def _first_crossing(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:
+    positive = np.flatnonzero(value > 0)
+    if positive.size == 0:
+        return float("nan")
+    k = int(positive[0])
+    if k == 0:
+        return float(t[0])
+    return float(t[k] - (t[k] - t[k - 1]) * value[k] / (value[k] - value[k - 1]))

@@ -158,6 +158,29 @@ def test_members_that_fail_leave_the_others_alone():
     assert np.isnan(found.q[3, len(run.q) :]).all()
 
 
+def test_members_that_only_robust_kernels_take_are_reduced_too():
+    """An angle of 1e9 rad is beyond the quick sine; its member is run again by itself."""
+    stepper = ss.compile(ss.systems.pendulum())
+    turn = 2 * np.pi * 159154943
+    angles = np.array([[0.5], [0.5 + turn], [1.0]])
+    reduce = {
+        "lowest": ("min", "theta"), "mean": ("mean", "sin(theta)**2 + min(theta, 0)*0"),
+        "crossing": ("first", "-p_theta - 0.1"), "energy": ("max", "abs(energy)*t/t"),
+        "never": ("first", "-2*pi"), "at once": ("first", "energy**2"),
+    }  # fmt: skip
+    given = {"v0": [0.0], "h": 0.05, "steps": 100, "reduce": reduce}
+    found = stepper.ensemble(angles, every=10, **given)
+    assert (found.status == 0).all()
+    assert np.isfinite(found.q).all()
+    assert found.reduced["lowest"][1] == pytest.approx(found.reduced["lowest"][0] + turn, abs=1e-5)
+    for name in ("mean", "crossing"):
+        assert found.reduced[name][1] == pytest.approx(found.reduced[name][0], abs=1e-5)
+    assert np.isnan(found.reduced["never"][1])
+    assert found.reduced["at once"][1] == 0
+    last = stepper.ensemble(angles, **given)
+    assert (last.q[1] == found.q[1, -1]).all()
+
+
 def test_a_start_at_a_singular_point_has_its_status():
     stepper = ss.compile(ss.systems.spherical_pendulum())
     q0 = np.tile([1.0, 0.5], (9, 1))
