@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import Interrupted
+from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.load import Kernels
 from symsimpson.runtime.machine import driver
 from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
@@ -64,6 +64,49 @@ class Ensemble:
     reduced: Mapping[str, Floats]
     message: str
     _stepper: Stepper = field(repr=False)
+
+    def to_xarray(self) -> Any:
+        """Give an ``xarray.Dataset`` with dimensions member, time and coord.
+
+        Parameters are coordinates of the members. Needs xarray (the extra ``data``).
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError:
+            raise InputError(
+                "to_xarray needs xarray, which is not installed.\n"
+                "Install it with pip install 'symsimpson[data]'."
+            ) from None
+        stepper = self._stepper
+        dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
+        each = {"status": self.status, "steps": self.steps,
+                "newton_iterations": self.newton_iterations}  # fmt: skip
+        variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
+        variables |= {name: (("member",), values) for name, values in each.items()}
+        variables |= {
+            (name if name not in variables else f"reduced_{name}"): (("member",), values)
+            for name, values in self.reduced.items()
+        }
+        reserved = {*variables, "time", "coord", "member"}
+        coordinates: dict[str, Any] = {
+            "coord": list(stepper.coordinates),
+            "member": np.arange(len(self)),
+        }
+        if self.q.ndim == 3:
+            coordinates["time"] = self.t
+        parameters = {
+            (name if name not in reserved else f"parameter_{name}"): (("member",), values)
+            for name, values in self.parameters.items()
+        }
+        about = {"system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+                 "digest": stepper._facts.digest, "outcome": self.message,
+                 "t_end": float(self.t[-1])}  # fmt: skip
+        return xarray.Dataset(variables, coordinates | parameters, about)
 
     def __len__(self) -> int:
         return self.status.size

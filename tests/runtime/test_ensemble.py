@@ -250,6 +250,28 @@ def test_wrong_input(stepper, case):
         stepper.ensemble(**given)
 
 
+def test_to_xarray(stepper, monkeypatch):
+    pytest.importorskip("xarray")
+    lengths = np.linspace(0.2, 0.4, 9)
+    reduce = {"highest": ("max", "q1"), "q": ("min", "q2")}
+    found = stepper.ensemble(
+        [0.5, 1.0], **GIVEN, every=50, parameters={"l1": lengths}, reduce=reduce
+    )
+    data = found.to_xarray()
+    assert dict(data.sizes) == {"member": 9, "time": 5, "coord": 2}
+    assert data.q.dims == ("member", "time", "coord")
+    assert (data.q.sel(coord="q2", member=3) == found.q[3, :, 1]).all()
+    assert (data.l1 == lengths).all()
+    assert (data.highest == found.reduced["highest"]).all()
+    assert (data.reduced_q == found.reduced["q"]).all()
+    assert data.attrs["system"] == "double_pendulum"
+    last = stepper.ensemble(ANGLES, **GIVEN).to_xarray()
+    assert last.q.dims == ("member", "coord")
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(ss.InputError, match=r"symsimpson\[data\]"):
+        found.to_xarray()
+
+
 def test_many_digits_are_refused():
     precise = ss.compile(PENDULUM, precision=30)
     with pytest.raises(ss.InputError, match="double precision"):
