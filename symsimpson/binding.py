@@ -58,18 +58,26 @@ def _replaced(node: ast.stmt, arithmetic: Mapping[str, Any]) -> bool:
 
 
 def plain_arithmetic(
-    functions: Mapping[str, Callable[..., Any]] | Callable[..., Any], real: Callable[..., Any]
+    functions: Mapping[str, Callable[..., Any]] | Callable[..., Any],
+    real: Callable[..., Any],
+    digits: int | None = None,
 ) -> dict[str, Any]:
-    """Give the names that a module takes from its arithmetic; one function may stand for all."""
+    """Give the names that a module takes from its arithmetic; one function may stand for all.
+
+    With a number of digits the kernels judge their iterations, by thresholds for so many.
+    """
     named = dict.fromkeys([*_MATH, "atan2"], functions) if callable(functions) else functions
 
     def nothing(W: Any, lane: int) -> None:
         """Leave it to the caller when to stop."""
 
+    judging: dict[str, Any] = {"judge": nothing, "question": nothing}
+    if digits is not None:
+        unit = real(10) ** -digits
+        judging = {"NEGLIGIBLE": 4 * unit**2, "STAGNATION": unit}
     return {
         "pi": math.pi,
-        "judge": nothing,
-        "question": nothing,
+        **judging,
         **named,
         "real": real,
         "array": np.array,
@@ -97,16 +105,8 @@ def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False)
     functions: dict[str, Any] = {name: getattr(context, name) for name in names}
     functions["pi"] = +context.pi
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
-    arithmetic = plain_arithmetic(functions, context.mpf)
-    return bind(source, _judged(arithmetic, context.dps) if judging else arithmetic)
-
-
-def _judged(arithmetic: dict[str, Any], digits: int) -> dict[str, Any]:
-    """Let kernels judge an iteration, with thresholds for a number of digits."""
-    real = arithmetic["real"]
-    unit = real(10) ** -digits
-    kept = {name: value for name, value in arithmetic.items() if name not in ("judge", "question")}
-    return kept | {"NEGLIGIBLE": 4 * unit**2, "STAGNATION": unit}
+    digits = context.dps if judging else None
+    return bind(source, plain_arithmetic(functions, context.mpf, digits))
 
 
 def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
@@ -121,8 +121,7 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["power"] = _power
-    arithmetic = plain_arithmetic(functions, arb)
-    return bind(source, _judged(arithmetic, ctx.dps) if judging else arithmetic)
+    return bind(source, plain_arithmetic(functions, arb, ctx.dps if judging else None))
 
 
 def _power(base: Any, exponent: Any) -> Any:

@@ -15,7 +15,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.routh import RouthSolver
 from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
-from symsimpson.discrete.reductions import Coupled, Linear, Routh, Separable
+from symsimpson.discrete.reductions import Coupled, Linear, Part, Routh, Separable
 
 __all__ = ["JUDGE", "QUESTION", "STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
 
@@ -63,8 +63,7 @@ def velocity(
     found: dict[int, sp.Expr] = {}
     deficits: list[sp.Expr] = []
     for part in low.equations.parts:
-        group = (*(part.cyclic if isinstance(part, Routh) else ()), *part.coordinates)
-        v, pivots = velocities(low, point, p, section, group)
+        v, pivots = velocities(low, point, p, section, _mass_order(part))
         found |= v
         deficits += [
             low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots
@@ -204,9 +203,9 @@ def _predicted(
     metric: dict[int, sp.Expr] = {}
     mismatch: list[sp.Expr] = []
     following: dict[tuple[int, int], sp.Expr] = {}
-    for solver in solvers:
+    for part, solver in zip(eqs.parts, solvers, strict=True):
         group = solver.coordinates if solver.unknowns else ()
-        v = velocities(low, end, momentum, "velocity at q1", _mass_order(low, solver))[0]
+        v = velocities(low, end, momentum, "velocity at q1", _mass_order(part))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
         for a in group:
             metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
@@ -234,14 +233,12 @@ def _predicted(
     return stores, metric
 
 
-def _mass_order(low: Lowering, solver: Solver) -> tuple[int, ...]:
-    """List the coordinates that M couples to those of a solver, these last.
+def _mass_order(part: Part) -> tuple[int, ...]:
+    """List the coordinates that M couples in a part, cyclic ones first.
 
     In L D L^T what comes last is found first, and nothing else is computed.
     """
-    part = next(p for p in low.equations.parts if set(p.coordinates) == set(solver.coordinates))
-    cyclic = part.cyclic if isinstance(part, Routh) else ()
-    return (*cyclic, *part.coordinates)
+    return (*(part.cyclic if isinstance(part, Routh) else ()), *part.coordinates)
 
 
 def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:

@@ -6,7 +6,6 @@ code; only the thresholds that name a rounding error are other ones.
 
 from __future__ import annotations
 
-import operator
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 
 from symsimpson.binding import bind, bind_arb, bind_mpmath
 from symsimpson.errors import GenerationError, InputError
+from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.load import Facts
 from symsimpson.runtime.machine import driver_text
 from symsimpson.runtime.numbers import Numbers
@@ -52,12 +52,7 @@ def read_precision(precision: Any, arithmetic: Any) -> Numbers:
         raise InputError(
             f"arithmetic is {arithmetic!r}.\nChoose 'mpmath', or 'arb' with python-flint."
         )
-    try:
-        if isinstance(precision, bool):
-            raise TypeError
-        digits = operator.index(precision)
-    except TypeError:
-        digits = 0
+    digits = whole_number(precision) or 0
     if not FEWEST <= digits <= MOST:
         raise InputError(
             f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
@@ -116,6 +111,10 @@ class Digits(Numbers):
         self.digits = digits
         self.context = mpmath.mp.clone()
         self.context.dps = digits
+
+    def is_one(self, value: Any) -> bool:
+        """Tell whether a value needs no conversion: none is trusted to."""
+        return False
 
     def read(self, value: Any) -> NDArray[Any]:
         """Convert numbers, decimal strings and SymPy numbers, each to all digits."""

@@ -17,9 +17,9 @@ LANES = 1
 # addresses of kernels
 PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 # what the driver must know of the layout, in the order in which it comes
-ACTIVE, CORRECTION, NORM, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(8)
-POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, SURPRISE, DIMENSION = range(8, 15)
-PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT = range(15, 20)
+ACTIVE, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(6)
+POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(6, 12)
+PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT = range(12, 17)
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
@@ -284,6 +284,18 @@ def switch(kernels, h, t, W, at):
         put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
 
 
+@njit(**INLINE)
+def store(W, at, place, q_out, p_out, iterations_out):
+    """Store the states of lanes that go on, and their iterations since the states before."""
+    for lane in range(LANES):
+        if W[at[STATUS], lane] == 0.0:
+            for a in range(at[DIMENSION]):
+                q_out[place, a, lane] = W[at[POSITION] + a, lane]
+                p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
+            iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
+            W[at[ITERATIONS], lane] = 0.0
+
+
 @njit(**OPTIONS)
 def run(
     kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out,
@@ -295,7 +307,6 @@ def run(
     ``run`` goes on.
     """
     lanes = LANES
-    position, momentum = at[POSITION], at[MOMENTUM]
     active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
     step, mended = progress[0], progress[1] != 0
     progress[1] = 0
@@ -323,12 +334,5 @@ def run(
         mended = False
         step += 1
         if every != 0 and step % every == 0:
-            place = step // every
-            for lane in range(lanes):
-                if W[status, lane] == 0.0:
-                    for a in range(at[DIMENSION]):
-                        q_out[place, a, lane] = W[position + a, lane]
-                        p_out[place, a, lane] = W[momentum + a, lane]
-                    iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
-                    W[at[ITERATIONS], lane] = 0.0
+            store(W, at, step // every, q_out, p_out, iterations_out)
     progress[0] = step

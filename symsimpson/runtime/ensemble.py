@@ -151,9 +151,7 @@ def lanes_of_machine() -> int:
     """Give the number of lanes of a block: two vector registers where they are short."""
     import llvmlite.binding as llvm
 
-    features = llvm.get_host_cpu_features()
-    wide = features.get("avx512f") or features.get("avx2") or features.get("avx")
-    return 8 if wide else 4
+    return 8 if llvm.get_host_cpu_features().get("avx") else 4
 
 
 class _Results:
@@ -241,15 +239,15 @@ def _prepared(stepper: Stepper, task: Task, results: _Results) -> Callable[..., 
     )  # fmt: skip
     layout = facts.layout
     rows = np.array(
-        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows,
-         layout["STATUS"]], dtype=np.int64,
-    )  # fmt: skip
+        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows],
+        dtype=np.int64,
+    )
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, compiled = kernels.step, driver("sweep", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = np.zeros((facts.rows + watched, lanes))
-        cursor = np.array([first, 0, 0, 0], dtype=np.int64)
+        cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
         lost = np.zeros(lanes, dtype=np.int64)

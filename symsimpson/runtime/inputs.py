@@ -21,6 +21,7 @@ __all__ = [
     "read_parameters",
     "read_steps",
     "read_vector",
+    "whole_number",
 ]
 
 #: The end of a run may miss a whole number of steps by so much of a step.
@@ -52,6 +53,8 @@ def read_vector(
 
 def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     """Read one finite real number."""
+    if numbers.is_one(value):
+        return value
     array = read_array(name, value, numbers)
     if array.shape != () or not numbers.finite(array).all():
         raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
@@ -108,15 +111,20 @@ def read_every(every: Any) -> int:
 
 
 def _count(name: str, value: Any, least: int) -> int:
-    try:
-        if isinstance(value, (bool, np.bool_)):
-            raise TypeError
-        number = operator.index(value)
-    except TypeError:
-        raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.") from None
+    number = whole_number(value)
+    if number is None:
+        raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.")
     if not least <= number <= MOST_STEPS:
         raise InputError(f"{name} is {number}.\nPass a whole number from {least} to 2**53.")
     return number
+
+
+def whole_number(value: Any) -> int | None:
+    """Give an int, None for what is no whole number; truth values are none."""
+    try:
+        return None if isinstance(value, (bool, np.bool_)) else operator.index(value)
+    except TypeError:
+        return None
 
 
 def read_parameters(

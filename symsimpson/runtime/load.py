@@ -56,16 +56,15 @@ class Facts:
     def places(self) -> NDArray[np.int64]:
         """What the driver must know of the layout, in its order."""
         names = (
-            "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "STATUS",
-            "CONTRACTION", "SCALE", "ITERATIONS", "POSITION", "MOMENTUM", "INCREMENT",
+            "ACTIVE", "MISMATCH_SQUARED", "STATUS", "CONTRACTION", "SCALE", "ITERATIONS",
+            "POSITION", "MOMENTUM", "INCREMENT",
         )  # fmt: skip
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
-        more = [self.layout[name] for name in ("METRIC", "SURPRISE_SQUARED")]
         saved = [
             self.layout[name] for name in ("PREVIOUS", "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT")
         ]
-        return np.array([*rows, end, *more, self.n, *saved], dtype=np.int64)
+        return np.array([*rows, end, self.layout["METRIC"], self.n, *saved], dtype=np.int64)
 
 
 def equations_of(facts: Facts, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -28,6 +28,7 @@ from symsimpson.runtime.driver import (
     call,
     keep,
     put_back,
+    store,
 )
 
 SIGNATURES |= {
@@ -58,7 +59,7 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
     Arguments are as for ``run``. A lane whose state would not be finite stops before that step.
     """
     n, lanes = at[DIMENSION], LANES
-    position, momentum, status = at[POSITION], at[MOMENTUM], at[STATUS]
+    position, status = at[POSITION], at[STATUS]
     state_end = position + 4 * n
     before = np.empty((4 * n, lanes))
     step = progress[0]
@@ -96,13 +97,7 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
         step += count
         single -= 1
         if every != 0 and step % every == 0:
-            place = step // every
-            for lane in range(lanes):
-                if W[status, lane] == 0.0:
-                    for a in range(n):
-                        q_out[place, a, lane] = W[position + a, lane]
-                        p_out[place, a, lane] = W[momentum + a, lane]
-                    iterations_out[place, lane] = 0
+            store(W, at, step // every, q_out, p_out, iterations_out)
     progress[0] = step
 
 

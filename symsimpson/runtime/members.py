@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.ensemble import Task, available_threads
-from symsimpson.runtime.inputs import read_array, read_every, read_parameters, read_steps
+from symsimpson.runtime.inputs import (
+    read_array,
+    read_every,
+    read_parameters,
+    read_steps,
+    whole_number,
+)
 from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.observe import read_reductions
 
@@ -134,12 +139,7 @@ def _parameters(
 def _threads(threads: int | None) -> int:
     if threads is None:
         return available_threads()
-    try:
-        if isinstance(threads, bool):
-            raise TypeError
-        number = operator.index(threads)
-    except TypeError:
-        number = 0
+    number = whole_number(threads) or 0
     if not 1 <= number <= MOST_THREADS:
         raise InputError(
             f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
@@ -40,6 +41,10 @@ class Numbers:
     """
 
     stretch = 4096
+
+    def is_one(self, value: Any) -> bool:
+        """Tell whether a value needs no conversion."""
+        return type(value) is float and math.isfinite(value)
 
     def read(self, value: Any) -> NDArray[Any]:
         """Convert numbers of any shape; raises TypeError, ValueError or OverflowError."""

@@ -24,12 +24,12 @@ from symsimpson.runtime.driver import (
     mend,
     run,
 )
-from symsimpson.runtime.march import march
+from symsimpson.runtime.march import finite, march
 
 #: A member whose first state makes no sense; a value of Status.
 BAD_INPUT = 5
 #: Where in the cursor what stands.
-BLOCK, STEP, EVENT, BEGUN = 0, 1, 2, 3
+BLOCK, STEP, BEGUN = 0, 1, 2
 #: How observed values are reduced.
 LEAST, LARGEST, MEAN, FIRST = 0, 1, 2, 3
 
@@ -61,15 +61,12 @@ def load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters)
             W[rows[1] + k, lane] = parameters[member, k]
     begin(kernels, more[0], h, t0, W, at)
     for lane in range(LANES):
-        total = 0.0
-        for a in range(n):
-            total += 0.0 * W[rows[0] + a, lane]  # 0 for finite velocities alone
-        if not (W[rows[2], lane] >= 0.0 and total == 0.0):
+        if not (W[rows[2], lane] >= 0.0 and finite(W, rows[0], rows[0] + n, lane)):
             W[at[STATUS], lane] = BAD_INPUT
 
 
 @njit(**OPTIONS)
-def observe(more, h, t, W, rows, kinds, seen, block, members, step):
+def observe(more, h, t, W, at, rows, kinds, seen, block, members, step):
     """Reduce the observed values of the present state into those seen before."""
     if more[2] != 0:
         call(more[2], h, t, W)
@@ -78,7 +75,7 @@ def observe(more, h, t, W, rows, kinds, seen, block, members, step):
         kind = np.int64(kinds[k])
         for lane in range(LANES):
             member = block * LANES + lane
-            if member >= members or W[rows[4], lane] != 0.0:
+            if member >= members or W[at[STATUS], lane] != 0.0:
                 continue
             value = W[rows[3] + k, lane]
             before = seen[member, 2 * k]
@@ -127,9 +124,9 @@ def sweep(
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
     ``more`` holds addresses: legendre (0 if momenta are given), observe, energy (0 if not wanted),
-    and whether steps are direct. ``rows`` are those of VELOCITY, PARAMETER, MASS_PIVOT, the
-    observed values and STATUS. ``codes_out`` takes status, steps and iterations of each member;
-    ``seen`` two numbers for each reduction.
+    and whether steps are direct. ``rows`` are those of VELOCITY, PARAMETER, MASS_PIVOT and the
+    observed values. ``codes_out`` takes status, steps and iterations of each member; ``seen`` two
+    numbers for each reduction.
     """
     progress = np.zeros(2, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
@@ -145,8 +142,8 @@ def sweep(
                         buffer_q[0, a, lane] = W[at[POSITION] + a, lane]
                         buffer_p[0, a, lane] = W[at[MOMENTUM] + a, lane]
             if watched:
-                observe(more, h, t0, W, rows, kinds, seen, block, members, 0)
-            cursor[BEGUN], cursor[STEP], cursor[EVENT] = 1, 0, 0
+                observe(more, h, t0, W, at, rows, kinds, seen, block, members, 0)
+            cursor[BEGUN], cursor[STEP] = 1, 0
             budget -= 1
         progress[0], progress[1] = cursor[STEP], 0
         alive = True
@@ -171,7 +168,7 @@ def sweep(
                     lost[lane] = max(progress[0] - 1, 0)
             budget -= progress[0] - step
             if watched and alive:
-                observe(more, h, t0 + h * progress[0], W, rows, kinds, seen, block, members,
+                observe(more, h, t0 + h * progress[0], W, at, rows, kinds, seen, block, members,
                         progress[0])  # fmt: skip
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
