@@ -24,11 +24,13 @@ if TYPE_CHECKING:
         ModelError,
         SchemeError,
         StaleKernelError,
+        StorageError,
         SymsimpsonError,
     )
     from symsimpson.mechanics import catalogue as systems
     from symsimpson.mechanics.coordinates import coordinates, momenta
     from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.runtime.ensemble import Ensemble
     from symsimpson.runtime.status import Status
     from symsimpson.runtime.stepper import Stepper
     from symsimpson.runtime.trajectory import Trajectory
@@ -48,10 +50,12 @@ _HOME = {
     "ModelError": "errors",
     "SchemeError": "errors",
     "StaleKernelError": "errors",
+    "StorageError": "errors",
     "SymsimpsonError": "errors",
     "coordinates": "mechanics.coordinates",
     "momenta": "mechanics.coordinates",
     "MechanicalSystem": "mechanics.system",
+    "Ensemble": "runtime.ensemble",
     "Status": "runtime.status",
     "Stepper": "runtime.stepper",
     "Trajectory": "runtime.trajectory",
@@ -65,6 +69,7 @@ __all__ = [
     "MIDPOINT",
     "SIMPSON",
     "ConvergenceError",
+    "Ensemble",
     "GenerationError",
     "InputError",
     "Interrupted",
@@ -75,6 +80,7 @@ __all__ = [
     "StaleKernelError",
     "Status",
     "Stepper",
+    "StorageError",
     "SymsimpsonError",
     "Trajectory",
     "compile",

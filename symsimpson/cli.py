@@ -70,6 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     command.set_defaults(run=_run)
 
     command = commands.add_parser("bench", help="time Simpson steps, beside heyoka if installed")
+    command.add_argument("--ensemble", action="store_true", help="time ensembles instead")
     command.set_defaults(run=_bench)
     return parser
 
@@ -182,9 +183,9 @@ def _write(path: Path, run: object, coordinates: tuple[str, ...]) -> None:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    from symsimpson.bench.speed import report
+    from symsimpson.bench import ensembles, speed
 
-    for line in report():
+    for line in (ensembles if options.ensemble else speed).report():
         print(line, flush=True)
     return 0
 

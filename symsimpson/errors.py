@@ -20,6 +20,7 @@ __all__ = [
     "ModelError",
     "SchemeError",
     "StaleKernelError",
+    "StorageError",
     "SymsimpsonError",
 ]
 
@@ -46,6 +47,10 @@ class StaleKernelError(SymsimpsonError):
 
 class InputError(SymsimpsonError, ValueError):
     """A run was asked for with states, steps or parameters that make no sense."""
+
+
+class StorageError(SymsimpsonError):
+    """A store could not be read or written, or a task for it could not be done elsewhere."""
 
 
 class ConvergenceError(SymsimpsonError):

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import symsimpson as ss
+from symsimpson.bench.peers import double_pendulum
 
 __all__ = ["report"]
 
@@ -62,14 +63,7 @@ def _heyoka() -> Callable[[], Any] | None:
         import heyoka as hy
     except ImportError:
         return None
-    q1, q2, v1, v2 = hy.make_vars("q1", "q2", "v1", "v2")
-    g = 9.81
-    l = g / (2 * math.pi) ** 2
-    lagrangian = (
-        l**2 * (v1**2 + v2**2 / 2.0 + v1 * v2 * hy.cos(q1 - q2))
-        + g * l * (2.0 * hy.cos(q1) + hy.cos(q2))
-    )  # fmt: skip
-    equations = hy.lagrangian(lagrangian, [q1, q2], [v1, v2])
+    equations = double_pendulum(hy)
     start = [math.pi / 4, math.pi / 3, 0.0, 0.0]
     integrator = hy.taylor_adaptive(equations, start, tol=1e-9)
 

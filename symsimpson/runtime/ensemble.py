@@ -1,37 +1,29 @@
-"""Many trajectories at once: members are lanes of blocks, blocks are spread over threads."""
+"""What the members of an ensemble came to."""
 
 from __future__ import annotations
 
-import os
-import threading
-import time
-from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from itertools import chain, count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, Interrupted
-from symsimpson.runtime.load import Kernels
-from symsimpson.runtime.machine import driver
-from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
-from symsimpson.runtime.progress import Progress
+from symsimpson.errors import InputError
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Ensemble", "Task", "run_ensemble"]
-
-#: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
-PATIENCE = 0.02
-#: Steps of a block before their cost is known.
-FIRST_BUDGET = 2000
+__all__ = ["Ensemble", "names_in_dataset"]
 
 Floats = NDArray[np.float64]
+
+#: Names that a dataset has for itself.
+RESERVED = (
+    "q", "p", "q0", "v0", "p0", "status", "steps", "newton_iterations", "member", "time", "coord",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -43,32 +35,42 @@ class Ensemble:
     t : ndarray, shape (stored,)
         Times of the stored states.
     q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
-        NaN behind the last state of a member that failed.
+        NaN behind the last state of a member that failed. Arrays on disk (of Zarr) that give
+        arrays of numpy when sliced, if the ensemble went to a store.
     status : ndarray of int, shape (K,)
         A :class:`Status` for each member.
     steps, newton_iterations : ndarray of int, shape (K,)
     parameters : mapping from str to ndarray, shape (K,)
     reduced : mapping from str to ndarray, shape (K,)
         What ``reduce`` asked for.
-    message : str
-        The outcome in words.
+    initial : mapping from str to ndarray, shape (K, n)
+        The states that members began with: q0, and v0 or p0.
+    store : path of the store, or None
     """
 
     t: Floats
-    q: Floats
-    p: Floats
+    q: Any
+    p: Any
     status: NDArray[np.int64]
     steps: NDArray[np.int64]
     newton_iterations: NDArray[np.int64]
     parameters: Mapping[str, Floats]
     reduced: Mapping[str, Floats]
-    message: str
+    initial: Mapping[str, Floats]
     _stepper: Stepper = field(repr=False)
+    store: str | None = None
+
+    @property
+    def message(self) -> str:
+        """The outcome in words."""
+        counts = {code: int((self.status == code).sum()) for code in Status}
+        return ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
 
     def to_xarray(self) -> Any:
         """Give an ``xarray.Dataset`` with dimensions member, time and coord.
 
-        Parameters are coordinates of the members. Needs xarray (the extra ``data``).
+        Parameters are coordinates of the members. Needs xarray (the extra ``data``). What is in
+        a store stays there until it is asked for.
 
         Raises
         ------
@@ -82,31 +84,32 @@ class Ensemble:
                 "to_xarray needs xarray, which is not installed.\n"
                 "Install it with pip install 'symsimpson[data]'."
             ) from None
-        stepper = self._stepper
+        reduced, parameters = names_in_dataset(self.reduced, self.parameters)
+        coordinates = {parameters[name]: values for name, values in self.parameters.items()}
+        if self.store is not None:
+            found = xarray.open_zarr(self.store, chunks=None, consolidated=False)
+            return found.set_coords(list(coordinates))
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
-        each = {"status": self.status, "steps": self.steps,
-                "newton_iterations": self.newton_iterations}  # fmt: skip
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
-        variables |= {name: (("member",), values) for name, values in each.items()}
-        variables |= {
-            (name if name not in variables else f"reduced_{name}"): (("member",), values)
-            for name, values in self.reduced.items()
-        }
-        reserved = {*variables, "time", "coord", "member"}
-        coordinates: dict[str, Any] = {
-            "coord": list(stepper.coordinates),
-            "member": np.arange(len(self)),
-        }
+        for name, values in self.initial.items():
+            variables[name] = (("member", "coord"), values)
+        for name in ("status", "steps", "newton_iterations"):
+            variables[name] = (("member",), getattr(self, name))
+        for name, values in self.reduced.items():
+            variables[reduced[name]] = (("member",), values)
+        named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
+        named |= {"coord": list(self._stepper.coordinates), "member": np.arange(len(self))}
         if self.q.ndim == 3:
-            coordinates["time"] = self.t
-        parameters = {
-            (name if name not in reserved else f"parameter_{name}"): (("member",), values)
-            for name, values in self.parameters.items()
-        }
-        about = {"system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
-                 "digest": stepper._facts.digest, "outcome": self.message,
-                 "t_end": float(self.t[-1])}  # fmt: skip
-        return xarray.Dataset(variables, coordinates | parameters, about)
+            named["time"] = self.t
+        return xarray.Dataset(variables, named, self._about())
+
+    def _about(self) -> dict[str, Any]:
+        """Where the numbers come from."""
+        stepper = self._stepper
+        return {
+            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+            "digest": stepper._facts.digest, "outcome": self.message, "t_end": float(self.t[-1]),
+        }  # fmt: skip
 
     def __len__(self) -> int:
         return self.status.size
@@ -119,203 +122,21 @@ class Ensemble:
         )
 
 
-@dataclass(frozen=True)
-class Task:
-    """What an ensemble is asked to compute, checked."""
+def names_in_dataset(
+    reduced: Iterable[str], parameters: Iterable[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Give names under which quantities of a user's naming stand in a dataset.
 
-    q0: Floats
-    other0: Floats
-    velocities: bool
-    parameters: Floats
-    h: float
-    t0: float
-    steps: int
-    every: int
-    reductions: tuple[Reduction, ...]
-    threads: int
-    progress: bool | None
-
-    @property
-    def members(self) -> int:
-        """Number of members."""
-        return len(self.q0)
-
-    @property
-    def stored(self) -> int:
-        """Number of stored states."""
-        return self.steps // self.every + 1 if self.every else 1
-
-
-@cache
-def lanes_of_machine() -> int:
-    """Give the number of lanes of a block: two vector registers where they are short."""
-    import llvmlite.binding as llvm
-
-    return 8 if llvm.get_host_cpu_features().get("avx") else 4
-
-
-class _Results:
-    """Arrays that the threads fill, each its own rows."""
-
-    def __init__(self, task: Task, n: int) -> None:
-        shape = (task.members, task.stored, n)
-        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
-        # status, steps, iterations
-        self.codes = np.zeros((task.members, 3), dtype=np.int64)
-        self.codes[:, 0] = Status.INTERRUPTED
-        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
-
-
-def run_ensemble(stepper: Stepper, task: Task, *, raise_interrupt: bool) -> Ensemble:
-    """Run the members of an ensemble in blocks, on threads of our own."""
-    results = _Results(task, stepper.n)
-    sweep = _prepared(stepper, task, results)
-    lanes = lanes_of_machine()
-    blocks = -(-task.members // lanes)
-    with Progress(task.members, task.progress) as progress:
-        queue = _Queue(blocks, task.threads)
-        threads = max(1, min(task.threads, blocks))
-
-        def work() -> None:
-            while (chunk := queue.next()) is not None:
-                sweep(*chunk, queue, lambda done: progress.add(done * lanes))
-
-        interrupted = _wait([work] * threads, queue)
-        if not interrupted:
-            _again(stepper, task, results, queue)
-            interrupted = queue.stopped
-    found = _ensemble(stepper, task, results)
-    if interrupted and raise_interrupt:
-        raise Interrupted(found.message, trajectory=found)
-    return found
-
-
-class _Queue:
-    """Hands out chunks of blocks, larger ones first; stopped by Ctrl-C."""
-
-    def __init__(self, blocks: int, threads: int) -> None:
-        self._lock, self._first, self._last = threading.Lock(), 0, blocks
-        self._threads = threads
-        self.stopped = False
-
-    def next(self) -> tuple[int, int] | None:
-        """Give the first and the last block of a chunk, None if there are none left."""
-        with self._lock:
-            left = self._last - self._first
-            if left <= 0 or self.stopped:
-                return None
-            size = max(1, min(1024, left // (4 * self._threads)))
-            self._first += size
-            return self._first - size, self._first
-
-
-def _wait(work: list[Callable[[], None]], queue: _Queue) -> bool:
-    """Run functions in threads; tells whether Ctrl-C stopped them."""
-    with ThreadPoolExecutor(len(work)) as pool:
-        running = [pool.submit(one) for one in work]
-        try:
-            while wait(running, timeout=0.1).not_done:
-                pass
-        except KeyboardInterrupt:
-            queue.stopped = True
-            wait(running)
-        for one in running:
-            one.result()
-    return queue.stopped
-
-
-def _prepared(stepper: Stepper, task: Task, results: _Results) -> Callable[..., None]:
-    """Compile what is needed, and give a function that works off a chunk of blocks."""
-    facts, lanes = stepper._facts, lanes_of_machine()
-    kernels = Kernels(stepper.source, facts, lanes)
-    watched = len(task.reductions)
-    observing = 0
-    if watched:
-        observing = kernels.observing(observing_kernel(facts, task.reductions), watched)
-    energy = kernels.address("energy") if any(r.energy for r in task.reductions) else 0
-    legendre = kernels.address("legendre") if task.velocities else 0
-    more = np.array(
-        [legendre, observing, energy, facts.newton_unknowns == 0], dtype=np.int64
-    )  # fmt: skip
-    layout = facts.layout
-    rows = np.array(
-        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows],
-        dtype=np.int64,
-    )
-    kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step, compiled = kernels.step, driver("sweep", lanes)
-
-    def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = np.zeros((facts.rows + watched, lanes))
-        cursor = np.array([first, 0, 0], dtype=np.int64)
-        buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
-        counted = np.zeros((task.stored, lanes), dtype=np.int64)
-        lost = np.zeros(lanes, dtype=np.int64)
-        budget = FIRST_BUDGET
-        while cursor[0] < last and not queue.stopped:
-            before, start = cursor[0], time.perf_counter()
-            compiled(
-                step, more, task.h, task.t0, W, facts.places, rows, cursor, last, budget,
-                task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
-                counted, results.q, results.p, results.codes, lost, results.seen, kinds,
-            )  # fmt: skip
-            spent = time.perf_counter() - start
-            budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
-            done(int(cursor[0] - before))
-
-    return work
-
-
-def _again(stepper: Stepper, task: Task, results: _Results, queue: _Queue) -> None:
-    """Run members that failed once more, each by itself, where robust kernels may help it.
-
-    What a member comes to then is what a single run of it comes to.
+    A name that is taken already gets a prefix; one that is no identifier, which might name a
+    path, gives way to a number.
     """
-    failed = np.flatnonzero(~np.isin(results.codes[:, 0], (Status.SUCCESS, Status.BAD_INPUT)))
-    for member in failed:
-        given = {"v0" if task.velocities else "p0": task.other0[member]}
-        try:
-            run = stepper.integrate(
-                task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
-                parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
-                every=1 if task.reductions else task.every or None, on_failure="return",
-            )  # fmt: skip
-        except KeyboardInterrupt:
-            queue.stopped = True
-            return
-        if run.status is Status.INTERRUPTED:
-            queue.stopped = True
-            return
-        q, p = run.q, run.p
-        if task.reductions:
-            values = reduce_states(task.reductions, run, task.parameters[member])
-            results.seen[member, : 2 * len(values) : 2] = values
-            q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
-        results.q[member, : len(q)], results.p[member, : len(p)] = q, p
-        results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
-        results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
-
-
-def _ensemble(stepper: Stepper, task: Task, results: _Results) -> Ensemble:
-    status, steps, iterations = results.codes.T
-    stride = task.every or task.steps
-    first = 0 if task.every else 1
-    t = task.t0 + task.h * np.arange(first, task.stored + first, dtype=np.float64) * stride
-    q, p = (results.q, results.p) if task.every else (results.q[:, 0], results.p[:, 0])
-    counts = {code: int((status == code).sum()) for code in Status}
-    message = ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
-    columns = task.parameters.T
-    return Ensemble(
-        t=t, q=q, p=p, status=status.copy(), steps=steps.copy(),
-        newton_iterations=iterations.copy(),
-        parameters=dict(zip(stepper.parameters, columns, strict=True)),
-        reduced={r.name: results.seen[:, 2 * k] for k, r in enumerate(task.reductions)},
-        message=message, _stepper=stepper,
-    )  # fmt: skip
-
-
-def available_threads() -> int:
-    """Count the processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    taken = set(RESERVED)
+    found: list[dict[str, str]] = []
+    for prefix, names in (("reduced", reduced), ("parameter", parameters)):
+        chosen: dict[str, str] = {}
+        for k, name in enumerate(names):
+            choices = chain((name, f"{prefix}_{name}"), (f"{prefix}_{i}" for i in count(k)))
+            chosen[name] = next(x for x in choices if x.isidentifier() and x not in taken)
+            taken.add(chosen[name])
+        found.append(chosen)
+    return found[0], found[1]

@@ -166,3 +166,17 @@ def read_parameters(
 def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def refused_start(system: str, where: str, pivot: float, finite: bool) -> InputError:
+    """Say why a run cannot begin at q0, from the smallest pivot of M there."""
+    if finite and not (np.isfinite(pivot) and pivot >= 0):
+        return InputError(
+            f"{system}: the mass matrix is not positive definite at {where}.\nKinetic energy must "
+            "be positive for every velocity. Check the masses, and that q0 is not a singular "
+            "point of the coordinates (a pole of spherical angles, say)."
+        )
+    return InputError(
+        f"{system}: the velocity is not finite at {where}.\nq0 is a singular point of the "
+        "coordinates or too large for them. Begin elsewhere."
+    )

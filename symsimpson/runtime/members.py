@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.ensemble import Task, available_threads
+from symsimpson.runtime.blocks import Task, available_threads, lanes_of_machine
 from symsimpson.runtime.inputs import (
     read_array,
     read_every,
@@ -39,6 +39,8 @@ def read_task(
     reduce: Mapping[str, Any] | None,
     threads: int | None,
     progress: bool | None,
+    *,
+    on_disk: bool,
 ) -> Task:
     """Read the arguments of ``ensemble``.
 
@@ -76,20 +78,24 @@ def read_task(
             )
     stride, reductions = read_every(every), read_reductions(stepper._facts, reduce)
     workers = _threads(threads)
+    lanes = lanes_of_machine()
+    stored = count // stride + 1 if stride else 1
     try:
         values = np.empty((members, len(stepper.parameters)))
         shape = (members, stepper.n)
         q, other = (np.array(np.broadcast_to(x, shape), order="C") for x in states)
-        np.empty((2, members, count // stride + 1 if stride else 1, stepper.n))  # is there room?
+        room = lanes if on_disk else members
+        np.empty((2, room, stored, stepper.n))  # is there room?
     except (MemoryError, ValueError):
         raise InputError(
             f"{members} members with the states that every={every!r} stores do not fit into "
-            "memory.\nStore fewer: every=1000, or every=None for the last states only."
+            "memory.\nStore fewer: every=1000, or every=None for the last states only; or let them "
+            "go to disk: store='folder'."
         ) from None
     for k, name in enumerate(stepper.parameters):
         values[:, k] = columns[name]
     return Task(
-        q, other, p0 is None, values, h, t0, count, stride, reductions, workers, progress
+        q, other, p0 is None, values, h, t0, count, stride, reductions, workers, progress, lanes
     )  # fmt: skip
 
 

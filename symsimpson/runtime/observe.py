@@ -40,6 +40,8 @@ class Reduction:
     Attributes
     ----------
     name, kind : str
+    expression : str
+        The quantity as it was asked for.
     text : str
         The quantity as a Python expression in names of the kernel.
     energy : bool
@@ -48,6 +50,7 @@ class Reduction:
 
     name: str
     kind: str
+    expression: str
     text: str
     energy: bool
 
@@ -77,7 +80,7 @@ def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Redu
             )
         reader = _Reader(facts, name)
         text = reader.read(str(pair[1]))
-        found.append(Reduction(str(name), pair[0], text, reader.energy))
+        found.append(Reduction(str(name), pair[0], str(pair[1]), text, reader.energy))
     return tuple(found)
 
 

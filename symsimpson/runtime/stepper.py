@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,6 +16,7 @@ from symsimpson.runtime.inputs import (
     read_parameters,
     read_steps,
     read_vector,
+    refused_start,
 )
 from symsimpson.runtime.load import Facts, read_facts
 from symsimpson.runtime.machine import Run
@@ -183,7 +185,9 @@ class Stepper:
         parameters: Parameters | None = None,
         every: int | None = None,
         reduce: Mapping[str, tuple[str, Any]] | None = None,
+        store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
+        client: Any = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Ensemble:
@@ -207,8 +211,13 @@ class Stepper:
             the time at which the expression first becomes positive, NaN if it never does. The
             expression, a text or of SymPy, may contain coordinates, ``p_`` and a coordinate,
             parameters, ``t`` and ``energy``.
+        store : path, optional
+            A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
+            or was begun by the same call, which then computes only what is missing.
         threads : int, optional
             As many as there are processors unless given.
+        client : distributed.Client, optional
+            Lets the workers of a cluster compute, and write to ``store``.
         progress : bool, optional
             Whether to show a bar (needs tqdm); None shows one after two seconds.
         on_failure : {"raise", "return"}
@@ -221,7 +230,9 @@ class Stepper:
         Raises
         ------
         InputError
-            If the input makes no sense.
+            If the input makes no sense, or ``store`` holds something else.
+        StorageError
+            If the store cannot be read or written, or a task fails on the workers.
         Interrupted
             At Ctrl-C; its ``trajectory`` is the ensemble, as far as it is done.
 
@@ -235,15 +246,19 @@ class Stepper:
         >>> found.q.shape, bool(abs(found.reduced["lowest"][0] + 0.1) < 1e-3)
         ((30, 1), True)
         """
-        from symsimpson.runtime.ensemble import run_ensemble
+        from symsimpson.runtime.dispatch import run_ensemble
         from symsimpson.runtime.members import read_task
 
         if on_failure not in ("raise", "return"):
             raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
         task = read_task(
-            self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress
-        )
-        return run_ensemble(self, task, raise_interrupt=on_failure == "raise")
+            self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress,
+            on_disk=store is not None,
+        )  # fmt: skip
+        found, interrupted = run_ensemble(self, task, store, client)
+        if interrupted and on_failure == "raise":
+            raise Interrupted(found.message, trajectory=found)
+        return found
 
     def step(
         self, q: ArrayLike, p: ArrayLike, h: float, parameters: Parameters | None = None
@@ -331,27 +346,12 @@ class Stepper:
             run.begin(q, read_vector("p0", p0, self.coordinates, numbers), velocity=False)
         elif v0 is not None:
             run.begin(q, read_vector("v0", v0, self.coordinates, numbers), velocity=True)
-        deficit = float(run.rows("MASS_PIVOT", 1)[0])
-        if deficit < 0 or not numbers.finite(run.rows("VELOCITY", self.n)).all():
-            values = dict(
-                zip(
-                    self.parameters,
-                    run.rows("PARAMETER", len(self.parameters)).tolist(),
-                    strict=True,
-                )
-            )
-            if numbers.finite(q).all() and (deficit < 0 or not np.isfinite(deficit)):
-                raise InputError(
-                    f"{self.system}: the mass matrix at q0={q.tolist()} is not positive definite "
-                    f"with the parameters {values}.\nKinetic energy must be positive for every "
-                    "velocity. Check the masses, and that q0 is not a singular point of the "
-                    "coordinates (a pole of spherical angles, say)."
-                )
-            raise InputError(
-                f"{self.system}: the velocity at q0={q.tolist()} is not finite with the "
-                f"parameters {values}.\nq0 is a singular point of the coordinates or too large "
-                "for them. Begin elsewhere."
-            )
+        pivot = float(run.rows("MASS_PIVOT", 1)[0])
+        if pivot < 0 or not numbers.finite(run.rows("VELOCITY", self.n)).all():
+            values = map(float, run.rows("PARAMETER", len(self.parameters)))
+            named = dict(zip(self.parameters, values, strict=True))
+            where = f"q0={q.tolist()} with the parameters {named}"
+            raise refused_start(self.system, where, pivot, bool(numbers.finite(q).all()))
 
     def _trajectory(self, run: Run, count: int, status: Status, values: Reals) -> Trajectory:
         done = run.step

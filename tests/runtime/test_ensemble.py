@@ -11,7 +11,8 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.runtime import ensemble as module
+from symsimpson.runtime import blocks as module
+from symsimpson.runtime import members
 
 PENDULUM = ss.systems.double_pendulum()
 RNG = np.random.default_rng(7)
@@ -51,7 +52,7 @@ def test_same_bits_for_threads_blocks_and_order(monkeypatch):
         digest(stepper.ensemble(angles, **given, threads=n, reduce=watch)) for n in (1, 2, 4)
     }
     for lanes in (4, 8, 16):
-        monkeypatch.setattr(module, "lanes_of_machine", lambda lanes=lanes: lanes)
+        monkeypatch.setattr(members, "lanes_of_machine", lambda lanes=lanes: lanes)
         digests.add(digest(stepper.ensemble(angles, **given, reduce=watch)))
     assert digests == {digest(whole)}
     order = RNG.permutation(len(angles))
@@ -200,7 +201,7 @@ def test_interrupt_keeps_what_is_done(stepper):
     assert time.monotonic() - start < 5
     partial = caught.value.trajectory
     assert (partial.status == ss.Status.INTERRUPTED).any()
-    assert isinstance(partial, module.Ensemble)
+    assert isinstance(partial, ss.Ensemble)
     threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     partial = stepper.ensemble(many, p0=[0, 0], h=0.02, steps=20_000, on_failure="return")
     assert "INTERRUPTED" in partial.message

@@ -1,0 +1,181 @@
+"""Throughput of 10,000 double pendulums, beside heyoka's ensembles if installed."""
+
+from __future__ import annotations
+
+import statistics
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import symsimpson as ss
+from symsimpson.bench.peers import double_pendulum
+from symsimpson.runtime.blocks import available_threads, lanes_of_machine, run_blocks
+from symsimpson.runtime.members import read_task
+
+__all__ = ["report"]
+
+MEMBERS = 10_000
+T_END = 10.0
+REPEATS = 5
+LEVELS = (1e-3, 1e-6)
+STEPS = tuple(round(250 * 2 ** (k / 8)) for k in range(49))
+TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(8, 61))
+
+Floats = NDArray[np.float64]
+Run = Callable[[], Floats]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """Something that integrates all members to an accuracy that can be chosen.
+
+    Attributes
+    ----------
+    name : str
+    choices : tuple
+        From the coarsest to the finest.
+    make : callable
+        Gives, for a choice, a function that runs and returns the angles at the end.
+    """
+
+    name: str
+    choices: tuple[Any, ...]
+    make: Callable[[Any], Run]
+
+
+def report() -> Iterator[str]:
+    """Run the comparison and give its lines; all runs alternate in one process, warm."""
+    threads, wide = available_threads(), lanes_of_machine()
+    angles = np.random.default_rng(1).uniform(-2, 2, (MEMBERS, 2))
+    stepper = ss.compile(ss.systems.double_pendulum())
+
+    def simpson(steps: int, lanes: int = wide, threads: int = threads) -> Run:
+        times = (T_END / steps, None, steps, 0.0)
+        task = read_task(
+            stepper, angles, None, [0, 0], None, times, None, None, threads, False, on_disk=False
+        )
+        task = replace(task, lanes=lanes)
+        return lambda: run_blocks(stepper, task, lambda done: None)[0].q
+
+    yield f"{MEMBERS} double pendulums, 500 Simpson steps of h = 0.02"
+    shapes = ((wide, threads), (wide, 1), (1, 1))
+    medians = _alternate({f"{shape}": simpson(500, *shape) for shape in shapes})
+    for (lanes, used), seconds in zip(shapes, medians.values(), strict=True):
+        each = seconds * used / (500 * MEMBERS) * 1e9
+        name = f"{lanes} lanes, {used} threads"
+        yield f"  {name:<24}{_rate(seconds)}, {each:6.1f} ns a step and core"
+    ratio = medians["(1, 1)"] / medians[f"({wide}, 1)"]
+    yield f"  {wide} lanes give {ratio:.1f} times the throughput of one"
+
+    contenders = [Contender("simpson", STEPS, simpson), *_heyoka(angles, threads)]
+    if len(contenders) == 1:
+        yield "heyoka is not installed: pip install 'symsimpson[bench]' for the comparison"
+        return
+    truth = contenders[1].make(0.0)()
+    apart = _error(simpson(2 * STEPS[-1])(), truth)
+    finest = f"Simpson with {2 * STEPS[-1]} steps differs by {apart:.0e}"
+    yield f"truth: heyoka at full accuracy; {finest}"
+    for level in LEVELS:
+        yield f"median error of the angles at t = {T_END:g} at most {level:g}:"
+        chosen = {one.name: _coarsest(one, truth, level) for one in contenders}
+        medians = _alternate({name: run for name, (_, _, run) in chosen.items()})
+        for name, (choice, error, _) in chosen.items():
+            ratio = medians[name] / medians["simpson"]
+            yield (
+                f"  {name:<40}{_rate(medians[name])}, {ratio:5.2f} of Simpson's time"
+                f" ({choice:.3g}: {error:.1e})"
+            )
+
+
+def _rate(seconds: float) -> str:
+    return f"{MEMBERS / seconds:>8,.0f} trajectories/s"
+
+
+def _coarsest(one: Contender, truth: Floats, level: float) -> tuple[Any, float, Run]:
+    """Find the coarsest choice that reaches an error, by bisection."""
+    low, high = 0, len(one.choices) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if _error(one.make(one.choices[middle])(), truth) <= level:
+            high = middle
+        else:
+            low = middle + 1
+    run = one.make(one.choices[low])
+    return one.choices[low], _error(run(), truth), run
+
+
+def _error(found: Floats, truth: Floats) -> float:
+    return float(np.median(np.abs(found - truth).max(axis=1)))
+
+
+def _alternate(jobs: dict[str, Run]) -> dict[str, float]:
+    times: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(REPEATS + 1):  # the first warms up
+        for name, job in jobs.items():
+            begin = time.perf_counter()
+            job()
+            times[name].append(time.perf_counter() - begin)
+    return {name: statistics.median(values[1:]) for name, values in times.items()}
+
+
+def _heyoka(angles: Floats, threads: int) -> list[Contender]:
+    try:
+        import heyoka as hy
+    except ImportError:
+        return []
+    equations = double_pendulum(hy)
+    lanes = hy.recommended_simd_size()
+    blocks = [np.vstack([part.T, np.zeros((2, lanes))])
+              for part in angles[: len(angles) // lanes * lanes].reshape(-1, lanes, 2)]  # fmt: skip
+
+    def integrator(tolerance: float) -> Any:
+        options = {"tol": tolerance} if tolerance else {}
+        return hy.taylor_adaptive_batch(equations, blocks[0].copy(), **options)
+
+    def ensemble(tolerance: float) -> Run:
+        template = integrator(tolerance)
+
+        def begin(ta: Any, k: int) -> Any:
+            ta.set_time(0.0)
+            ta.state[:] = blocks[k]
+            return ta
+
+        def run() -> Floats:
+            done = hy.ensemble_propagate_until_batch(
+                template, T_END, len(blocks), begin, max_workers=threads
+            )
+            return np.concatenate([one[0].state[:2].T for one in done])
+
+        return run
+
+    def by_hand(tolerance: float) -> Run:
+        integrators = [integrator(tolerance) for _ in range(threads)]
+        found = np.empty((len(blocks), lanes, 2))
+
+        def work(first: int) -> None:
+            ta = integrators[first]
+            for k in range(first, len(blocks), threads):
+                ta.set_time(0.0)
+                ta.state[:] = blocks[k]
+                ta.propagate_until(T_END)
+                found[k] = ta.state[:2].T
+
+        def run() -> Floats:
+            workers = [threading.Thread(target=work, args=(k,)) for k in range(threads)]
+            for worker in workers:
+                worker.start()
+            for worker in workers:
+                worker.join()
+            return found.reshape(-1, 2).copy()
+
+        return run
+
+    return [
+        Contender(f"heyoka, {lanes} lanes, {threads} threads by hand", TOLERANCES, by_hand),
+        Contender("heyoka, ensemble_propagate_until_batch", TOLERANCES, ensemble),
+    ]

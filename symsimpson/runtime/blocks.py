@@ -1,0 +1,244 @@
+"""Many trajectories at once: members are lanes of blocks, blocks are spread over threads."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.ensemble import Ensemble
+from symsimpson.runtime.load import Kernels
+from symsimpson.runtime.machine import driver
+from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
+from symsimpson.runtime.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Results", "Task", "ensemble_of", "run_blocks"]
+
+#: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: Steps of a block before their cost is known.
+FIRST_BUDGET = 2000
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an ensemble is asked to compute, checked."""
+
+    q0: Floats
+    other0: Floats
+    velocities: bool
+    parameters: Floats
+    h: float
+    t0: float
+    steps: int
+    every: int
+    reductions: tuple[Reduction, ...]
+    threads: int
+    progress: bool | None
+    lanes: int
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.q0)
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states."""
+        return self.steps // self.every + 1 if self.every else 1
+
+    @property
+    def times(self) -> Floats:
+        """Times of the stored states."""
+        stride, first = (self.every, 0) if self.every else (self.steps, 1)
+        count = np.arange(first, self.stored + first, dtype=np.float64)
+        return self.t0 + self.h * count * stride
+
+    @property
+    def given(self) -> Literal["v0", "p0"]:
+        """Whether initial velocities or momenta are given."""
+        return "v0" if self.velocities else "p0"
+
+    def part(self, members: slice | NDArray[np.int64]) -> Task:
+        """Give the task of some of the members."""
+        return replace(
+            self, q0=np.ascontiguousarray(self.q0[members]),
+            other0=np.ascontiguousarray(self.other0[members]),
+            parameters=np.ascontiguousarray(self.parameters[members]),
+        )  # fmt: skip
+
+
+@cache
+def lanes_of_machine() -> int:
+    """Give the number of lanes of a block: two vector registers where they are short."""
+    import llvmlite.binding as llvm
+
+    return 8 if llvm.get_host_cpu_features().get("avx") else 4
+
+
+class Results:
+    """Arrays that threads fill, each its own rows; until then members count as interrupted."""
+
+    def __init__(self, task: Task, n: int) -> None:
+        shape = (task.members, task.stored, n)
+        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
+        # status, steps, iterations
+        self.codes = np.zeros((task.members, 3), dtype=np.int64)
+        self.codes[:, 0] = Status.INTERRUPTED
+        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+
+
+def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
+    """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
+    results = Results(task, stepper.n)
+    sweep = _prepared(stepper, task, results)
+    lanes = task.lanes
+    blocks = -(-task.members // lanes)
+    queue = _Queue(blocks, task.threads)
+    threads = max(1, min(task.threads, blocks))
+
+    def work() -> None:
+        while (chunk := queue.next()) is not None:
+            sweep(*chunk, queue, lambda done: count(done * lanes))
+
+    _wait([work] * threads, queue)
+    if not queue.stopped:
+        _again(stepper, task, results, queue)
+    return ensemble_of(stepper, task, results), queue.stopped
+
+
+class _Queue:
+    """Hands out chunks of blocks, larger ones first; stopped by Ctrl-C."""
+
+    def __init__(self, blocks: int, threads: int) -> None:
+        self._lock, self._first, self._last = threading.Lock(), 0, blocks
+        self._threads = threads
+        self.stopped = False
+
+    def next(self) -> tuple[int, int] | None:
+        """Give the first and the last block of a chunk, None if there are none left."""
+        with self._lock:
+            left = self._last - self._first
+            if left <= 0 or self.stopped:
+                return None
+            size = max(1, min(1024, left // (4 * self._threads)))
+            self._first += size
+            return self._first - size, self._first
+
+
+def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
+    """Run functions in threads until they are done or stopped by Ctrl-C."""
+    with ThreadPoolExecutor(len(work)) as pool:
+        running = [pool.submit(one) for one in work]
+        try:
+            while wait(running, timeout=0.1).not_done:
+                pass
+        except KeyboardInterrupt:
+            queue.stopped = True
+            wait(running)
+        for one in running:
+            one.result()
+
+
+def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
+    """Compile what is needed, and give a function that works off a chunk of blocks."""
+    facts, lanes = stepper._facts, task.lanes
+    kernels = Kernels(stepper.source, facts, lanes)
+    watched = len(task.reductions)
+    observing = 0
+    if watched:
+        observing = kernels.observing(observing_kernel(facts, task.reductions), watched)
+    energy = kernels.address("energy") if any(r.energy for r in task.reductions) else 0
+    legendre = kernels.address("legendre") if task.velocities else 0
+    more = np.array(
+        [legendre, observing, energy, facts.newton_unknowns == 0], dtype=np.int64
+    )  # fmt: skip
+    layout = facts.layout
+    rows = np.array(
+        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows],
+        dtype=np.int64,
+    )
+    kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
+    step, compiled = kernels.step, driver("sweep", lanes)
+
+    def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
+        W = np.zeros((facts.rows + watched, lanes))
+        cursor = np.array([first, 0, 0], dtype=np.int64)
+        buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
+        counted = np.zeros((task.stored, lanes), dtype=np.int64)
+        lost = np.zeros(lanes, dtype=np.int64)
+        budget = FIRST_BUDGET
+        while cursor[0] < last and not queue.stopped:
+            before, start = cursor[0], time.perf_counter()
+            compiled(
+                step, more, task.h, task.t0, W, facts.places, rows, cursor, last, budget,
+                task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
+                counted, results.q, results.p, results.codes, lost, results.seen, kinds,
+            )  # fmt: skip
+            spent = time.perf_counter() - start
+            budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
+            done(int(cursor[0] - before))
+
+    return work
+
+
+def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> None:
+    """Run members that failed once more, each by itself, where robust kernels may help it.
+
+    What a member comes to then is what a single run of it comes to.
+    """
+    failed = np.flatnonzero(~np.isin(results.codes[:, 0], (Status.SUCCESS, Status.BAD_INPUT)))
+    for member in failed:
+        given = {task.given: task.other0[member]}
+        try:
+            run = stepper.integrate(
+                task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
+                parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
+                every=1 if task.reductions else task.every or None, on_failure="return",
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            queue.stopped = True
+            return
+        if run.status is Status.INTERRUPTED:
+            queue.stopped = True
+            return
+        q, p = run.q, run.p
+        if task.reductions:
+            values = reduce_states(task.reductions, run, task.parameters[member])
+            results.seen[member, : 2 * len(values) : 2] = values
+            q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
+        results.q[member, : len(q)], results.p[member, : len(p)] = q, p
+        results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
+        results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+
+
+def ensemble_of(stepper: Stepper, task: Task, results: Results) -> Ensemble:
+    """Give arrays of results as an ensemble."""
+    status, steps, iterations = (column.copy() for column in results.codes.T)
+    q, p = (results.q, results.p) if task.every else (results.q[:, 0], results.p[:, 0])
+    return Ensemble(
+        t=task.times, q=q, p=p, status=status, steps=steps, newton_iterations=iterations,
+        parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
+        reduced={r.name: results.seen[:, 2 * k] for k, r in enumerate(task.reductions)},
+        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper,
+    )  # fmt: skip
+
+
+def available_threads() -> int:
+    """Count the processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
