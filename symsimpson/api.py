@@ -80,6 +80,7 @@ def compile(
         f"{system.name}__{found.name}",
         defaults=defaults,
         numbers=numbers,
+        reference_state=getattr(system, "reference_state", None),
     )
 
 

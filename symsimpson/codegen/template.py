@@ -31,11 +31,11 @@ class Point:
 
 @dataclass(frozen=True)
 class _Step:
-    """One definition of the template; ``cosine`` is set for a sine and cosine."""
+    """One definition of the template; ``cosine`` is set for a sine and cosine of an angle."""
 
     symbol: sp.Symbol
     value: sp.Expr
-    wish: str
+    wish: str = ""
     cosine: sp.Symbol | None = None
 
 
@@ -137,7 +137,8 @@ class JetTemplate:
             step = self._steps[symbol]
             value = self._instantiate(step.value, point, section)
             if step.cosine is None:
-                self._made[key] = self._graph.define(self._wish(value, point), value, section)
+                wish = f"{step.wish}_{point.suffix}" if step.wish else self._wish(value, point)
+                self._made[key] = self._graph.define(wish, value, section)
             else:
                 wish = value.name if value.is_Symbol else f"{step.wish}_{point.suffix}"
                 sine, cosine = self._graph.define_sincos(wish, value, section)
@@ -153,10 +154,41 @@ def _search(
     steps: dict[sp.Symbol, _Step] = {}
     pairs: dict[sp.Expr, tuple[sp.Symbol, sp.Symbol]] = {}
     expressions = [_pull_trigonometry(value, steps, pairs) for value in entries.values()]
+    _add_angles(steps, pairs, expressions)
     replacements, reduced = sp.cse(expressions, symbols=_temporaries(), order="none")
     for symbol, value in replacements:
-        steps[symbol] = _Step(symbol, value, "x")
+        steps[symbol] = _Step(symbol, value)
     return steps, dict(zip(entries, reduced, strict=True))
+
+
+def _add_angles(
+    steps: dict[sp.Symbol, _Step],
+    pairs: Mapping[sp.Expr, tuple[sp.Symbol, sp.Symbol]],
+    expressions: Iterable[sp.Expr],
+) -> None:
+    """Make sine and cosine of a sum from those of its two terms, where both are there already.
+
+    Four products in place of some thirty operations. The error is that of numbers of size one, as
+    if the angle had been rounded; a sine that something is divided by needs its own digits.
+    """
+    delicate: set[sp.Basic] = set()
+    for expression in expressions:
+        for power in expression.atoms(sp.Pow):
+            if not (power.exp.is_Integer and power.exp > 0):
+                delicate |= power.free_symbols
+    for angle, (sine, cosine) in pairs.items():
+        if not angle.is_Add or len(angle.args) != 2 or {sine, cosine} & delicate:
+            continue
+        found = []
+        for term in angle.args:
+            known, sign = (term, 1) if term in pairs else (-term, -1)
+            if known in pairs:
+                found.append((sign * pairs[known][0], pairs[known][1]))
+        if len(found) == 2:
+            (s_a, c_a), (s_b, c_b) = found
+            name = steps[sine].wish
+            steps[sine] = _Step(sine, s_a * c_b + c_a * s_b, f"sin_{name}")
+            steps[cosine] = _Step(cosine, c_a * c_b - s_a * s_b, f"cos_{name}")
 
 
 def _temporaries() -> Iterator[sp.Symbol]:

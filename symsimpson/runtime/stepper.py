@@ -25,6 +25,7 @@ from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from symsimpson.analysis.certificate import Certificate
     from symsimpson.runtime.ensemble import Ensemble
 
 __all__ = ["Stepper"]
@@ -47,6 +48,8 @@ class Stepper:
         Parameter values in the module's order, by the names that a user may call them.
     numbers : Numbers, optional
         What to compute with; double precision unless given.
+    reference_state : mapping, optional
+        A state to start from: q0, and v0 or p0.
 
     Attributes
     ----------
@@ -63,6 +66,7 @@ class Stepper:
         *,
         defaults: Mapping[str, float] | None = None,
         numbers: Numbers = FLOAT64,
+        reference_state: Mapping[str, Any] | None = None,
     ) -> None:
         facts = read_facts(source, where)
         self.source = source
@@ -71,7 +75,7 @@ class Stepper:
         self._kernels = numbers.kernels(source, facts)
         self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
         self.coordinates, self.parameters = facts.coordinates, facts.parameters
-        self.invariants = facts.invariants
+        self.invariants, self.reference_state = facts.invariants, reference_state
         self._aliases = {name: i for i, name in enumerate(facts.parameters)}
         self._defaults = numbers.read(facts.defaults)
         if defaults is not None:
@@ -259,6 +263,50 @@ class Stepper:
         if interrupted and on_failure == "raise":
             raise Interrupted(found.message, trajectory=found)
         return found
+
+    def certify(
+        self,
+        q0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float | None = None,
+        parameters: Parameters | None = None,
+    ) -> Certificate:
+        """Measure whether this stepper is what it should be.
+
+        Order, symplecticity, reversibility, momenta, invariants, the Jacobian and Newton's method
+        are measured in 50 digits on the text of the compiled module; then the compiled code is
+        held against it, and run for 100,000 steps.
+
+        Parameters
+        ----------
+        q0, v0, p0 : array_like, shape (n,), optional
+            The state to measure at; the system's reference state, or a random one, if left out.
+        h : float, optional
+            The step; found by trial if left out.
+        parameters : mapping, optional
+
+        Returns
+        -------
+        Certificate
+            Prints as a table with a verdict for each row; ``.passed`` is the whole.
+
+        Raises
+        ------
+        InputError
+            If the input makes no sense.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> certificate = ss.compile(ss.systems.pendulum()).certify()
+        >>> certificate.passed, round(certificate["order"].measured, 1)
+        (True, 4.0)
+        """
+        from symsimpson.analysis.certify import certify
+
+        return certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
 
     def step(
         self, q: ArrayLike, p: ArrayLike, h: float, parameters: Parameters | None = None

@@ -1,0 +1,138 @@
+"""What was measured on a stepper, row by row, with a verdict."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from symsimpson.errors import StorageError
+
+__all__ = ["Certificate", "Check"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One row of a certificate.
+
+    Attributes
+    ----------
+    name : str
+    measured : float
+        NaN where there is nothing to measure, or it could not be.
+    bound : {"at least", "at most"}
+    threshold : float
+    what : str
+        What was measured.
+    reason : str
+        Why the threshold is what it is.
+    failure : str
+        Why it could not be measured.
+    """
+
+    name: str
+    measured: float
+    bound: Literal["at least", "at most"]
+    threshold: float
+    what: str
+    reason: str
+    failure: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """The verdict; what could not be measured has not passed."""
+        if self.failure:
+            return False
+        if self.measured != self.measured:  # nothing to measure
+            return self.what.startswith("none")
+        if self.bound == "at least":
+            return self.measured >= self.threshold
+        return self.measured <= self.threshold
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was measured on a stepper, with the state and step at which.
+
+    Attributes
+    ----------
+    system, scheme : str
+    order : int
+        The scheme's.
+    module : str
+        SHA-256 of the generated module.
+    q0, p0 : tuple of float
+    h : float
+    parameters : mapping from str to float
+    checks : tuple of Check
+    seconds : float
+    """
+
+    system: str
+    scheme: str
+    order: int
+    module: str
+    q0: tuple[float, ...]
+    p0: tuple[float, ...]
+    h: float
+    parameters: Mapping[str, float]
+    checks: tuple[Check, ...]
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+    def __getitem__(self, name: str) -> Check:
+        """Give a check by its name."""
+        return next(check for check in self.checks if check.name == name)
+
+    def to_json(self) -> str:
+        """Give it as text in JSON, the same every time but for the seconds."""
+        content: dict[str, Any] = asdict(self) | {"parameters": dict(self.parameters)}
+        for check, row in zip(self.checks, content["checks"], strict=True):
+            row["measured"] = None if check.measured != check.measured else check.measured
+            row["passed"] = check.passed
+        return json.dumps(content | {"passed": self.passed}, indent=2) + "\n"
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it to a file, in JSON.
+
+        Raises
+        ------
+        StorageError
+            If the file cannot be written.
+        """
+        place = Path(path)
+        try:
+            place.write_text(self.to_json(), encoding="utf-8")
+        except OSError as error:
+            raise StorageError(
+                f"{place}: the certificate cannot be written: {error.strerror}.\n"
+                "Choose another place."
+            ) from error
+        return place
+
+    def __repr__(self) -> str:
+        numbers = ("(" + ", ".join(f"{x:.6g}" for x in state) + ")" for state in (self.q0, self.p0))
+        q0, p0 = numbers
+        verdict = "passed" if self.passed else "NOT passed"
+        lines = [
+            f"{self.system}, {self.scheme} (order {self.order}): {verdict}",
+            f"  from q0 = {q0}, p0 = {p0}, h = {self.h:g}; {self.seconds:.1f} s",
+        ]
+        for check in self.checks:
+            sign = ">=" if check.bound == "at least" else "<="
+            measured = "-" if check.measured != check.measured else f"{check.measured:.3g}"
+            limit = "" if check.what.startswith("none") else f"{sign} {check.threshold:.2g}"
+            mark = "ok  " if check.passed else "FAIL"
+            lines.append(
+                f"  {mark} {check.name:<12} {measured:>9} {limit:<10} {check.failure or check.what}"
+            )
+            if not check.passed:
+                lines.append(f"       {check.reason}")
+        return "\n".join(lines)

@@ -1,0 +1,299 @@
+"""Measure whether a stepper is what it should be, on its own equations and state.
+
+What a scheme promises is measured in many digits, on the text of the module that is compiled; then
+the compiled code is held against the same text.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import textwrap
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import mpmath
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.analysis.certificate import Certificate, Check
+from symsimpson.analysis.order import observed_orders
+from symsimpson.analysis.pilot import choose_state, choose_step
+from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
+from symsimpson.errors import SymsimpsonError
+from symsimpson.reference.extrapolation import extrapolate
+from symsimpson.runtime.evaluate import evaluate_equations
+from symsimpson.runtime.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["certify"]
+
+DIGITS = 50
+#: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
+EXACT = 1e-25
+LONG = 100_000
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A stepper in many digits and compiled, with a state and a step."""
+
+    stepper: Stepper
+    precise: Precise
+    z: NDArray[np.float64]
+    h: float
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.stepper.n
+
+    @cached_property
+    def scale(self) -> NDArray[np.float64]:
+        """Sizes of the coordinates and the momenta, to measure errors by."""
+        run = self.compiled(self.h, 100, every=1)
+        q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
+        return np.concatenate([np.maximum(q, 1.0), np.full(self.n, p.max() or 1.0)])
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """A hundred steps in many digits."""
+        return self.precise.run(self.z, self.h, 100)
+
+    @cached_property
+    def symmetries(self) -> list[Symmetry]:
+        """The linear symmetries of the system."""
+        return linear_symmetries(self.precise, self.z)
+
+    def compiled(self, h: float, steps: int, every: int | None) -> Trajectory:
+        """Integrate in double precision."""
+        return self.stepper.integrate(
+            self.z[: self.n], p0=self.z[self.n :], h=h, steps=steps, every=every,
+            parameters=self.precise.parameters,
+        )  # fmt: skip
+
+    def rates(self, z: list[Any]) -> list[Any]:
+        """Give Hamilton's equations."""
+        return self.precise.rates(np.array(z, dtype=object))
+
+    def distance(self, a: Any, b: Any) -> float:
+        """Give the largest difference of two states in units of the scale."""
+        return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
+
+
+def certify(
+    stepper: Stepper,
+    q0: ArrayLike | None = None,
+    v0: ArrayLike | None = None,
+    *,
+    p0: ArrayLike | None = None,
+    h: float | None = None,
+    parameters: Mapping[Any, Any] | None = None,
+) -> Certificate:
+    """Measure order, symplecticity and all else that a stepper should have."""
+    begin = time.perf_counter()
+    values = dict(zip(stepper.parameters, stepper._values(parameters).tolist(), strict=True))
+    q, p = choose_state(stepper, q0, v0, p0, values)
+    step = choose_step(stepper, q, p, values, LONG) if h is None else float(h)
+    subject = Subject(stepper, Precise(stepper, values, DIGITS), np.concatenate([q, p]), step)
+    checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
+    return Certificate(
+        stepper.system, stepper.scheme, stepper.order,
+        hashlib.sha256(stepper.source.encode()).hexdigest(),
+        tuple(q.tolist()), tuple(p.tolist()), step, values, tuple(checks),
+        time.perf_counter() - begin,
+    )  # fmt: skip
+
+
+def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:
+    """Turn what goes wrong during a measurement into a row that has not passed."""
+    try:
+        yield from measure(subject)
+    except (SymsimpsonError, ArithmeticError, np.linalg.LinAlgError) as error:
+        name = (measure.__doc__ or "").split(":")[0]
+        said = textwrap.shorten(str(error).splitlines()[0], 160, placeholder=" ...")
+        yield Check(
+            name, float("nan"), "at most", 0.0, "", "What cannot be measured is not certified.",
+            f"{type(error).__name__}: {said}",
+        )  # fmt: skip
+
+
+def _order(s: Subject) -> Iterator[Check]:
+    """order: errors against Hamilton's equations of the module's own energy."""
+    steps, context = 8, s.precise.context
+    with mpmath.workdps(DIGITS):
+        start = [mpmath.mpf(x) for x in s.z]
+        end = steps * mpmath.mpf(s.h)
+        exact = extrapolate(s.rates, start, [end], mpmath.mpf(10) ** -27)[0]
+    levels = [2**k for k in range(5)]
+    errors = [
+        s.distance(s.precise.flow(s.z, context.mpf(s.h) / k, steps * k), exact) for k in levels
+    ]
+    what = (
+        f"errors {errors[0]:.1e} to {errors[-1]:.1e} after 8 h, for h to h/16, in {DIGITS} digits"
+    )
+    order = stepper_order = float(s.stepper.order)
+    if errors[-1] > EXACT:
+        orders = observed_orders(errors)
+        order = float(orders[np.array(errors[1:]) > EXACT][-2:].min())
+    yield Check(
+        "order", order, "at least", stepper_order - 0.15, what,
+        f"The scheme has order {s.stepper.order}; the last two pairs are asymptotic.",
+    )  # fmt: skip
+
+
+def _symplectic(s: Subject) -> Iterator[Check]:
+    """symplectic: the derivative of a step, Newton's method included."""
+    n = s.n
+    D = s.precise.tangent(s.z, s.h)
+    # units of q and p in which both halves of the derivative are of like size
+    p_by_q, q_by_p = (max(map(abs, block.ravel())) for block in (D[n:, :n], D[:n, n:]))
+    ratio = (p_by_q / q_by_p) ** 0.5 if p_by_q and q_by_p else 1
+    D[:n, n:] *= ratio
+    D[n:, :n] /= ratio
+    J = np.zeros((2 * n, 2 * n), dtype=object)
+    J[:n, n:] += np.eye(n, dtype=int)
+    J[n:, :n] -= np.eye(n, dtype=int)
+    defect = max(map(abs, (D.T @ J @ D - J).ravel()))
+    size = max(map(abs, D.ravel()))
+    yield Check(
+        "symplectic", float(defect / size**2), "at most", EXACT,
+        "D^T J D - J of one step, relative to D^2",
+        f"Zero, but for the differences that give D, in {DIGITS} digits.",
+    )  # fmt: skip
+
+
+def _reversible(s: Subject) -> Iterator[Check]:
+    """reversible: there with h and back with -h."""
+    there = s.precise.flow(s.z, s.h, 20)
+    back = s.precise.flow(there, -s.h, 20)
+    yield Check(
+        "reversible", s.distance(back, s.z), "at most", EXACT, "20 steps with h and back with -h",
+        "The scheme is symmetric.",
+    )  # fmt: skip
+
+
+def _momenta(s: Subject) -> Iterator[Check]:
+    """momenta: what linear symmetries conserve."""
+    reason = "A linear symmetry of L conserves its momentum exactly, at any h."
+    if not s.symmetries:
+        yield Check("momenta", float("nan"), "at most", EXACT, "none: no linear symmetry", reason)
+        return
+    worst = 0.0
+    for symmetry in s.symmetries:
+        values = symmetry.momentum(s.path.q, s.path.p)
+        size = symmetry.size(s.path.q, s.path.p) or 1.0
+        worst = max(worst, float(max(abs(values - values[0]))) / size)
+    what = f"change of {', '.join(symmetry.name for symmetry in s.symmetries)} in 100 steps"
+    yield Check("momenta", worst, "at most", EXACT, what, reason)
+
+
+def _jacobian(s: Subject) -> Iterator[Check]:
+    """Jacobian: derivatives of the residual against differences."""
+    precise, n, d = s.precise, s.n, s.stepper._facts.degree
+    q, p = s.path.q, s.path.p
+    share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
+    nodes = q[0] + share * (q[1] - q[0])
+
+    def evaluate(points: Any) -> tuple[Any, Any]:
+        return evaluate_equations(precise.stepper, q[0], p[0], points, s.h, precise.parameters)
+
+    exact = evaluate(nodes)[1]
+    columns = []
+    for k in range(d * n):
+        move = np.zeros((d, n), dtype=object)
+        move[k // n, k % n] = precise.small
+        up, down = (evaluate(nodes + x)[0] for x in (move, -move))
+        columns.append((up - down) / (2 * precise.small))
+    difference = max(map(abs, (exact - np.array(columns, dtype=object).T).ravel()))
+    yield Check(
+        "Jacobian", float(difference / max(map(abs, exact.ravel()))), "at most", EXACT,
+        "exact derivatives of the residual against differences",
+        f"Equal, but for the differences, in {DIGITS} digits.",
+    )  # fmt: skip
+
+
+def _newton(s: Subject) -> Iterator[Check]:
+    """Newton: corrections shrink quadratically."""
+    sizes = s.precise.corrections(s.z, s.h, 8)
+    usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
+    reason = "With the exact Jacobian each correction is about the square of the one before."
+    shown = ", ".join(f"{float(x):.0e}" for x in sizes[:5])
+    order = 2.0  # a system without Newton's method, or solved at once
+    if len(usable) > 2:
+        a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
+        order = (c - b) / (b - a) if b < a else 0.0
+    yield Check("Newton", order, "at least", 1.7, f"corrections {shown}", reason)
+
+
+def _invariants(s: Subject) -> Iterator[Check]:
+    """invariants: change with the order of the scheme, or not at all."""
+    for name in s.stepper.invariants:
+        changes = []
+        for k in (1, 2, 4):
+            run = s.precise.run(s.z, s.precise.context.mpf(s.h) / k, 16 * k)
+            values = run.invariants[name]
+            changes.append(float(max(abs(values - values[0]))))
+        kept = changes[-1] < EXACT * float(max(map(abs, values)) or 1)
+        order = float(s.stepper.order) if kept else float(observed_orders(changes[1:])[0])
+        what = f"{name}: " + ("does not change" if kept else f"changes by {changes[0]:.1e} at h")
+        yield Check(
+            "invariant", order, "at least", s.stepper.order - 0.5, what,
+            "What the exact flow conserves changes at the order of the scheme.",
+        )  # fmt: skip
+
+
+def _rounding(s: Subject) -> Iterator[Check]:
+    """rounding: compiled code against many digits."""
+    run = s.compiled(s.h, 100, every=None)
+    end = np.concatenate([s.path.q[-1], s.path.p[-1]])
+    nearby = s.z + 1e-9 * s.scale
+    moved = s.precise.flow(nearby, s.h, 100)
+    growth = max(1.0, s.distance(moved, end) / 1e-9)
+    difference = s.distance(np.concatenate([run.q[-1], run.p[-1]]), end) / growth
+    yield Check(
+        "rounding", difference, "at most", 1e-13,
+        f"compiled against {DIGITS} digits after 100 steps, errors growing {growth:.1f} times",
+        "Compensated sums leave a rounding error of 1e-16 in a step.",
+    )  # fmt: skip
+
+
+def _iterations(s: Subject) -> Iterator[Check]:
+    """iterations: of Newton's method for each step."""
+    run = s.compiled(s.h, 1000, every=None)
+    yield Check(
+        "iterations", float(run.newton_iterations.sum()) / 1000, "at most", 4.0,
+        "Newton iterations a step", "The predictor leaves two or three at a reasonable step.",
+    )  # fmt: skip
+
+
+def _drift(s: Subject) -> Iterator[Check]:
+    """drift: of energy, momenta and invariants over many steps."""
+    run = s.compiled(s.h, LONG, every=20)
+    watched = {"energy": run.energy}
+    watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
+    promised = len(watched)
+    for k, (name, values) in enumerate((watched | run.invariants).items()):
+        size = float(np.abs(values).max()) or 1.0
+        blocks = (values[1:] / size).reshape(20, -1)
+        trend = abs(float(np.polyfit(np.arange(20), blocks.mean(axis=1), 1)[0])) * 20
+        swing = float(np.ptp(blocks[:2]))
+        what = f"{name}: trend over {LONG} steps; it swings by {swing:.1e}"
+        if k < promised:
+            yield Check(
+                "drift", trend, "at most", max(1e-12, 0.2 * swing), what,
+                "A symplectic map has no trend; a fifth of the swing is what chance may show.",
+            )  # fmt: skip
+        else:
+            yield Check("watched", trend, "at most", float("inf"), what, "Nothing is promised.")
+
+
+CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
+    _order, _symplectic, _reversible, _momenta, _invariants, _jacobian, _newton, _iterations,
+    _rounding, _drift,
+)  # fmt: skip

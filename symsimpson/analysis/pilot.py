@@ -1,0 +1,89 @@
+"""A state and a step to begin with, where none is given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.runtime.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["choose_state", "choose_step"]
+
+Floats = NDArray[np.float64]
+State = tuple[Floats, Floats]
+
+#: A step is taken whose energy error is at most so much of the kinetic energy.
+ENOUGH = 1e-4
+TRIES = 30
+
+
+def choose_state(
+    stepper: Stepper,
+    q0: ArrayLike | None,
+    v0: ArrayLike | None,
+    p0: ArrayLike | None,
+    parameters: Mapping[str, float],
+) -> State:
+    """Give (q, p) of the state asked for, the stepper's reference state, or one at random.
+
+    Raises
+    ------
+    InputError
+        If the state makes no sense, or no random one can begin.
+    """
+    given: dict[str, Any] = {"q0": q0, "v0": v0, "p0": p0}
+    if q0 is None and v0 is None and p0 is None and stepper.reference_state:
+        given = dict(stepper.reference_state)
+    if given["q0"] is not None:
+        run = stepper.integrate(**given, h=1.0, steps=0, parameters=parameters)
+        return run.q[0], run.p[0]
+    if v0 is not None or p0 is not None:
+        raise InputError("a velocity or momentum without q0.\nPass q0 too, or neither.")
+    for attempt in range(TRIES):
+        random = np.random.default_rng(attempt)
+        q, v = random.uniform(0.3, 1.2, stepper.n), random.uniform(-0.6, 0.6, stepper.n)
+        try:
+            run = stepper.integrate(q, v0=v, h=1e-6, steps=2, parameters=parameters)
+        except (InputError, ConvergenceError):
+            continue
+        return run.q[0], run.p[0]
+    raise InputError(
+        f"{stepper.system}: none of {TRIES} random states could begin.\n"
+        "Pass q0 and v0 or p0, from which the system can move."
+    )
+
+
+def choose_step(
+    stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int
+) -> float:
+    """Find a step of which so many can be taken, that changes the energy by little.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
+    for halvings in range(60):
+        h = 4.0 / 2**halvings  # a power of two: its parts are exact
+        run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
+        if run.steps < 64 or run.newton_iterations.sum() > 3.3 * 64:
+            continue
+        kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
+        if np.ptp(run.energy) > ENOUGH * kinetic:
+            continue
+        far = stepper.integrate(
+            q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
+        )
+        if far.status is Status.SUCCESS:
+            return h
+    raise InputError(
+        f"{stepper.system}: no step is small enough at this state.\n"
+        "Pass h, or another state: look where T or V are singular."
+    )

@@ -1,0 +1,106 @@
+"""A stepper in many digits, as functions of a state z = (q, p)."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.digits import Digits, read_precision
+from symsimpson.runtime.machine import Run
+from symsimpson.runtime.stepper import Stepper
+from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = ["Precise"]
+
+Vector = NDArray[Any]
+
+
+class Precise:
+    """The text of a stepper's module and of the driver, run in many digits.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    parameters : mapping from str to float
+    digits : int
+    """
+
+    def __init__(self, stepper: Stepper, parameters: Mapping[str, float], digits: int) -> None:
+        arithmetic = "arb" if importlib.util.find_spec("flint") else "mpmath"
+        numbers = read_precision(digits, arithmetic)
+        self.stepper = Stepper(stepper.source, stepper.system, numbers=numbers)
+        self.n, self.parameters = stepper.n, parameters
+        assert isinstance(numbers, Digits)
+        self.context = numbers.context
+        #: A displacement whose square and whose inverse cost a third of the digits each.
+        self.small = self.context.mpf(10) ** -(digits // 3)
+
+    def run(self, z: Vector, h: Any, steps: int, *, every: int | None = 1) -> Trajectory:
+        """Integrate from a state."""
+        return self.stepper.integrate(
+            z[: self.n], p0=z[self.n :], h=h, steps=steps, every=every, parameters=self.parameters
+        )
+
+    def flow(self, z: Vector, h: Any, steps: int = 1) -> Vector:
+        """Give the state after some steps."""
+        end = self.run(z, h, steps, every=None)
+        return np.concatenate([end.q[0], end.p[0]])
+
+    def tangent(self, z: Vector, h: Any, steps: int = 1) -> Vector:
+        """Differentiate the map of some steps by differences, Newton's method included."""
+        columns = [
+            (self.flow(up, h, steps) - self.flow(down, h, steps)) / (2 * self.small)
+            for up, down in self._moved(z)
+        ]
+        return np.array(columns, dtype=object).T
+
+    def gradient(self, z: Vector) -> Vector:
+        """Differentiate the energy by differences: (dH/dq, dH/dp)."""
+        moved = np.array(list(self._moved(z)), dtype=object).reshape(-1, 2 * self.n)
+        energies = self.stepper.energy(
+            moved[:, : self.n], moved[:, self.n :], parameters=self.parameters
+        )
+        return (energies[0::2] - energies[1::2]) / (2 * self.small)
+
+    def rates(self, z: Vector) -> list[Any]:
+        """Give Hamilton's equations: q' = dH/dp, p' = -dH/dq."""
+        gradient = self.gradient(z)
+        return [*gradient[self.n :], *(-gradient[: self.n])]
+
+    def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
+        """Give the sizes of the first Newton corrections, relative to the increments."""
+        stepper = self.stepper
+        facts, kernels, numbers = stepper._facts, stepper._kernels, stepper._numbers
+        if facts.newton_unknowns == 0:
+            return []
+        found = []
+        with numbers.working():
+            values = stepper._values(self.parameters)
+            step, start = numbers.read(h).item(), numbers.read(list(z))
+            run = Run(facts, kernels, numbers, values, step, 0 * step, 0, 1)
+            run.begin(start[: self.n], start[self.n :], velocity=False)
+            run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
+            for _ in range(count):
+                run.rows("ACTIVE", 1)[:] = numbers.read(1.0)
+                numbers.driver("call")(kernels.step[2], step, 0 * step, run.W)
+                sizes = [
+                    numbers.result(run.rows(f"{name}_SQUARED", 1))[0]
+                    for name in ("CORRECTION", "INCREMENT")
+                ]
+                found.append(self.context.sqrt(sizes[0] / sizes[1]))
+                if not 0 < found[-1] < self.context.inf:
+                    break
+        return found
+
+    def _moved(self, z: Vector) -> list[tuple[Vector, Vector]]:
+        point = np.array([self.context.convert(x) for x in z], dtype=object)
+        pairs = []
+        for k in range(2 * self.n):
+            move = np.zeros(2 * self.n, dtype=object)
+            move[k] = self.small
+            pairs.append((point + move, point - move))
+        return pairs
