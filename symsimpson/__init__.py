@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from symsimpson.api import compile, generate, load
+    from symsimpson.bench.work_precision import work_precision
     from symsimpson.errors import (
         ConvergenceError,
         GenerationError,
@@ -63,6 +64,7 @@ _HOME = {
     "SIMPSON": "schemes.scheme",
     "Scheme": "schemes.scheme",
     "galerkin": "schemes.scheme",
+    "work_precision": "bench.work_precision",
 }
 
 __all__ = [
@@ -90,6 +92,7 @@ __all__ = [
     "load",
     "momenta",
     "systems",
+    "work_precision",
 ]
 
 

@@ -69,7 +69,28 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--out", help="write t, q, p and energy to this .npz or .csv file")
     command.set_defaults(run=_run)
 
-    command = commands.add_parser("bench", help="time Simpson steps, beside heyoka if installed")
+    command = commands.add_parser("certify", help="measure whether a stepper is what it should be")
+    command.add_argument("stepper", help=f"a generated file, or a {system}")
+    command.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")
+    command.add_argument("--q0", type=_numbers, help="positions to measure at")
+    command.add_argument("--v0", type=_numbers, help="velocities")
+    command.add_argument("--p0", type=_numbers, help="momenta")
+    command.add_argument("--h", type=float, help="step (default: found by trial)")
+    command.add_argument("--save", action="store_true", help="write it beside the generated file")
+    command.set_defaults(run=_certify)
+
+    command = commands.add_parser("bench", help="run time against error, beside other programs")
+    command.add_argument("system", nargs="?", help=f"{system}; none for the time of a step")
+    command.add_argument("--schemes", type=_words, default=["midpoint", "simpson"],
+                         help="as midpoint,simpson,gauss6")  # fmt: skip
+    command.add_argument("--peers", type=_words, default="installed",
+                         help="as scipy,heyoka (default: all that are installed)")  # fmt: skip
+    command.add_argument("--errors", type=_numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
+    command.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
+    command.add_argument("--repeats", type=int, default=5, help="rounds (default: %(default)s)")
+    command.add_argument("--out", help="write the record to this .json file")
+    command.add_argument("--against", help="compare with the record in this .json file")
+    command.add_argument("--plot", help="draw to this .png, .pdf or .svg file")
     command.add_argument("--ensemble", action="store_true", help="time ensembles instead")
     command.set_defaults(run=_bench)
     return parser
@@ -77,6 +98,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _numbers(text: str) -> list[float]:
     return [float(part) for part in text.split(",")]
+
+
+def _words(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def _list(options: argparse.Namespace) -> int:
@@ -165,6 +190,26 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _certify(options: argparse.Namespace) -> int:
+    from symsimpson.api import compile as compile_system
+    from symsimpson.api import load
+
+    path = Path(options.stepper)
+    if path.suffix == ".py":
+        stepper = load(path)
+    elif options.save:
+        raise InputError(
+            f"--save: {options.stepper} is no generated file.\nWrite it with symsimpson generate."
+        )
+    else:
+        stepper = compile_system(_find(options.stepper), options.scheme)
+    found = stepper.certify(options.q0, options.v0, p0=options.p0, h=options.h)
+    print(found)
+    if options.save:
+        print(f"  written to {found.save(path.with_suffix('.certificate.json'))}")
+    return 0 if found.passed else 1
+
+
 def _write(path: Path, run: object, coordinates: tuple[str, ...]) -> None:
     import numpy as np
 
@@ -185,8 +230,25 @@ def _write(path: Path, run: object, coordinates: tuple[str, ...]) -> None:
 def _bench(options: argparse.Namespace) -> int:
     from symsimpson.bench import ensembles, speed
 
-    for line in (ensembles if options.ensemble else speed).report():
-        print(line, flush=True)
+    if options.system is None:
+        for line in (ensembles if options.ensemble else speed).report():
+            print(line, flush=True)
+        return 0
+    from symsimpson.bench.record import WorkPrecision
+    from symsimpson.bench.work_precision import work_precision
+
+    before = WorkPrecision.load(options.against) if options.against else None
+    found = work_precision(
+        _find(options.system), options.schemes, options.peers, options.errors,
+        t_end=options.t_end, repeats=options.repeats,
+    )  # fmt: skip
+    print(found)
+    if before is not None:
+        print(found.compare(before))
+    if options.out:
+        print(f"written to {found.save(options.out)}")
+    if options.plot:
+        found.plot().figure.savefig(options.plot)
     return 0
 
 

@@ -193,8 +193,8 @@ def _momenta(s: Subject) -> Iterator[Check]:
     yield Check("momenta", worst, "at most", EXACT, what, reason)
 
 
-def _jacobian(s: Subject) -> Iterator[Check]:
-    """Jacobian: derivatives of the residual against differences."""
+def _equations(s: Subject) -> Iterator[Check]:
+    """equations: derivatives of the residual against differences."""
     precise, n, d = s.precise, s.n, s.stepper._facts.degree
     q, p = s.path.q, s.path.p
     share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
@@ -212,19 +212,32 @@ def _jacobian(s: Subject) -> Iterator[Check]:
         columns.append((up - down) / (2 * precise.small))
     difference = max(map(abs, (exact - np.array(columns, dtype=object).T).ravel()))
     yield Check(
-        "Jacobian", float(difference / max(map(abs, exact.ravel()))), "at most", EXACT,
+        "equations", float(difference / max(map(abs, exact.ravel()))), "at most", EXACT,
         "exact derivatives of the residual against differences",
         f"Equal, but for the differences, in {DIGITS} digits.",
     )  # fmt: skip
 
 
+def _jacobian(s: Subject) -> Iterator[Check]:
+    """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
+    if s.stepper._facts.newton_unknowns == 0:
+        return
+    yield Check(
+        "Jacobian", s.precise.jacobian_defect(s.z, s.h), "at most", EXACT**0.5,
+        "what an iteration leaves of a small displacement from the solution",
+        f"With the exact Jacobian, a number of second order: {float(s.precise.small):.0e}.",
+    )  # fmt: skip
+
+
 def _newton(s: Subject) -> Iterator[Check]:
     """Newton: corrections shrink quadratically."""
+    if s.stepper._facts.newton_unknowns == 0:
+        return
     sizes = s.precise.corrections(s.z, s.h, 8)
     usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
     reason = "With the exact Jacobian each correction is about the square of the one before."
     shown = ", ".join(f"{float(x):.0e}" for x in sizes[:5])
-    order = 2.0  # a system without Newton's method, or solved at once
+    order = 2.0  # solved at once
     if len(usable) > 2:
         a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
         order = (c - b) / (b - a) if b < a else 0.0
@@ -294,6 +307,6 @@ def _drift(s: Subject) -> Iterator[Check]:
 
 
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
-    _order, _symplectic, _reversible, _momenta, _invariants, _jacobian, _newton, _iterations,
-    _rounding, _drift,
+    _order, _symplectic, _reversible, _momenta, _invariants, _equations, _jacobian, _newton,
+    _iterations, _rounding, _drift,
 )  # fmt: skip

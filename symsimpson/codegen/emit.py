@@ -31,7 +31,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 3
+INTERFACE = 4
 
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
@@ -48,6 +48,7 @@ NEGLIGIBLE = 2.0**-102  # the next correction would be lost in the rounding of t
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
+UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 """
 
 
@@ -76,7 +77,9 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     )
     constants = _constants(module, printer)
     if module.newton_unknowns:
-        constants = f"{constants}\n{_THRESHOLDS}" if constants else _THRESHOLDS
+        # a straight path leaves rest with the velocity it ends with
+        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.25)
+        constants = f"{constants}\n{thresholds}" if constants else thresholds
     library = _library(body)
     numbers = "\n".join(
         part

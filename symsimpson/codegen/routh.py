@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import node_point
+from symsimpson.codegen.coupled import NOTHING, node_point
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -48,6 +48,7 @@ class RouthSolver:
             (r, c) for r in range(len(part.annihilator)) for c in self._size
         ]  # fmt: skip
         self._nodes: list[_Node] = []
+        self._added: dict[int, Vector] = {}
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
         """Give right-hand side and matrix of a Newton iteration."""
@@ -117,6 +118,45 @@ class RouthSolver:
             for a in self._part.cyclic
         }
 
+    def mismatch(self, end: Point, slopes: Mapping[int, sp.Expr]) -> sp.Expr:
+        """Give h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
+
+        Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
+        the cyclic coordinates are no polynomial, and d is as large as p. ``slopes`` are those of
+        the other coordinates at the end of the path.
+        """
+        low, last = self._low, self._nodes[-1]
+        if last.point.q == end.q:
+            D_inverse, x = last.D_inverse, self._added[last.number]
+        else:
+            closing = self._factors(end, -1)
+            D_inverse, x = closing.D_inverse, self._left(closing, slopes)
+        terms = [D_inverse[k] * x[k] ** 2 for k in self._size]
+        value = low.equations.h**2 * sp.Add(*terms)
+        return low.graph.define("cyclic_mismatch_squared", value, "predictor")
+
+    def _left(self, end: _Node, slopes: Mapping[int, sp.Expr]) -> Vector:
+        """Give L^-1 (L_vy - p) at the end of the path, where no node stands."""
+        low, part, scheme = self._low, self._part, self._low.equations.scheme
+        names, section = low.names.coordinates, "predictor"
+        used = range(scheme.stages - scheme.degree, scheme.stages)
+        c = scheme.quadrature.nodes
+        weights = [
+            sp.radsimp(sp.Mul(*((1 - c[j]) / (c[i] - c[j]) for j in used if j != i))) for i in used
+        ]
+        v = list(end.point.v or [NOTHING] * low.n)
+        for a in part.coordinates:
+            v[a] = slopes[a]
+        for a in part.cyclic:
+            velocity = sp.Add(
+                *(w * _velocity(self._nodes[i], a) for w, i in zip(weights, used, strict=True))
+            )
+            v[a] = low.graph.define(f"v_{names[a]}_path", velocity, section)
+        point = replace(end.point, suffix=f"{end.point.suffix}_path", v=tuple(v))
+        group = (*part.coordinates, *part.cyclic)
+        left = [low.template.momentum(point, section, a, group) - low.p[a] for a in part.cyclic]
+        return self.forward(end, left, "left")
+
     def solve(self, nodes: list[_Node], right: Vector, wish: str) -> Vector:
         """Solve for multipliers: sum_i C_ri C_si / b_i T^T D^-1 T."""
         C, b, S = self._part.annihilator, self._weights, self._multipliers
@@ -162,11 +202,12 @@ class RouthSolver:
         found: Vector = []
         for r in self._size:
             rest = sp.Add(vector[r], *(sp.expand(-node.L[r][c] * found[c]) for c in range(r)))
-            found.append(self._define(f"{wish}{r}_{node.number}", rest, node.number))
+            found.append(self._define(f"{wish}{r}", rest, node.number))
         return found
 
     def _define(self, wish: str, value: sp.Expr, i: int) -> sp.Expr:
-        return self._low.graph.define(wish, value, f"node {i}: cyclic mass L D L^T")
+        where, section = (i, f"node {i}: cyclic mass L D L^T") if i >= 0 else ("end", "predictor")
+        return self._low.graph.define(f"{wish}_{where}", value, section)
 
     def _solved_nodes(self, end: Point | None) -> list[_Node]:
         """Evaluate the nodes and find the velocities of the cyclic coordinates there."""
@@ -189,11 +230,13 @@ class RouthSolver:
         low, C, i = self._low, self._part.annihilator, node.number
         section = f"node {i}, all velocities known"
         momentum = []
+        self._added[i] = []
         for k in self._size:
             terms = [
                 sp.radsimp(C[r][i] / self._weights[i]) * node.T[k][c] * found[r, c]
                 for r, c in self._multipliers
             ]
+            self._added[i].append(sp.Add(*terms))
             value = sp.Add(node.momentum[k], *terms)
             momentum.append(low.graph.define(f"mu{k}_{i}", value, section))
         v = list(node.point.v or ())
@@ -209,15 +252,19 @@ class RouthSolver:
 
     def _factored(self, i: int, end: Point | None) -> _Node:
         """Give a node with the factors of its cyclic mass matrix."""
+        point = node_point(self._low, i, self.coordinates, moving=True, end=end)
+        return self._factors(point, i)
+
+    def _factors(self, point: Point, i: int) -> _Node:
+        """Factorise the cyclic mass matrix at a point; -1 is the end of the path."""
         low = self._low
-        point = node_point(low, i, self.coordinates, moving=True, end=end)
-        section = f"node {i}: cyclic mass L D L^T"
+        section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
 
         def factor(*key: str) -> sp.Expr:
             return low.template.output(point, section, key)
 
         names = [low.names.coordinates[a] for a in self._part.cyclic]
-        D_inverse = [self._define(f"inv_D_{name}_{i}", 1 / factor("D", name), i) for name in names]
+        D_inverse = [self._define(f"inv_D_{name}", 1 / factor("D", name), i) for name in names]
         L = [
             [
                 factor("L0", names[r], names[c]) + factor("L", names[r], names[c]) if c < r else
@@ -248,7 +295,7 @@ class RouthSolver:
                 for r in range(c + 1, len(self._size)):
                     terms = [-node.L[r][k] * T[k][c] for k in range(c + 1, r)]
                     value = sp.Add(middle.L[r][c], -node.L[r][c], *terms)
-                    T[r][c] = self._define(f"T{r}{c}_{i}", value, i)
+                    T[r][c] = self._define(f"T{r}{c}", value, i)
         return replace(node, T=T, momentum=momentum)
 
 

@@ -202,20 +202,25 @@ def _predicted(
     section = "predictor"
     metric: dict[int, sp.Expr] = {}
     mismatch: list[sp.Expr] = []
+    cyclic: list[sp.Expr] = []
     following: dict[tuple[int, int], sp.Expr] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
         group = solver.coordinates if solver.unknowns else ()
         v = velocities(low, end, momentum, "velocity at q1", _mass_order(part))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
+        slopes: dict[int, sp.Expr] = {}
         for a in group:
             metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
             slope = sp.Add(*(scheme.end_slope[j] * path[a][j] for j in range(d)))
+            slopes[a] = slope / eqs.h
             bend = define(f"bend_{names[a]}", eqs.h * v[a] - slope, section)
             mismatch.append(metric[a] * bend**2)
             for k in sorted(m for m, b in every if b == a):
                 terms = [scheme.extrapolation[k - 1][j] * path[a][j] for j in range(d)]
                 value = sp.Add(scheme.correction[k - 1] * bend, *terms)
                 following[k, a] = define(f"{names[a]}_X{k}_next", value, section)
+        if isinstance(solver, RouthSolver) and solver.unknowns:
+            cyclic.append(solver.mismatch(end, slopes))
     surprise = [
         low.metric[a] * (low.increments[m - 1][a] - low.predicted[m - 1][a]) ** 2
         for m, a in every
@@ -228,7 +233,10 @@ def _predicted(
         stores.append(Store(Row("INCREMENT", place), value, keep=old))
         stores.append(Store(Row("PREDICTED", place), value, keep=guess))
     stores += [Store(Row("METRIC", a), metric[a], keep=low.metric[a]) for a in metric]
-    for name, terms in (("mismatch_squared", mismatch), ("surprise_squared", surprise)):
+    measured = {"mismatch_squared": mismatch, "surprise_squared": surprise}
+    if cyclic:
+        measured["cyclic_mismatch_squared"] = cyclic
+    for name, terms in measured.items():
         stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
     return stores, metric
 

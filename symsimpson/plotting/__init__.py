@@ -1,5 +1,6 @@
 """Figures; needs matplotlib (the extra ``notebook``)."""
 
 from symsimpson.plotting.convergence import plot_convergence, slope_triangle
+from symsimpson.plotting.work_precision import plot_work_precision
 
-__all__ = ["plot_convergence", "slope_triangle"]
+__all__ = ["plot_convergence", "plot_work_precision", "slope_triangle"]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.reference.first_order import FirstOrder
 
-__all__ = ["rk4"]
+__all__ = ["compiled_rates", "rk4"]
 
 
 def rk4(
@@ -57,7 +57,7 @@ def rk4(
         raise ValueError(f"steps is {steps} and every is {every}: steps >= 0, every >= 1.")
     values = np.array([float(x) for x in equations.values(parameters)])
     out = np.empty((steps // every + 1, m))
-    _loop()(_compiled(equations), start, values, float(h), steps, every, out)
+    _loop()(compiled_rates(equations), start, values, float(h), steps, every, out)
     return h * np.arange(0, steps + 1, every, dtype=np.float64), out
 
 
@@ -65,7 +65,8 @@ def rk4(
 _MADE: dict[tuple[Any, ...], Callable[..., Any]] = {}
 
 
-def _compiled(equations: FirstOrder) -> Callable[..., Any]:
+def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
+    """Compile f as a function (y, parameters, out)."""
     key = (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
     if key not in _MADE:
         from numba import njit

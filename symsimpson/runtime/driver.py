@@ -23,7 +23,9 @@ PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT = range(12, 17)
 # why run stopped before the end
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
-NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE = 2, 3, 4
+NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, COORDINATE_SINGULARITY = 2, 3, 4, 6
+#: A value of IN_DOUBT: the step says nothing about the motion.
+UNRESOLVED = 2.0
 
 MOST_ITERATIONS = 40
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
@@ -205,9 +207,13 @@ def verify(kernels, h, t, W, at, lane):
     for other in range(lanes):
         keep(W, 0, rows, other, after)
     finite = W[at[MISMATCH], lane] < np.inf
+    unresolved = W[at[IN_DOUBT], lane] == UNRESOLVED
     step_back(W, at, lane)
     if not finite:
         W[at[STATUS], lane] = NOT_FINITE
+        return
+    if unresolved:
+        W[at[STATUS], lane] = COORDINATE_SINGULARITY
         return
     if follow(kernels, h, t, W, at, lane) != 0:
         W[at[STATUS], lane] = STEP_TOO_LARGE

@@ -16,6 +16,7 @@ class Status(IntEnum):
     NOT_FINITE = 3
     STEP_TOO_LARGE = 4
     BAD_INPUT = 5
+    COORDINATE_SINGULARITY = 6
 
     @property
     def message(self) -> str:
@@ -37,6 +38,11 @@ _MESSAGES = {
     Status.STEP_TOO_LARGE: (
         "The equations of the step have a solution, but not one connected to the state by smaller "
         "steps. The step is too large for this motion: try a smaller h."
+    ),
+    Status.COORDINATE_SINGULARITY: (
+        "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
+        "faster than the step resolves: its direction behind that point would be lost. Try a "
+        "smaller h there, or coordinates that are regular at this point."
     ),
     Status.BAD_INPUT: (
         "The run could not begin: the mass matrix is not positive definite there, or the velocity "

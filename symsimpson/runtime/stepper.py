@@ -6,21 +6,19 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, Interrupted
+from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.evaluate import evaluate_energy, evaluate_equations
 from symsimpson.runtime.inputs import (
     read_every,
     read_parameters,
     read_steps,
-    read_vector,
-    refused_start,
 )
 from symsimpson.runtime.load import Facts, read_facts
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import FLOAT64, Numbers
+from symsimpson.runtime.single import begin_run, raise_failure, trajectory_of
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -154,16 +152,16 @@ class Stepper:
             values = self._values(parameters)
             h, count, t0 = read_steps(h, t_end, steps, t0, self._numbers)
             run = self._new_run(values, h, t0, count, read_every(every))
-            self._begin(run, q0, v0, p0)
+            begin_run(self, run, q0, v0, p0)
             interrupted = False
             try:
                 run.advance(count)
             except KeyboardInterrupt:
                 interrupted = True
             status = Status.INTERRUPTED if interrupted else run.status
-            trajectory = self._trajectory(run, count, status, values)
+            trajectory = trajectory_of(self, run, count, status, values)
             if status is not Status.SUCCESS and on_failure == "raise":
-                self._fail(run, trajectory)
+                raise_failure(run, trajectory)
         return trajectory
 
     def _new_run(self, values: Reals, h: Any, t0: Any, count: int, stride: int) -> Run:
@@ -379,64 +377,4 @@ class Stepper:
         facts = self._facts
         return read_parameters(
             self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
-        )
-
-    def _begin(self, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None) -> None:
-        if (v0 is None) == (p0 is None):
-            given = "neither" if v0 is None else "both"
-            raise InputError(
-                f"a run needs exactly one of v0 and p0, and has {given}.\n"
-                "Pass initial velocities v0=[...] or initial momenta p0=[...]."
-            )
-        numbers = self._numbers
-        q = read_vector("q0", q0, self.coordinates, numbers)
-        if p0 is not None:
-            run.begin(q, read_vector("p0", p0, self.coordinates, numbers), velocity=False)
-        elif v0 is not None:
-            run.begin(q, read_vector("v0", v0, self.coordinates, numbers), velocity=True)
-        pivot = float(run.rows("MASS_PIVOT", 1)[0])
-        if pivot < 0 or not numbers.finite(run.rows("VELOCITY", self.n)).all():
-            values = map(float, run.rows("PARAMETER", len(self.parameters)))
-            named = dict(zip(self.parameters, values, strict=True))
-            where = f"q0={q.tolist()} with the parameters {named}"
-            raise refused_start(self.system, where, pivot, bool(numbers.finite(q).all()))
-
-    def _trajectory(self, run: Run, count: int, status: Status, values: Reals) -> Trajectory:
-        done = run.step
-        if run.every:
-            kept = done // run.every + 1
-            t = run.t0 + self._numbers.counted(0, done + 1, run.every) * run.h
-            q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
-        else:
-            run.store(0)
-            t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
-            q, p = run.q[:, :, 0], run.p[:, :, 0]
-            iterations = run.rows("ITERATIONS", 1).astype(np.int64)
-        message = status.message
-        if status is not Status.SUCCESS:
-            time, h = float(run.t0 + run.h * done), float(run.h)
-            message = (
-                f"{self.system}, {self.scheme}: step {done} of {count} at t={time:g} with h={h:g} "
-                f"was not taken. {message}"
-            )
-        t, q, p, values = map(self._numbers.result, (t, q, p, values))
-        return Trajectory(
-            t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
-            message=message,
-            _stepper=self, _values=values,
-        )  # fmt: skip
-
-    def _fail(self, run: Run, trajectory: Trajectory) -> None:
-        status = trajectory.status
-        if status is Status.INTERRUPTED:
-            raise Interrupted(trajectory.message, trajectory=trajectory)
-        residual = run.last_correction
-        raise ConvergenceError(
-            f"{trajectory.message} The last of {run.last_iterations} iterations changed the step "
-            f"by a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
-            trajectory=trajectory,
-            step=run.step,
-            time=float(run.t0 + run.h * run.step),
-            residual=residual,
-            status=status,
         )

@@ -10,6 +10,7 @@ CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
 MISMATCH_SQUARED: int
 SURPRISE_SQUARED: int
+CYCLIC_MISMATCH_SQUARED: int
 RELATIVE: int
 CONTRACTION: int
 ITERATIONS: int
@@ -20,6 +21,7 @@ NEGLIGIBLE: float
 QUADRATIC: float
 STAGNATION: float
 FAR: float
+UNRESOLVED: float
 
 
 @compiled
@@ -50,15 +52,17 @@ def judge(W, lane):
 
 @compiled
 def question(W, lane):
-    """Mark a solution that may not be the one that smaller steps lead to.
+    """Mark a solution that may not be the one that smaller steps lead to, or that says nothing.
 
     Its increments are further from the predicted ones than any was from zero (the first step of a
     run has nothing to compare with), or the velocity at the end of its path is far from that of
     the new momentum, in units of the largest increments so far. Midpoint leaves rest with 1.
+    It says nothing (2) where the velocities of cyclic coordinates are lost within the step.
     """
     known = W[SCALE, lane]
     largest = max(known, W[INCREMENT_SQUARED, lane])
     expected = (known <= 0) | (W[SURPRISE_SQUARED, lane] <= known)
     sure = expected & (W[MISMATCH_SQUARED, lane] <= FAR * largest)
-    W[IN_DOUBT, lane] = 0.0 if sure else 1.0
+    lost = W[CYCLIC_MISMATCH_SQUARED, lane] > UNRESOLVED * largest
+    W[IN_DOUBT, lane] = 2.0 if lost else (0.0 if sure else 1.0)
     W[SCALE, lane] = largest if sure & (W[ACTIVE, lane] > 0) else known

@@ -1,0 +1,109 @@
+"""Explicit Runge-Kutta methods, compiled for one right-hand side: the peers of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+__all__ = ["make_dop853", "make_rk4"]
+
+
+def make_rk4(f: Callable[..., None]) -> Callable[..., Any]:
+    """Compile the classical method of order four for f(y, parameters, out)."""
+    from numba import njit
+
+    @njit
+    def rk4(y, parameters, t_end, steps):  # type: ignore[no-untyped-def]
+        m, h = y.size, t_end / steps
+        k1, k2, k3, k4, x = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+        for _ in range(steps):
+            f(y, parameters, k1)
+            for i in range(m):
+                x[i] = y[i] + 0.5 * h * k1[i]
+            f(x, parameters, k2)
+            for i in range(m):
+                x[i] = y[i] + 0.5 * h * k2[i]
+            f(x, parameters, k3)
+            for i in range(m):
+                x[i] = y[i] + h * k3[i]
+            f(x, parameters, k4)
+            for i in range(m):
+                y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+        return 4 * steps
+
+    return rk4
+
+
+def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
+    """Compile the method of Dormand and Prince of order eight for f(y, parameters, out).
+
+    Coefficients are SciPy's; the control of the step is that of Hairer, Norsett and Wanner,
+    Solving Ordinary Differential Equations I, sections II.4 and II.10.
+    """
+    from numba import njit
+    from scipy.integrate import DOP853
+
+    A = np.array(DOP853.A, dtype=np.float64)
+    B = np.array(DOP853.B, dtype=np.float64)
+    E3, E5 = np.array(DOP853.E3), np.array(DOP853.E5)
+    stages = DOP853.n_stages
+
+    @njit
+    def dop853(y, parameters, t_end, tolerance):  # type: ignore[no-untyped-def]
+        m = y.size
+        K = np.empty((stages + 1, m))
+        x, new = np.empty(m), np.empty(m)
+        f(y, parameters, K[0])
+        evaluations = 1
+        size, slope = 0.0, 0.0
+        for i in range(m):
+            scale = tolerance + tolerance * abs(y[i])
+            size += (y[i] / scale) ** 2
+            slope += (K[0, i] / scale) ** 2
+        h = 0.01 * np.sqrt(size / slope) if slope > 0.0 and size > 0.0 else 1e-6
+        t, rejected = 0.0, False
+        while t < t_end:
+            h = min(h, t_end - t)
+            if t + h == t:
+                return -1
+            for s in range(1, stages):
+                for i in range(m):
+                    total = 0.0
+                    for j in range(s):
+                        total += A[s, j] * K[j, i]
+                    x[i] = y[i] + h * total
+                f(x, parameters, K[s])
+            for i in range(m):
+                total = 0.0
+                for j in range(stages):
+                    total += B[j] * K[j, i]
+                new[i] = y[i] + h * total
+            f(new, parameters, K[stages])
+            evaluations += stages
+            fifth, third = 0.0, 0.0
+            for i in range(m):
+                scale = tolerance + tolerance * max(abs(y[i]), abs(new[i]))
+                e5, e3 = 0.0, 0.0
+                for j in range(stages + 1):
+                    e5 += E5[j] * K[j, i]
+                    e3 += E3[j] * K[j, i]
+                fifth += (e5 / scale) ** 2
+                third += (e3 / scale) ** 2
+            denominator = fifth + 0.01 * third
+            error = abs(h) * fifth / np.sqrt(denominator * m) if denominator > 0.0 else 0.0
+            if error < 1.0:
+                t += h
+                for i in range(m):
+                    y[i] = new[i]
+                    K[0, i] = K[stages, i]
+                factor = 10.0 if error == 0.0 else min(10.0, 0.9 * error ** (-0.125))
+                h *= min(1.0, factor) if rejected else factor
+                rejected = False
+            else:
+                h *= max(0.2, 0.9 * error ** (-0.125))
+                rejected = True
+        return evaluations
+
+    return dop853

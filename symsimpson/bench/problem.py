@@ -1,0 +1,103 @@
+"""An initial value problem that several programs solve, and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.analysis.pilot import choose_state
+from symsimpson.api import compile as compile_system
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.reference import FirstOrder, canonical, second_order, truth
+from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Problem", "make_problem"]
+
+#: Digits of the solution that others are measured by.
+DIGITS = 20
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A system, a state to start from, a time, and the state then.
+
+    Attributes
+    ----------
+    system : MechanicalSystem
+    q0, v0, p0 : ndarray, shape (n,)
+    t_end : float
+    canonical, second_order : FirstOrder
+        The equations of motion in (q, p) and in (q, v), for those who need first order.
+    solution : ndarray, shape (2 n,)
+        q and p at ``t_end``.
+    solution_error : float
+        An estimate of its error, in units of ``scale``.
+    scale : ndarray, shape (2 n,)
+        Errors are taken in these units: 1 or the coordinate's largest value; the largest momentum.
+    """
+
+    system: MechanicalSystem
+    q0: Floats
+    v0: Floats
+    p0: Floats
+    t_end: float
+    canonical: FirstOrder
+    second_order: FirstOrder
+    solution: Floats
+    solution_error: float
+    scale: Floats
+
+    def error(self, q: Any, p: Any) -> float:
+        """Give the largest error of a state at ``t_end``, in units of ``scale``."""
+        difference = np.concatenate([q, p]) - self.solution
+        largest = float(np.abs(difference / self.scale).max())
+        return largest if np.isfinite(largest) else float("inf")
+
+    def momentum(self, stepper: Stepper, q: Any, v: Any) -> Floats:
+        """Give p of a state in (q, v)."""
+        momentum: Floats = stepper.integrate(q, v0=v, h=1.0, steps=0).p[0]
+        return momentum
+
+
+def make_problem(
+    system: MechanicalSystem, state: Mapping[str, Any] | None, t_end: float
+) -> Problem:
+    """Solve a problem in many digits, with an estimate of the error.
+
+    Raises
+    ------
+    InputError
+        If there is no state to start from.
+    ArithmeticError
+        If the solution has a singularity before ``t_end``.
+    """
+    stepper = compile_system(system, "simpson")
+    given = {"q0": None, "v0": None, "p0": None} | dict(state or {})
+    q, p = choose_state(
+        stepper, given["q0"], given["v0"], given["p0"],
+        dict(zip(stepper.parameters, stepper._defaults.tolist(), strict=True)),
+    )  # fmt: skip
+    hamilton, newton = canonical(system), second_order(system)
+    start = [mpmath.mpf(float(x)) for x in (*q, *p)]
+    samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]
+    found = truth(hamilton, start, samples, digits=DIGITS)
+    path = np.array([[float(x) for x in y] for y in found.y])
+    n = system.n
+    largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
+    scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
+    return Problem(
+        system, q, _velocity(hamilton, q, p), p, float(t_end), hamilton, newton, path[-1],
+        float(found.error) / float(scale.min()), scale,
+    )  # fmt: skip
+
+
+def _velocity(equations: FirstOrder, q: Floats, p: Floats) -> Floats:
+    rates = equations.function("math")(*q, *p, *equations.values(None))
+    return np.array(rates[: len(q)], dtype=np.float64)

@@ -1,0 +1,194 @@
+"""Run time against error: schemes and other programs on one problem, in one process."""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+import statistics
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from symsimpson.bench.peers import Contender, ours, peers
+from symsimpson.bench.problem import Problem, make_problem
+from symsimpson.bench.record import Point, WorkPrecision
+from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["work_precision"]
+
+#: A timing takes at least so long, by repetition.
+LEAST_SECONDS = 1e-3
+#: A choice that takes longer than this once is not made finer.
+MOST_SECONDS = 2.0
+#: Errors are not followed below this: it is rounding.
+FLOOR = 3e-14
+
+
+@dataclass
+class _Entry:
+    contender: Contender
+    choice: float
+    run: Any
+    error: float
+    evaluations: int
+    number: int
+    times: list[float]
+
+
+def work_precision(
+    system: MechanicalSystem,
+    schemes: Sequence[str | Scheme] = ("midpoint", "simpson"),
+    peers: str | Sequence[str] = "installed",
+    errors: Sequence[float] = (1e-3, 1e-6, 1e-9, 1e-12),
+    *,
+    state: Mapping[str, Any] | None = None,
+    t_end: float = 10.0,
+    repeats: int = 5,
+) -> WorkPrecision:
+    """Measure run time against the error of the state at the end.
+
+    Every scheme and every peer runs with choices from coarse to fine; all runs alternate in one
+    process, warm, compile time apart, best and median of several rounds kept. Errors are taken
+    against a solution in 20 digits with its own error estimate.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    schemes : sequence of str or Scheme
+    peers : "installed" or sequence of str
+        "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka"; () for none.
+    errors : sequence of float
+        Levels of the table, between 1e-14 and 1.
+    state : mapping, optional
+        q0, and v0 or p0; the system's reference state if left out.
+    t_end : float
+    repeats : int
+        Rounds.
+
+    Returns
+    -------
+    WorkPrecision
+        Prints as a table; has a figure, and a file in JSON to compare later runs with.
+
+    Raises
+    ------
+    InputError
+        If the input makes no sense, or a peer is not installed.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> found = ss.work_precision(ss.systems.pendulum(), ["simpson"], peers=(), errors=[1e-6],
+    ...                           t_end=2.0, repeats=1)
+    >>> found.fastest("simpson", 1e-6).error <= 1e-6
+    True
+    """
+    _check(errors, t_end, repeats)
+    problem = make_problem(system, state, t_end)
+    contenders = [*(ours(problem, scheme) for scheme in schemes), *_peers(problem, peers)]
+    entries, seconds = [], {}
+    for contender in contenders:
+        begin = time.perf_counter()
+        _once(contender, contender.choices[0], problem)
+        seconds[contender.name] = time.perf_counter() - begin
+        entries += _sweep(contender, problem, min(errors))
+    for _ in range(repeats):
+        for entry in entries:
+            entry.times.append(_timed(entry.run, entry.number))
+    points = [
+        Point(
+            e.contender.name, e.contender.what, e.choice, e.error, min(e.times),
+            statistics.median(e.times), e.evaluations,
+        )
+        for e in entries
+    ]  # fmt: skip
+    return WorkPrecision(
+        system.name, problem.t_end, tuple(problem.q0.tolist()), tuple(problem.p0.tolist()),
+        problem.solution_error, tuple(errors), tuple(points), seconds, _machine(),
+    )  # fmt: skip
+
+
+def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
+    if not errors or not all(1e-14 <= error <= 1 for error in errors):
+        raise InputError(f"errors are {errors!r}.\nPass levels between 1e-14 and 1: [1e-6].")
+    if not t_end > 0 or not repeats >= 1:
+        raise InputError(f"t_end is {t_end!r} and repeats is {repeats!r}.\nBoth must be positive.")
+
+
+def _peers(problem: Problem, names: str | Sequence[str]) -> Iterable[Contender]:
+    return peers(problem, names)
+
+
+def _once(contender: Contender, choice: float, problem: Problem) -> _Entry | None:
+    """Run a choice once or twice; None if it failed or took too long."""
+    run, read = contender.make(choice)
+    try:
+        found = run()
+        begin = time.perf_counter()
+        found = run()
+        spent = time.perf_counter() - begin
+    except (SymsimpsonError, ArithmeticError, ValueError):
+        return None
+    outcome = read(found)
+    error = problem.error(outcome.q, outcome.p)
+    number = max(1, int(LEAST_SECONDS / max(spent, 1e-9)))
+    return _Entry(contender, choice, run, error, outcome.evaluations, number, [spent])
+
+
+def _sweep(contender: Contender, problem: Problem, finest: float) -> list[_Entry]:
+    """Run choices from coarse to fine until the error is small enough or falls no longer."""
+    found: list[_Entry] = []
+    for choice in contender.choices:
+        entry = _once(contender, choice, problem)
+        if entry is None:
+            continue
+        if entry.error < 1:
+            found.append(entry)
+        best = min((e.error for e in found), default=1.0)
+        if best < max(FLOOR, finest / 4) or entry.times[0] > MOST_SECONDS:
+            break
+        if len(found) > 12 and best == min(e.error for e in found[:-8]):
+            break
+    return found
+
+
+def _timed(run: Any, number: int) -> float:
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        begin = time.perf_counter()
+        for _ in range(number):
+            run()
+        return (time.perf_counter() - begin) / number
+    finally:
+        if collecting:
+            gc.enable()
+
+
+def _machine() -> dict[str, Any]:
+    """Say where it was measured."""
+    versions = {}
+    for package in ("symsimpson", "numba", "numpy", "sympy", "scipy", "heyoka"):
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
+    return {
+        "processor": _processor(), "cores": os.cpu_count(), "load": round(load, 2),
+        "python": platform.python_version(), "system": platform.system(), "versions": versions,
+    }  # fmt: skip
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            names = [line.split(":")[1].strip() for line in file if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,0 +1,47 @@
+"""Run time against error."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from symsimpson.bench.record import WorkPrecision
+
+__all__ = ["plot_work_precision"]
+
+
+def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
+    """Draw median run time against error in logarithmic axes; small and low is good.
+
+    Of each contender the points are drawn that no other of its points beats in both.
+
+    Parameters
+    ----------
+    record : WorkPrecision
+    ax : matplotlib axes, optional
+        Drawn into; made if there are none.
+
+    Returns
+    -------
+    matplotlib axes
+    """
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        ax = plt.subplots(figsize=(7, 5), layout="constrained")[1]
+    for k, name in enumerate(record.names):
+        line: list[tuple[float, float]] = []
+        points = [p for p in record.points if p.name == name]
+        for point in sorted(points, key=lambda p: p.median):
+            if not line or point.error < line[-1][0]:
+                line.append((point.error, point.median))
+        first = points[0].what == "steps" and not name.startswith("rk")
+        style = "o-" if first else "s--"
+        errors, times = zip(*line, strict=True)
+        ax.loglog(errors, times, style, ms=3.5, lw=1.8 if first else 1.0, label=name, color=f"C{k}")
+    ax.invert_xaxis()
+    ax.set(xlabel="error of the state at the end", ylabel="run time [s]",
+           title=f"{record.system}, t = {record.t_end:g}")  # fmt: skip
+    ax.grid(which="major", lw=0.4, alpha=0.6)
+    ax.legend(fontsize=8)
+    return ax

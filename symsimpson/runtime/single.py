@@ -1,0 +1,97 @@
+"""One trajectory: how it begins, and what it has come to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import ConvergenceError, InputError, Interrupted
+from symsimpson.runtime.inputs import read_vector, refused_start
+from symsimpson.runtime.machine import Run
+from symsimpson.runtime.status import Status
+from symsimpson.runtime.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["begin_run", "raise_failure", "trajectory_of"]
+
+Reals = NDArray[Any]
+
+
+def begin_run(
+    stepper: Stepper, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None
+) -> None:
+    """Put the initial state into a run.
+
+    Raises
+    ------
+    InputError
+        If it makes no sense, or M(q0) is not positive definite.
+    """
+    if (v0 is None) == (p0 is None):
+        given = "neither" if v0 is None else "both"
+        raise InputError(
+            f"a run needs exactly one of v0 and p0, and has {given}.\n"
+            "Pass initial velocities v0=[...] or initial momenta p0=[...]."
+        )
+    numbers = stepper._numbers
+    q = read_vector("q0", q0, stepper.coordinates, numbers)
+    if p0 is not None:
+        run.begin(q, read_vector("p0", p0, stepper.coordinates, numbers), velocity=False)
+    elif v0 is not None:
+        run.begin(q, read_vector("v0", v0, stepper.coordinates, numbers), velocity=True)
+    pivot = float(run.rows("MASS_PIVOT", 1)[0])
+    if pivot < 0 or not numbers.finite(run.rows("VELOCITY", stepper.n)).all():
+        values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
+        named = dict(zip(stepper.parameters, values, strict=True))
+        where = f"q0={q.tolist()} with the parameters {named}"
+        raise refused_start(stepper.system, where, pivot, bool(numbers.finite(q).all()))
+
+
+def trajectory_of(
+    stepper: Stepper, run: Run, count: int, status: Status, values: Reals
+) -> Trajectory:
+    """Give what a run of so many steps has come to."""
+    done = run.step
+    if run.every:
+        kept = done // run.every + 1
+        t = run.t0 + stepper._numbers.counted(0, done + 1, run.every) * run.h
+        q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
+    else:
+        run.store(0)
+        t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
+        q, p = run.q[:, :, 0], run.p[:, :, 0]
+        iterations = run.rows("ITERATIONS", 1).astype(np.int64)
+    message = status.message
+    if status is not Status.SUCCESS:
+        time, h = float(run.t0 + run.h * done), float(run.h)
+        message = (
+            f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with h={h:g} "
+            f"was not taken. {message}"
+        )
+    t, q, p, values = map(stepper._numbers.result, (t, q, p, values))
+    return Trajectory(
+        t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
+        message=message,
+        _stepper=stepper, _values=values,
+    )  # fmt: skip
+
+
+def raise_failure(run: Run, trajectory: Trajectory) -> None:
+    """Raise the error of a run that did not reach its end."""
+    status = trajectory.status
+    if status is Status.INTERRUPTED:
+        raise Interrupted(trajectory.message, trajectory=trajectory)
+    residual = run.last_correction
+    raise ConvergenceError(
+        f"{trajectory.message} The last of {run.last_iterations} iterations changed the step "
+        f"by a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
+        trajectory=trajectory,
+        step=run.step,
+        time=float(run.t0 + run.h * run.step),
+        residual=residual,
+        status=status,
+    )

@@ -1,0 +1,192 @@
+"""A certificate passes what is right, and fails what is wrong on the row that says why."""
+
+import hashlib
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.analysis.certify import DIGITS
+from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.symmetries import linear_symmetries
+from symsimpson.codegen.emit import emit
+from symsimpson.codegen.kernels import lower
+from symsimpson.codegen.pipeline import source
+from symsimpson.discrete.equations import DiscreteEquations, discretise
+from symsimpson.runtime.stepper import Stepper
+
+PENDULUM = ss.systems.double_pendulum()
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [("lagrange_top", "midpoint"), ("lagrange_top", "simpson"),
+     ("harmonic_oscillator", "simpson"), ("henon_heiles", "gauss4"), ("kepler", "lobatto6"),
+     ("n_pendulum", "midpoint")],
+)  # fmt: skip
+def test_what_is_right_passes(name, scheme):
+    certificate = ss.compile(ss.systems.CATALOGUE[name](), scheme).certify()
+    assert certificate.passed, certificate
+    assert certificate["order"].measured >= certificate.order - 0.15
+    assert certificate.seconds < 60
+
+
+def test_a_system_without_a_state_of_reference():
+    x, y = ss.coordinates("x y")
+    m, k = sp.symbols("m k", positive=True)
+    system = ss.MechanicalSystem(
+        "spring", coordinates=(x, y), kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=k * (sp.sqrt(x**2 + y**2) - 1) ** 2 / 2, parameters={m: 2.0, k: 10.0},
+    )  # fmt: skip
+    stepper = ss.compile(system)
+    certificate = stepper.certify()
+    assert certificate.passed, certificate
+    assert "p_x*y - p_y*x" in certificate["momenta"].what
+    own = stepper.certify([0.5, 0.5], [0.0, 1.0], h=0.02, parameters={"k": 20.0})
+    assert own.h == 0.02
+    assert own.q0 == (0.5, 0.5)
+    assert own.p0 == (0.0, 2.0)
+    assert own.parameters["k"] == 20.0
+    with pytest.raises(ss.InputError, match="without q0"):
+        stepper.certify(p0=[1.0, 0.0])
+
+
+class Printed(DiscreteEquations):
+    """The paper's F_q as printed: h^2/12 and h^2/6 in place of h^2/24 and h^2/12.
+
+    For p0 + D_0 L_d that is h (L_q,0 - L_q,2)/12 too much.
+    """
+
+    def coefficient(self, what, i, k=0, m=0):
+        plain = super().coefficient(what, i, k, m)
+        if k == 0 and what in ("L_q", "L_qq", "L_qv"):
+            extra = sp.Rational(1, 12) * (1, 0, -1)[i]
+            factor = {
+                "L_q": self.h, "L_qq": self.h * self.scheme.A[i][m], "L_qv": self.scheme.B[i][m],
+            }[what]  # fmt: skip
+            return plain + extra * factor
+        return plain
+
+
+class Flipped(DiscreteEquations):
+    """A Jacobian with the wrong sign in one of its terms."""
+
+    def second_derivative(self, k, a, m, b, entry):
+        right = super().second_derivative(k, a, m, b, entry)
+        return right - 2 * self._sum([("L_vq", "L_qv", (b, a))], entry, k, m)
+
+
+def built(kind, scheme=ss.SIMPSON):
+    plain = discretise(PENDULUM, scheme, exploit=())
+    equations = kind(**{name: getattr(plain, name) for name in plain.__dataclass_fields__})
+    return stepper_of(emit(equations, lower(equations)))
+
+
+def stepper_of(text):
+    return Stepper(text, "known to be bad", reference_state=PENDULUM.reference_state)
+
+
+def changed(old, new):
+    """A module with another line, signed anew."""
+    text = source(PENDULUM, "simpson")
+    assert text.count(old) == 1
+    text = text.replace(old, new)
+    banner = re.search(r"^# sha256 of what follows: ([0-9a-f]{64})\n", text, re.MULTILINE)
+    digest = hashlib.sha256(text[banner.end() :].encode()).hexdigest()
+    return stepper_of(text.replace(banner[1], digest, 1))
+
+
+def rounded_table():
+    quadrature = ss.SIMPSON.quadrature
+    weights = tuple(sp.Rational(round(float(b) * 10**6), 10**6) for b in quadrature.weights)
+    scheme = replace(ss.SIMPSON, quadrature=replace(quadrature, weights=weights))
+    return stepper_of(source(PENDULUM, scheme, exploit=()))
+
+
+BAD = {
+    "the printed formula": (lambda: built(Printed), {"order", "symplectic"}),
+    "a sign in the Jacobian": (lambda: built(Flipped), {"Jacobian", "Newton", "iterations"}),
+    "one iteration": (
+        lambda: changed("NEGLIGIBLE = 2.0**-102", 'NEGLIGIBLE = real("inf")'), {"rounding"},
+    ),
+    "a rounded table": (rounded_table, {"order"}),
+}  # fmt: skip
+
+
+def failed(certificate):
+    return {check.name for check in certificate.checks if not check.passed}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_wrong_fails_where_it_should(name):
+    make, rows = BAD[name]
+    certificate = make().certify(h=1 / 32)
+    assert not certificate.passed
+    assert rows <= failed(certificate), certificate
+    assert "NOT passed" in repr(certificate)
+
+
+def test_what_is_built_the_same_way_without_a_mistake_passes():
+    assert not failed(built(DiscreteEquations).certify(h=1 / 32))
+
+
+def test_unsolved_steps_drift():
+    """One iteration from a good start leaves a residual that is no symplectic map's."""
+    stepper = changed("NEGLIGIBLE = 2.0**-102", 'NEGLIGIBLE = real("inf")')
+    assert "drift" in failed(stepper.certify(h=1 / 16))
+
+
+def test_what_cannot_be_measured_has_not_passed():
+    certificate = ss.compile(ss.systems.kepler()).certify([1.0, 0.0], p0=[0.0, 0.05], h=0.1)
+    assert not certificate.passed
+    row = next(check for check in certificate.checks if check.failure)
+    assert "ConvergenceError" in row.failure
+    assert row.failure in repr(certificate)
+
+
+def test_it_is_written_and_read(tmp_path):
+    certificate = ss.compile(ss.systems.pendulum()).certify()
+    path = certificate.save(tmp_path / "pendulum.json")
+    content = json.loads(path.read_text())
+    assert content["passed"]
+    assert content["module"] == hashlib.sha256(
+        source(ss.systems.pendulum(), "simpson").encode()
+    ).hexdigest()  # fmt: skip
+    assert [row["name"] for row in content["checks"]] == [c.name for c in certificate.checks]
+    with pytest.raises(ss.StorageError, match="cannot be written"):
+        certificate.save(tmp_path / "no" / "folder")
+
+
+@pytest.mark.parametrize(
+    ("name", "momenta"),
+    [("double_pendulum", []), ("lagrange_top", ["p_phi", "p_psi"]),
+     ("spherical_pendulum", ["p_phi"]), ("cart_pole", ["p_x"])],
+)  # fmt: skip
+def test_linear_symmetries(name, momenta):
+    system = ss.systems.CATALOGUE[name]()
+    stepper = ss.compile(system)
+    run = stepper.integrate(**system.reference_state, h=0.01, steps=1)
+    precise = Precise(stepper, run.parameters, DIGITS)
+    found = linear_symmetries(precise, np.concatenate([run.q[0], run.p[0]]))
+    assert [symmetry.name for symmetry in found] == momenta
+
+
+def test_rotations_of_many_coordinates_are_found():
+    """A free particle in space: three translations, and with equal masses three rotations."""
+    x, y, z = ss.coordinates("x y z")
+    m = sp.Symbol("m", positive=True)
+    system = ss.MechanicalSystem(
+        "free", coordinates=(x, y, z), parameters={m: 1.5}, potential=sp.S.Zero,
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+    )  # fmt: skip
+    stepper = ss.compile(system)
+    found = linear_symmetries(
+        Precise(stepper, {"m": 1.5}, DIGITS), np.array([0.3, 0.4, 0.5, 1.0, -1.0, 0.2])
+    )
+    assert {symmetry.name for symmetry in found} == {
+        "p_x", "p_y", "p_z", "p_x*y - p_y*x", "p_x*z - p_z*x", "p_y*z - p_z*y",
+    }  # fmt: skip
