@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("system", nargs="?", help=f"{system}; none for the time of a step")
     command.add_argument("--schemes", type=_words, default=["midpoint", "simpson"],
                          help="as midpoint,simpson,gauss6")  # fmt: skip
-    command.add_argument("--peers", type=_words, default="installed",
+    command.add_argument("--peers", type=_words,
                          help="as scipy,heyoka (default: all that are installed)")  # fmt: skip
     command.add_argument("--errors", type=_numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
     command.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
@@ -239,7 +239,8 @@ def _bench(options: argparse.Namespace) -> int:
 
     before = WorkPrecision.load(options.against) if options.against else None
     found = work_precision(
-        _find(options.system), options.schemes, options.peers, options.errors,
+        _find(options.system), options.schemes, options.peers or "installed",
+        options.errors,
         t_end=options.t_end, repeats=options.repeats,
     )  # fmt: skip
     print(found)

@@ -78,7 +78,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.25)
+        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.12)
         constants = f"{constants}\n{thresholds}" if constants else thresholds
     library = _library(body)
     numbers = "\n".join(

@@ -69,8 +69,8 @@ def trajectory_of(
     if status is not Status.SUCCESS:
         time, h = float(run.t0 + run.h * done), float(run.h)
         message = (
-            f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with h={h:g} "
-            f"was not taken. {message}"
+            f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
+            f"h={h:g} was not taken. {message}"
         )
     t, q, p, values = map(stepper._numbers.result, (t, q, p, values))
     return Trajectory(

@@ -1,0 +1,23 @@
+"""What happens in long runs, at large steps, near poles, in chaos and at large angles."""
+
+from symsimpson.analysis.stability.chaos import Mixing, Reversal, mixing, reversal
+from symsimpson.analysis.stability.drift import Drift, energy_drift
+from symsimpson.analysis.stability.limits import energy_map, linear_limits, theory_limits
+from symsimpson.analysis.stability.poles import PolePass, pole_sweep
+from symsimpson.analysis.stability.rotations import Turned, turned
+
+__all__ = [
+    "Drift",
+    "Mixing",
+    "PolePass",
+    "Reversal",
+    "Turned",
+    "energy_drift",
+    "energy_map",
+    "linear_limits",
+    "mixing",
+    "pole_sweep",
+    "reversal",
+    "theory_limits",
+    "turned",
+]

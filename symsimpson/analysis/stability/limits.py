@@ -1,0 +1,144 @@
+"""Steps that are too large: for the linear oscillator against theory, for others as a map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.api import compile as compile_system
+from symsimpson.mechanics.catalogue import harmonic_oscillator
+from symsimpson.runtime.stepper import Stepper
+from symsimpson.schemes.scheme import Scheme, read_scheme
+
+__all__ = ["energy_map", "linear_limits", "theory_limits"]
+
+Floats = NDArray[np.float64]
+
+STEPS = 4000
+#: A trajectory from (1, 0) that comes further than this is unstable.
+FAR = 1e6
+
+
+def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
+    """Find where the linear oscillator turns unstable or stable again, as h omega grows.
+
+    Runs of the compiled stepper decide; each edge is bisected to ``width``.
+
+    Parameters
+    ----------
+    scheme : str or Scheme
+    largest : float
+        Largest h omega looked at.
+    width : float
+
+    Returns
+    -------
+    list of float
+        Edges, the first from stable to unstable.
+    """
+    stepper = compile_system(harmonic_oscillator(), scheme)
+    grid = np.linspace(0.01, largest, round(largest / 0.01))
+    stable = _stable(stepper, grid)
+    edges = []
+    for k in np.flatnonzero(stable[1:] != stable[:-1]):
+        low, high = float(grid[k]), float(grid[k + 1])
+        while high - low > width:
+            middle = (low + high) / 2
+            if _stable(stepper, [middle])[0] == stable[k]:
+                low = middle
+            else:
+                high = middle
+        edges.append((low + high) / 2)
+    return edges
+
+
+def _stable(stepper: Stepper, x: Sequence[float] | Floats) -> NDArray[np.bool_]:
+    found = []
+    for step in x:
+        run = stepper.integrate(
+            [1.0], p0=[0.0], h=float(step), steps=STEPS, parameters={"m": 1.0, "k": 1.0},
+            on_failure="return",
+        )  # fmt: skip
+        found.append(run.steps == STEPS and bool(np.abs(run.q).max() < FAR))
+    return np.array(found)
+
+
+def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
+    """Give the same edges from the scheme's tables: where |trace R| passes 2.
+
+    The step (q0, p0) -> (q1, p1) of L = v^2/2 - q^2/2 is linear; for Simpson's scheme the edges are
+    2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).
+    """
+    found = read_scheme(scheme)
+    A, B = (np.array(table, dtype=np.float64) for table in (found.A, found.B))
+    b = np.array(found.quadrature.weights, dtype=np.float64)
+
+    def excess(x: float) -> float:
+        # D_k L_d = sum_m K_km X_m with X the control points themselves; h = x, omega = 1
+        K = B.T @ (b[:, None] * B) / x - x * A.T @ (b[:, None] * A)
+        inner = slice(1, -1)
+        ends = np.ix_([0, -1], [0, -1])
+        if found.degree > 1:
+            solved = np.linalg.solve(K[inner, inner], K[inner][:, [0, -1]])
+            K = K[ends] - K[[0, -1]][:, inner] @ solved
+        return abs(-(K[0, 0] + K[1, 1]) / K[0, 1]) - 2
+
+    grid = np.linspace(0.01, largest, round(largest / 0.01))
+    values = [excess(x) for x in grid]
+    edges = []
+    for k in range(len(grid) - 1):
+        if (values[k] > 1e-12) != (values[k + 1] > 1e-12):
+            low, high = grid[k], grid[k + 1]
+            for _ in range(60):
+                middle = (low + high) / 2
+                same = (excess(middle) > 1e-12) == (values[k] > 1e-12)
+                low, high = (middle, high) if same else (low, middle)
+            edges.append(float(low))
+    return [x for x in edges if math.isfinite(x)]
+
+
+def energy_map(
+    stepper: Stepper,
+    steps: ArrayLike,
+    parameter: str,
+    values: ArrayLike,
+    *,
+    state: Mapping[str, Any],
+    t_end: float,
+) -> Floats:
+    """Map the largest relative energy error over step sizes and a parameter.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    steps : array_like, shape (a,)
+        Step sizes; each is fitted to divide ``t_end``.
+    parameter : str
+    values : array_like, shape (b,)
+    state : mapping
+        q0, and v0 or p0.
+    t_end : float
+
+    Returns
+    -------
+    ndarray, shape (a, b)
+        Infinite where a run failed.
+    """
+    column = np.asarray(values, dtype=np.float64)
+    q0 = np.tile(np.asarray(state["q0"], dtype=np.float64), (column.size, 1))
+    other = {key: value for key, value in state.items() if key != "q0"}
+    rows = []
+    for h in np.asarray(steps, dtype=np.float64):
+        count = max(1, round(t_end / h))
+        found = stepper.ensemble(
+            q0, **other, h=t_end / count, steps=count, parameters={parameter: column},
+            reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
+        )  # fmt: skip
+        seen = found.reduced
+        size = np.maximum(np.abs(seen["mean"]), 1e-300)
+        rows.append(np.where(found.status == 0, (seen["max"] - seen["min"]) / size, np.inf))
+    return np.array(rows)
