@@ -79,6 +79,16 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--save", action="store_true", help="write it beside the generated file")
     command.set_defaults(run=_certify)
 
+    command = commands.add_parser(
+        "stress", help="long runs, large steps, poles, chaos, large angles"
+    )
+    command.add_argument("system", nargs="?", help=f"{system}; none for the standard problems")
+    command.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    command.add_argument("--h", type=float, help="step (default: found by trial)")
+    command.add_argument("--steps", type=_count, default=10**6,
+                         help="of the long run, as 1e9 (default: 1e6)")  # fmt: skip
+    command.set_defaults(run=_stress)
+
     command = commands.add_parser("bench", help="run time against error, beside other programs")
     command.add_argument("system", nargs="?", help=f"{system}; none for the time of a step")
     command.add_argument("--schemes", type=_words, default=["midpoint", "simpson"],
@@ -98,6 +108,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _numbers(text: str) -> list[float]:
     return [float(part) for part in text.split(",")]
+
+
+def _count(text: str) -> int:
+    return int(float(text))
 
 
 def _words(text: str) -> list[str]:
@@ -208,6 +222,20 @@ def _certify(options: argparse.Namespace) -> int:
     if options.save:
         print(f"  written to {found.save(path.with_suffix('.certificate.json'))}")
     return 0 if found.passed else 1
+
+
+def _stress(options: argparse.Namespace) -> int:
+    from symsimpson.analysis.stability import stress, stress_standard
+    from symsimpson.api import compile as compile_system
+
+    if options.system is None:
+        lines = stress_standard(options.scheme)
+    else:
+        stepper = compile_system(_find(options.system), options.scheme)
+        lines = stress(stepper, h=options.h, steps=options.steps)
+    for line in lines:
+        print(line, flush=True)
+    return 0
 
 
 def _write(path: Path, run: object, coordinates: tuple[str, ...]) -> None:

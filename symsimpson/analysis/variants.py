@@ -32,4 +32,8 @@ def rewritten(stepper: Stepper, old: str, new: str) -> Stepper:
 
 def oversolved(stepper: Stepper) -> Stepper:
     """Give a stepper whose Newton iterations go on until corrections stagnate in rounding."""
-    return rewritten(stepper, "NEGLIGIBLE = 2.0**-102", "NEGLIGIBLE = 0.0")
+    if stepper._facts.newton_unknowns == 0:
+        return stepper
+    line = re.search(r"^NEGLIGIBLE = [^#\n]*", stepper.source, re.MULTILINE)
+    assert line is not None
+    return rewritten(stepper, line[0].rstrip(), "NEGLIGIBLE = 0.0")

@@ -143,7 +143,8 @@ class Run:
             spent = time.perf_counter() - start
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            if self.status is not Status.SUCCESS and not robust and self.facts.newton_unknowns:
+            hopeful = self.status not in (Status.SUCCESS, Status.COORDINATE_SINGULARITY)
+            if hopeful and not robust and self.facts.newton_unknowns:
                 self._robust_until = self.step + ROBUST_STRETCH
                 self._switch(self.kernels.robust)
             elif robust and self.step == self._robust_until:

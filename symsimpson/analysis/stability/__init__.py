@@ -4,6 +4,7 @@ from symsimpson.analysis.stability.chaos import Mixing, Reversal, mixing, revers
 from symsimpson.analysis.stability.drift import Drift, energy_drift
 from symsimpson.analysis.stability.limits import energy_map, linear_limits, theory_limits
 from symsimpson.analysis.stability.poles import PolePass, pole_sweep
+from symsimpson.analysis.stability.report import stress, stress_standard
 from symsimpson.analysis.stability.rotations import Turned, turned
 
 __all__ = [
@@ -18,6 +19,8 @@ __all__ = [
     "mixing",
     "pole_sweep",
     "reversal",
+    "stress",
+    "stress_standard",
     "theory_limits",
     "turned",
 ]

@@ -123,7 +123,7 @@ def energy_drift(
     noise = float(np.sqrt(np.median((np.diff(means, axis=1) ** 2).mean(axis=0))))
     t = abs(h) * steps / BLOCKS * np.arange(1, BLOCKS)
     last = change[:, -1]
-    error = float(last.std(ddof=1) / np.sqrt(len(last))) or 1.0
+    error = max(float(last.std(ddof=1)), noise, 1e-300) / np.sqrt(len(last))
     return Drift(
         stepper.scheme, h, steps, t, rms, noise, _exponent(t, rms, noise),
         abs(float(last.mean())) / error, within, max(0.0, gap - float(rms[-1])), momenta, failed,

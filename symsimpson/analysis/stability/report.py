@@ -1,0 +1,77 @@
+"""The stress tests of one system, and those of the standard problems, as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from symsimpson.analysis.pilot import choose_state, choose_step
+from symsimpson.analysis.stability.chaos import reversal
+from symsimpson.analysis.stability.drift import energy_drift
+from symsimpson.analysis.stability.limits import linear_limits, theory_limits
+from symsimpson.analysis.stability.poles import pole_sweep
+from symsimpson.analysis.stability.rotations import turned
+from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["stress", "stress_standard"]
+
+
+def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) -> Iterator[str]:
+    """Put a stepper under stress, from its reference state or a random one.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    h : float, optional
+        The step; found by trial if left out.
+    steps : int
+        Of the long run.
+
+    Yields
+    ------
+    str
+        Lines.
+    """
+    values = dict(zip(stepper.parameters, stepper._defaults.tolist(), strict=True))
+    q, p = choose_state(stepper, None, None, None, values)
+    step = choose_step(stepper, q, p, values, 10_000) if h is None else h
+    state = {"q0": q, "p0": p}
+    yield f"{stepper.system}, {stepper.scheme}: from q0 = {q.tolist()}, p0 = {p.tolist()}"
+    yield "long run"
+    yield f"  {energy_drift(stepper, step, steps, state=state)}"
+    yield "larger and larger steps, to the same time: energy error, iterations, outcome"
+    for factor in (0.25, 0.5, 1, 2, 4, 8, 16):
+        count = max(1, round(4000 / factor))
+        run = stepper.integrate(q, p0=p, h=step * factor, steps=count, on_failure="return")
+        error = float(np.abs(run.energy_error).max())
+        mean = run.newton_iterations.sum() / max(1, run.steps)
+        yield f"  h = {step * factor:<10.4g} {error:9.1e} {mean:6.2f}  {run.status.name}"
+    yield "there with h and back with -h"
+    for count in (100, 1000, 10_000):
+        back = reversal(stepper, step, count, state=state)
+        yield (
+            f"  {count:>6} steps: error {back.error:.1e}, {back.rounding:.1e} a step without the "
+            f"growth of {back.growth:.1e}; energy within {back.shadow:.1e}"
+        )
+    yield "many turns away (coordinates in which the motion is periodic)"
+    for k, name in enumerate(stepper.coordinates):
+        far = turned(stepper, k, 159_155, h=step, steps=100, state=state)
+        if far.energy < 1e-6:
+            yield (
+                f"  {name} + {far.angle:.0f} rad: states differ by {far.difference:.1e}, where "
+                f"numbers are {far.resolution:.1e} apart"
+            )
+
+
+def stress_standard(scheme: str) -> Iterator[str]:
+    """Give the linear oscillator's limits and the passes of poles."""
+    yield f"{scheme}: where the linear oscillator turns unstable or stable again, h omega"
+    for found, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
+        yield f"  {found:.4f}, by theory {theory:.4f}"
+    yield "past a pole of spherical angles: distance, outcome, error of the axis, warning"
+    for one in pole_sweep(scheme):
+        told = "warned" if one.warned else ""
+        yield (
+            f"  {one.system:<20} {one.distance:.0e} {one.status.name:<24} {one.error:8.1e} {told}"
+        )

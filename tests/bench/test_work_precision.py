@@ -1,0 +1,157 @@
+"""Comparisons: every peer solves the right problem, records are read as they were written."""
+
+import json
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+from symsimpson.bench import ensembles
+from symsimpson.bench.peers import PEERS, ours, peers
+from symsimpson.bench.problem import make_problem
+from symsimpson.bench.record import WorkPrecision
+from symsimpson.cli import main
+
+
+@pytest.fixture(scope="module", params=["double_pendulum", "lagrange_top"])
+def problem(request):
+    return make_problem(ss.systems.CATALOGUE[request.param](), None, 1.0)
+
+
+def test_the_solution_knows_its_error(problem):
+    assert problem.solution_error < 1e-12
+    stepper = ss.compile(problem.system, "gauss8")
+    run = stepper.integrate(problem.q0, p0=problem.p0, h=1 / 500, steps=500, every=None)
+    assert problem.error(run.q[0], run.p[0]) < 1e-12
+    assert problem.error(run.q[0] + np.nan, run.p[0]) == np.inf
+    again = problem.momentum(stepper, problem.q0, problem.v0)
+    np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_solves_the_problem(problem, name):
+    if name != "runge-kutta":
+        pytest.importorskip(name)
+    for contender in peers(problem, name):
+        choices = [c for c in contender.choices if contender.what == "tolerance" or c < 20_000]
+        errors = []
+        for choice in (choices[len(choices) // 2], choices[-1]):
+            run, read = contender.make(choice)
+            outcome = read(run())
+            outcome = read(run())  # the second run starts where the first did
+            errors.append(problem.error(outcome.q, outcome.p))
+            assert outcome.evaluations > 0
+        assert errors[1] < max(1e-9, errors[0] / 4), (contender.name, errors)
+        assert errors[1] < 1e-4, (contender.name, errors)
+
+
+def test_our_schemes_take_part(problem):
+    contender = ours(problem, "simpson")
+    run, read = contender.make(400)
+    outcome = read(run())
+    assert problem.error(outcome.q, outcome.p) < 1e-5
+    assert outcome.evaluations >= 400
+
+
+@pytest.fixture(scope="module")
+def record():
+    return ss.work_precision(
+        ss.systems.pendulum(), ["midpoint", "simpson"], ["runge-kutta"], errors=[1e-3, 1e-7],
+        t_end=2.0, repeats=2,
+    )  # fmt: skip
+
+
+def test_a_record(record, tmp_path):
+    assert record.names == ("midpoint", "simpson", "rk4", "dop853")
+    for name in record.names:
+        coarse, fine = (record.fastest(name, level) for level in (1e-3, 1e-7))
+        assert coarse.error <= 1e-3
+        assert 0 < coarse.best <= coarse.median
+        assert fine is None or fine.evaluations > coarse.evaluations
+    assert record.fastest("simpson", 1e-7).evaluations > 0
+    assert record.fastest("simpson", 1e-300) is None
+    text = repr(record)
+    assert "simpson" in text
+    assert record.machine["processor"] in text
+    path = record.save(tmp_path / "record.json")
+    again = WorkPrecision.load(path)
+    assert again == record
+    lines = again.compare(record).splitlines()
+    assert len(lines) == 5
+    assert lines[2].split() == ["simpson", "1.00", "1.00"]
+
+
+def test_files_that_are_no_records(record, tmp_path):
+    other = tmp_path / "other.json"
+    for content in ("", "{}", "[]", '{"format": 1}', json.dumps({"format": 2})):
+        other.write_text(content)
+        with pytest.raises(ss.StorageError, match="no record of run times"):
+            WorkPrecision.load(other)
+    with pytest.raises(ss.StorageError, match="no record"):
+        WorkPrecision.load(tmp_path / "missing.json")
+    with pytest.raises(ss.StorageError, match="cannot be written"):
+        record.save(tmp_path / "no" / "folder.json")
+    long = json.loads(record.save(tmp_path / "a.json").read_text()) | {"t_end": 3.0}
+    other.write_text(json.dumps(long))
+    with pytest.raises(ss.InputError, match="two problems"):
+        record.compare(WorkPrecision.load(other))
+
+
+WRONG = {
+    "peer": ({"peers": ["matlab"]}, "no peer 'matlab'"),
+    "errors": ({"errors": []}, "errors are"),
+    "level": ({"errors": [2.0]}, "errors are"),
+    "time": ({"t_end": -1.0}, "must be positive"),
+    "repeats": ({"repeats": 0}, "must be positive"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input(case):
+    given, message = WRONG[case]
+    with pytest.raises(ss.InputError, match=message):
+        ss.work_precision(ss.systems.pendulum(), **{"peers": (), "t_end": 0.1} | given)
+
+
+def test_a_peer_that_is_not_installed(problem, monkeypatch):
+    for module in ("heyoka", "scipy", "scipy.integrate"):
+        monkeypatch.setitem(__import__("sys").modules, module, None)
+    with pytest.raises(ss.InputError, match="not installed"):
+        list(peers(problem, "heyoka"))
+    assert {one.name for one in peers(problem)} <= {"rk4", "dop853"}
+
+
+def test_the_figure(record):
+    pytest.importorskip("matplotlib").use("Agg")
+    ax = record.plot()
+    assert len(ax.get_lines()) == 4
+    assert ax.xaxis_inverted()
+    assert record.plot(ax=ax) is ax
+
+
+def test_the_command(tmp_path, capsys):
+    out, figure = str(tmp_path / "r.json"), str(tmp_path / "r.png")
+    given = ["bench", "pendulum", "--schemes", "simpson", "--peers", "runge-kutta", "--t-end", "1",
+             "--errors", "1e-5", "--repeats", "1"]  # fmt: skip
+    assert main([*given, "--out", out, "--plot", figure]) == 0
+    assert main([*given, "--against", out]) == 0
+    text = capsys.readouterr().out
+    assert "run time now, in units of that before" in text
+    assert main([*given, "--against", figure]) == 1
+
+
+def test_ensembles_are_compared(monkeypatch):
+    monkeypatch.setattr(ensembles, "MEMBERS", 64)
+    monkeypatch.setattr(ensembles, "REPEATS", 1)
+    lines = list(ensembles.report())
+    assert "trajectories/s" in lines[1]
+    try:
+        import heyoka  # noqa: F401
+    except ImportError:
+        assert "heyoka is not installed" in lines[-1]
+    else:
+        found = [line for line in lines if "of Simpson's time" in line]
+        assert len(found) == 6
+        for line in found:
+            level = 1e-3 if found.index(line) < 3 else 1e-6
+            assert float(line.rstrip(")").rsplit(" ", 1)[1]) <= level
