@@ -28,7 +28,7 @@ def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
     if ax is None:
         import matplotlib.pyplot as plt
 
-        ax = plt.subplots(figsize=(7, 5), layout="constrained")[1]
+        ax = plt.subplots(figsize=(8.5, 5), layout="constrained")[1]
     for k, name in enumerate(record.names):
         line: list[tuple[float, float]] = []
         points = [p for p in record.points if p.name == name]
@@ -36,12 +36,21 @@ def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
             if not line or point.error < line[-1][0]:
                 line.append((point.error, point.median))
         first = points[0].what == "steps" and not name.startswith("rk")
-        style = "o-" if first else "s--"
+        style = "o-" if first else f"{'sD^v<>PX*'[k % 9]}--"
         errors, times = zip(*line, strict=True)
-        ax.loglog(errors, times, style, ms=3.5, lw=1.8 if first else 1.0, label=name, color=f"C{k}")
+        ax.loglog(
+            errors,
+            times,
+            style,
+            ms=3.5,
+            lw=1.8 if first else 1.0,
+            label=name,
+            color=f"C{k % 10}",
+            alpha=1.0 if first else 0.75,
+        )
     ax.invert_xaxis()
     ax.set(xlabel="error of the state at the end", ylabel="run time [s]",
            title=f"{record.system}, t = {record.t_end:g}")  # fmt: skip
     ax.grid(which="major", lw=0.4, alpha=0.6)
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
     return ax

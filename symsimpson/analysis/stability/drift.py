@@ -83,6 +83,7 @@ def energy_drift(
     members: int = 12,
     spread: float = 0.1,
     parameters: Mapping[str, float] | None = None,
+    progress: bool | None = None,
 ) -> Drift:
     """Integrate some nearby states for long and follow the mean energy of blocks of samples.
 
@@ -101,6 +102,8 @@ def energy_drift(
         Initial states: the state with positions moved by up to ``spread``.
     spread : float
     parameters : mapping, optional
+    progress : bool, optional
+        Whether to show a bar; None shows one after two seconds.
 
     Returns
     -------
@@ -110,13 +113,13 @@ def energy_drift(
     given = {"q0": None, "v0": None, "p0": None} | dict(state or {})
     q, p = choose_state(stepper, given["q0"], given["v0"], given["p0"], values)
     moved = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
-    energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values)
+    energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values, progress)
     blocks = energies.reshape(len(energies), BLOCKS, SAMPLES)
     means = blocks.mean(axis=2)
     change = means[:, 1:] - means[:, :1]
     rms = np.sqrt((change**2).mean(axis=0))
     within = float(np.sqrt(blocks.var(axis=2).mean()))
-    solved, _, _ = _sampled(oversolved(stepper), moved, p, h, steps, values)
+    solved, _, _ = _sampled(oversolved(stepper), moved, p, h, steps, values, progress)
     other = solved.reshape(blocks.shape).mean(axis=2)
     gap = float(np.sqrt(((other - means)[:, -1] ** 2).mean()))
     # the change of the mean between neighbouring blocks is what sampling makes of an oscillation
@@ -131,12 +134,24 @@ def energy_drift(
 
 
 def _sampled(
-    stepper: Stepper, q: Floats, p: Floats, h: float, steps: int, values: Mapping[str, float]
+    stepper: Stepper,
+    q: Floats,
+    p: Floats,
+    h: float,
+    steps: int,
+    values: Mapping[str, float],
+    progress: bool | None,
 ) -> tuple[Floats, float, int]:
     """Give relative energies at samples, the drift of constant momenta, and failures."""
     every = max(1, steps // (BLOCKS * SAMPLES))
     found = stepper.ensemble(
-        q, p0=p, h=h, steps=every * BLOCKS * SAMPLES, every=every, parameters=values
+        q,
+        p0=p,
+        h=h,
+        steps=every * BLOCKS * SAMPLES,
+        every=every,
+        parameters=values,
+        progress=progress,
     )
     good = found.status == 0
     if not good.any():

@@ -126,7 +126,7 @@ def energy_map(
     Returns
     -------
     ndarray, shape (a, b)
-        Infinite where a run failed.
+        The range of the energy in units of its mean; infinite where a run failed.
     """
     column = np.asarray(values, dtype=np.float64)
     q0 = np.tile(np.asarray(state["q0"], dtype=np.float64), (column.size, 1))
@@ -139,6 +139,9 @@ def energy_map(
             reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
         )  # fmt: skip
         seen = found.reduced
-        size = np.maximum(np.abs(seen["mean"]), 1e-300)
-        rows.append(np.where(found.status == 0, (seen["max"] - seen["min"]) / size, np.inf))
+        good = (found.status == 0) & np.isfinite(seen["mean"])
+        row = np.full(column.size, np.inf)
+        size = np.maximum(np.abs(seen["mean"][good]), 1e-300)
+        row[good] = (seen["max"][good] - seen["min"][good]) / size
+        rows.append(row)
     return np.array(rows)
