@@ -31,7 +31,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 4
+INTERFACE = 5
 
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
@@ -49,6 +49,7 @@ QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
+SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
 """
 
 

@@ -17,8 +17,8 @@ __all__ = ["NameTable"]
 #: Blocks of rows of the workspace, in their order; see :mod:`symsimpson.codegen.layout`.
 BLOCKS = (
     "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "SURPRISE_SQUARED",
-    "CYCLIC_MISMATCH_SQUARED", "MASS_PIVOT", "ENERGY", "STATUS", "RELATIVE", "CONTRACTION",
-    "SCALE", "IN_DOUBT", "ITERATIONS", "COUNT",
+    "CYCLIC_MISMATCH_SQUARED", "CYCLIC_SPREAD", "MASS_PIVOT", "ENERGY", "STATUS", "RELATIVE",
+    "CONTRACTION", "SCALE", "IN_DOUBT", "ITERATIONS", "COUNT",
     "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
     "PREVIOUS", "SOLVED",
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
@@ -60,6 +60,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "STAGNATION",
         "FAR",
         "UNRESOLVED",
+        "SPREAD",
         "SYSTEM",
         "SCHEME",
         "DIGEST",

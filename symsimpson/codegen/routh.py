@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import sympy as sp
 
 from symsimpson.codegen.coupled import NOTHING, node_point
+from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -17,16 +18,20 @@ __all__ = ["RouthSolver"]
 
 Vector = list[sp.Expr]
 
+#: Stand for the ends of the path among the numbers of nodes.
+START, END = -2, -1
+
 
 @dataclass(frozen=True)
 class _Node:
-    """A node with M_yy = L D L^T there: ``D_inverse`` (its diagonal), L, and T = L^-1 L_o.
+    """A node with M_yy = L D L^T there: D (its diagonal), ``D_inverse``, L, and T = L^-1 L_o.
 
     ``momentum`` is L^-1 (p - beta) with beta = M_yx v_x + a_y, and then L^-1 (L_vy - beta).
     """
 
     number: int
     point: Point
+    D: Vector
     D_inverse: Vector
     L: list[Vector]
     T: list[Vector]
@@ -118,22 +123,31 @@ class RouthSolver:
             for a in self._part.cyclic
         }
 
-    def mismatch(self, end: Point, slopes: Mapping[int, sp.Expr]) -> sp.Expr:
+    def mismatch(self, end: Point, slopes: Mapping[int, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
         """Give h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
 
         Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
-        the cyclic coordinates are no polynomial, and d is as large as p. ``slopes`` are those of
-        the other coordinates at the end of the path.
+        the cyclic coordinates are no polynomial, and d is as large as p. The second value tells
+        how much D changes: the sum over its entries of sum_i D_i sum_i 1/D_i less what it is for a
+        constant. ``slopes`` are those of the other coordinates at the end of the path.
         """
-        low, last = self._low, self._nodes[-1]
+        low, last, define = self._low, self._nodes[-1], self._low.graph.define
+        seen = list(self._nodes)
         if last.point.q == end.q:
             D_inverse, x = last.D_inverse, self._added[last.number]
         else:
-            closing = self._factors(end, -1)
+            closing = self._factors(end, END)
             D_inverse, x = closing.D_inverse, self._left(closing, slopes)
+            seen += [closing, self._factors(low.start_point(), START)]
         terms = [D_inverse[k] * x[k] ** 2 for k in self._size]
-        value = low.equations.h**2 * sp.Add(*terms)
-        return low.graph.define("cyclic_mismatch_squared", value, "predictor")
+        value = define("cyclic_mismatch_squared", low.equations.h**2 * sp.Add(*terms), "predictor")
+        products = [
+            sp.Mul(sp.Add(*(n.D[k] for n in seen)), sp.Add(*(n.D_inverse[k] for n in seen)))
+            for k in self._size
+            if low.graph.level(seen[0].D[k]) > Level.RUN
+        ]
+        spread = sp.Add(*products) - len(seen) ** 2 * len(products)
+        return value, define("cyclic_spread", spread / len(seen) ** 2, "predictor")
 
     def _left(self, end: _Node, slopes: Mapping[int, sp.Expr]) -> Vector:
         """Give L^-1 (L_vy - p) at the end of the path, where no node stands."""
@@ -206,7 +220,8 @@ class RouthSolver:
         return found
 
     def _define(self, wish: str, value: sp.Expr, i: int) -> sp.Expr:
-        where, section = (i, f"node {i}: cyclic mass L D L^T") if i >= 0 else ("end", "predictor")
+        where = {START: "start", END: "end"}.get(i, str(i))
+        section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
         return self._low.graph.define(f"{wish}_{where}", value, section)
 
     def _solved_nodes(self, end: Point | None) -> list[_Node]:
@@ -256,7 +271,7 @@ class RouthSolver:
         return self._factors(point, i)
 
     def _factors(self, point: Point, i: int) -> _Node:
-        """Factorise the cyclic mass matrix at a point; -1 is the end of the path."""
+        """Factorise the cyclic mass matrix at a node, or at an end of the path."""
         low = self._low
         section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
 
@@ -264,7 +279,10 @@ class RouthSolver:
             return low.template.output(point, section, key)
 
         names = [low.names.coordinates[a] for a in self._part.cyclic]
-        D_inverse = [self._define(f"inv_D_{name}", 1 / factor("D", name), i) for name in names]
+        D = [factor("D", name) for name in names]
+        D_inverse = [
+            self._define(f"inv_D_{name}", 1 / d, i) for name, d in zip(names, D, strict=True)
+        ]
         L = [
             [
                 factor("L0", names[r], names[c]) + factor("L", names[r], names[c]) if c < r else
@@ -274,7 +292,7 @@ class RouthSolver:
             for r in self._size
         ]  # fmt: skip
         one = [[sp.Integer(r == c) for c in self._size] for r in self._size]
-        return _Node(i, point, D_inverse, L, one, [])
+        return _Node(i, point, D, D_inverse, L, one, [])
 
     def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
         """Give a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""

@@ -202,13 +202,16 @@ def _predicted(
     section = "predictor"
     metric: dict[int, sp.Expr] = {}
     mismatch: list[sp.Expr] = []
-    cyclic: list[sp.Expr] = []
+    cyclic: list[tuple[sp.Expr, sp.Expr]] = []
     following: dict[tuple[int, int], sp.Expr] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
         group = solver.coordinates if solver.unknowns else ()
         v = velocities(low, end, momentum, "velocity at q1", _mass_order(part))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
         slopes: dict[int, sp.Expr] = {}
+        if isinstance(part, Routh) and solver.unknowns:
+            for a in part.cyclic:
+                metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
         for a in group:
             metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
             slope = sp.Add(*(scheme.end_slope[j] * path[a][j] for j in range(d)))
@@ -235,7 +238,8 @@ def _predicted(
     stores += [Store(Row("METRIC", a), metric[a], keep=low.metric[a]) for a in metric]
     measured = {"mismatch_squared": mismatch, "surprise_squared": surprise}
     if cyclic:
-        measured["cyclic_mismatch_squared"] = cyclic
+        measured["cyclic_mismatch_squared"] = [squared for squared, _ in cyclic]
+        measured["cyclic_spread"] = [spread for _, spread in cyclic]
     for name, terms in measured.items():
         stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
     return stores, metric

@@ -24,8 +24,11 @@ PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT = range(12, 17)
 FAILED, SUSPICIOUS = 1, 2
 # values of Status
 NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, COORDINATE_SINGULARITY = 2, 3, 4, 6
-#: A value of IN_DOUBT: the step says nothing about the motion.
-UNRESOLVED = 2.0
+#: Values of IN_DOUBT: the step says nothing about the motion, or perhaps.
+UNRESOLVED, LOOKED_AT = 2.0, 3.0
+#: A step is looked at by taking so many more, and the same way in so many finer ones each; their
+#: ends may be so far apart, squared, in units of the largest increments.
+MORE, FINER, APART = 3, 16, 0.25
 
 MOST_ITERATIONS = 40
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
@@ -197,6 +200,48 @@ def follow(kernels, h, t, W, at, lane):
 
 
 @njit(**OPTIONS)
+def go_on(kernels, h, t, W, at, lane, steps):
+    """Take steps with one lane; tells whether all of them could be taken."""
+    for step in range(steps):
+        activate_only(W, at[ACTIVE], lane)
+        if solve(kernels[NEWTON], h, t + h * step, W, at) != 0:
+            return False
+        activate_only(W, at[ACTIVE], lane)
+        call(kernels[ADVANCE], h, t + h * step, W)
+        if not W[at[MISMATCH], lane] < np.inf:
+            return False
+    return True
+
+
+@njit(**OPTIONS)
+def resolved(kernels, h, t, W, at, lane):
+    """Tell whether a step, and what follows from it, is about what finer steps come to."""
+    first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
+    after = np.empty((rows, lanes))
+    coarse = np.empty((n, lanes))
+    for other in range(lanes):
+        keep(W, 0, rows, other, after)
+    good = go_on(kernels, h, t + h, W, at, lane, MORE)
+    keep(W, first, first + n, lane, coarse)
+    for other in range(lanes):
+        put_back(W, 0, rows, other, after)
+    if good:
+        part = h / FINER
+        step_back(W, at, lane)
+        activate_only(W, at[ACTIVE], lane)
+        call(kernels[PREPARE], part, t, W)
+        call(kernels[START], part, t, W)
+        good = go_on(kernels, part, t, W, at, lane, (MORE + 1) * FINER)
+    apart = 0.0
+    for a in range(n):
+        gap = W[first + a, lane] - coarse[a, lane]
+        apart += W[at[METRIC] + a, lane] * gap * gap
+    for other in range(lanes):
+        put_back(W, 0, rows, other, after)
+    return good and apart <= APART * W[at[SCALE], lane]
+
+
+@njit(**OPTIONS)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -208,6 +253,10 @@ def verify(kernels, h, t, W, at, lane):
         keep(W, 0, rows, other, after)
     finite = W[at[MISMATCH], lane] < np.inf
     unresolved = W[at[IN_DOUBT], lane] == UNRESOLVED
+    if finite and W[at[IN_DOUBT], lane] == LOOKED_AT:
+        if resolved(kernels, h, t, W, at, lane):
+            return
+        unresolved = True
     step_back(W, at, lane)
     if not finite:
         W[at[STATUS], lane] = NOT_FINITE

@@ -20,7 +20,7 @@ from symsimpson.runtime.cache import compiled
 __all__ = ["INTERFACE", "Facts", "Kernels", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
-INTERFACE = 4
+INTERFACE = 5
 
 _STEP = ("prepare", "start", "newton", "advance")
 

@@ -88,14 +88,15 @@ def test_energy_over_step_and_stiffness():
     assert not found[2, 2] < 10  # h omega = 12 is far beyond the limit
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
 @pytest.mark.parametrize("scheme", ["simpson", "midpoint"])
-def test_no_wrong_path_past_a_pole_is_a_success(scheme):
+def test_no_wrong_path_past_a_pole_is_a_success(scheme, phase):
     """18 passes each: 1e-1 to 1e-9 rad from the pole, in units of 0.04 rad a step."""
-    found = pole_sweep(scheme)
+    found = pole_sweep(scheme, phase=phase)
     assert len(found) == 18
     for one in found:
         assert one.status in (ss.Status.SUCCESS, ss.Status.COORDINATE_SINGULARITY)
-        assert one.error < 0.03, one  # where it stopped, or at the end
+        assert one.error < 0.05, one  # where it stopped, or at the end
         assert one.warned == (one.distance < 0.05), one
     singular = [one for one in found if one.status is ss.Status.COORDINATE_SINGULARITY]
     assert len(singular) >= 4
@@ -114,8 +115,18 @@ def test_a_pole_unresolved_is_an_error_with_all_states_before():
     many = stepper.ensemble([[0.5, 0.0], [1.0, 0.0]], v0=[[-3.0, 0.1], [0.0, 2.0]], h=0.02,
                             steps=100)  # fmt: skip
     assert many.status.tolist() == [ss.Status.COORDINATE_SINGULARITY, ss.Status.SUCCESS]
-    fine = stepper.integrate(**given | {"h": 1e-5, "steps": 50_000}, every=None)
+    fine = stepper.integrate(**given | {"h": 1e-4, "steps": 5000})
     assert fine.status is ss.Status.SUCCESS
+    assert fine.q[:, 0].min() < 0.02  # it passed
+
+
+def test_masses_of_cyclic_coordinates_that_change_much_are_no_failure():
+    """The top's loops come within 2.7 degrees of the pole, where M changes tenfold in a step."""
+    top = ss.systems.lagrange_top()
+    for scheme in ("simpson", "midpoint", "gauss4"):
+        for h in (0.1, 0.05, 0.01):
+            run = ss.compile(top, scheme).integrate(**top.reference_state, h=h, steps=500)
+            assert run.status is ss.Status.SUCCESS
 
 
 def test_chaos_is_reversed_as_far_as_rounding_lets(stepper):

@@ -82,7 +82,10 @@ class _Case:
 
 
 def pole_sweep(
-    scheme: str | Scheme = "simpson", distances: Sequence[float] = tuple(10.0 ** -np.arange(1, 10))
+    scheme: str | Scheme = "simpson",
+    distances: Sequence[float] = tuple(10.0 ** -np.arange(1, 10)),
+    *,
+    phase: float = 0.0,
 ) -> list[PolePass]:
     """Run the Lagrange top and the spherical pendulum past a pole at some distances.
 
@@ -91,6 +94,8 @@ def pole_sweep(
     scheme : str or Scheme
     distances : sequence of float
         In radians.
+    phase : float
+        Where within a step the pole is met, from 0 to 1.
 
     Returns
     -------
@@ -106,17 +111,17 @@ def pole_sweep(
         _Case(compile_system(pendulum, scheme), mass * length**2, mass * gravity * length, 0.0,
               down=True, speed=3.0, h=0.02, t_end=1.0),
     ]  # fmt: skip
-    return [_pass(case, float(distance)) for case in cases for distance in distances]
+    return [_pass(case, float(distance), phase) for case in cases for distance in distances]
 
 
-def _pass(case: _Case, distance: float) -> PolePass:
+def _pass(case: _Case, distance: float, phase: float) -> PolePass:
     """Meet the pole in the middle of a run."""
     steps = round(case.t_end / case.h)
     h = case.t_end / steps
     z = -1.0 if case.down else 1.0
     near = [np.sin(distance), 0.0, z * np.cos(distance), 0.0, case.speed, 0.0]
     equations = _in_space(case)
-    half = FINER * steps // 2
+    half = FINER * steps // 2 + round(phase * FINER)
     start = rk4(equations, near, h=-h / FINER, steps=half, every=half)[1][-1]
     path = rk4(equations, start, h=h / FINER, steps=FINER * steps, every=FINER)[1][:, :3]
     stepper = case.stepper

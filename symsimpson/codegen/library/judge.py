@@ -11,6 +11,7 @@ INCREMENT_SQUARED: int
 MISMATCH_SQUARED: int
 SURPRISE_SQUARED: int
 CYCLIC_MISMATCH_SQUARED: int
+CYCLIC_SPREAD: int
 RELATIVE: int
 CONTRACTION: int
 ITERATIONS: int
@@ -22,6 +23,7 @@ QUADRATIC: float
 STAGNATION: float
 FAR: float
 UNRESOLVED: float
+SPREAD: float
 
 
 @compiled
@@ -57,12 +59,14 @@ def question(W, lane):
     Its increments are further from the predicted ones than any was from zero (the first step of a
     run has nothing to compare with), or the velocity at the end of its path is far from that of
     the new momentum, in units of the largest increments so far. Midpoint leaves rest with 1.
-    It says nothing (2) where the velocities of cyclic coordinates are lost within the step.
+    It says nothing (2) where the velocities of cyclic coordinates are lost within the step, and
+    is looked at (3) where their masses change much.
     """
     known = W[SCALE, lane]
     largest = max(known, W[INCREMENT_SQUARED, lane])
     expected = (known <= 0) | (W[SURPRISE_SQUARED, lane] <= known)
     sure = expected & (W[MISMATCH_SQUARED, lane] <= FAR * largest)
     lost = W[CYCLIC_MISMATCH_SQUARED, lane] > UNRESOLVED * largest
-    W[IN_DOUBT, lane] = 2.0 if lost else (0.0 if sure else 1.0)
+    doubt = 3.0 if W[CYCLIC_SPREAD, lane] > SPREAD else (0.0 if sure else 1.0)
+    W[IN_DOUBT, lane] = 2.0 if lost else doubt
     W[SCALE, lane] = largest if sure & (W[ACTIVE, lane] > 0) else known
