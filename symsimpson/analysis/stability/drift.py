@@ -44,7 +44,7 @@ class Drift:
         Rms oscillation within a block, relative to the energy.
     solver : float
         Rms change of the last block's mean if Newton's method is iterated until it stagnates, less
-        what ``rms`` is anyway.
+        twice the noise.
     momenta : float
         Largest relative change of a momentum that does not change in the first steps.
     failed : int
@@ -129,7 +129,7 @@ def energy_drift(
     error = max(float(last.std(ddof=1)), noise, 1e-300) / np.sqrt(len(last))
     return Drift(
         stepper.scheme, h, steps, t, rms, noise, _exponent(t, rms, noise),
-        abs(float(last.mean())) / error, within, max(0.0, gap - float(rms[-1])), momenta, failed,
+        abs(float(last.mean())) / error, within, max(0.0, gap - 2 * noise), momenta, failed,
     )  # fmt: skip
 
 
