@@ -6,7 +6,6 @@ the compiled code is held against the same text.
 
 from __future__ import annotations
 
-import hashlib
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +25,7 @@ from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.errors import SymsimpsonError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.runtime.evaluate import evaluate_equations
+from symsimpson.runtime.load import digest
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ def certify(
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
         stepper.system, stepper.scheme, stepper.order,
-        hashlib.sha256(stepper.source.encode()).hexdigest(),
+        digest(stepper.source),
         tuple(q.tolist()), tuple(p.tolist()), step, values, tuple(checks),
         time.perf_counter() - begin,
     )  # fmt: skip

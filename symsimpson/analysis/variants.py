@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 
+from symsimpson.runtime.load import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["oversolved", "rewritten"]
-
-_SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
 
 
 def rewritten(stepper: Stepper, old: str, new: str) -> Stepper:
@@ -21,12 +19,11 @@ def rewritten(stepper: Stepper, old: str, new: str) -> Stepper:
         If the line does not stand there once.
     """
     text = stepper.source
-    banner = _SIGNED.search(text)
+    banner = SIGNED.search(text)
     if banner is None or text.count(old) != 1:
         raise ValueError(f"{old!r} does not stand once in the module")
     text = text.replace(old, new)
-    digest = hashlib.sha256(text[banner.end() :].encode()).hexdigest()
-    text = text.replace(banner[1], digest, 1)
+    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
     return Stepper(text, f"{stepper.system}, changed", reference_state=stepper.reference_state)
 
 

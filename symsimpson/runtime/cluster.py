@@ -7,7 +7,6 @@ no object of this package is sent.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from functools import lru_cache
 from itertools import islice
@@ -18,6 +17,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.runtime.blocks import Task, lanes_of_machine, run_blocks
 from symsimpson.runtime.ensemble import names_in_dataset
+from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
 from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.store import Store, said, write_chunk
@@ -67,7 +67,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
     """
     import distributed
 
-    module = hashlib.sha256(store.stepper.source.encode()).hexdigest()
+    module = digest(store.stepper.source)
     chunks = list(store.missing())
     waiting = iter(chunks)
 
@@ -127,7 +127,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         group: Any = zarr.open_group(path, mode="r+")
         about: dict[str, Any] = dict(group.attrs)
         source, question, size = about["source"], about["question"], about["chunk"]
-    if hashlib.sha256(source.encode()).hexdigest() != module:
+    if digest(source) != module:
         raise StorageError(
             f"{path}: the module in the store is not the one that was asked for.\n"
             "It was changed or damaged. Begin a new store."

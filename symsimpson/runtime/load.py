@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from symsimpson.errors import StaleKernelError
 from symsimpson.runtime.cache import compiled
 
-__all__ = ["INTERFACE", "Facts", "Kernels", "equations_of", "read_facts"]
+__all__ = ["INTERFACE", "SIGNED", "Facts", "Kernels", "digest", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
 INTERFACE = 5
+
+#: The line above a module that holds the digest of what follows.
+SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
 
 _STEP = ("prepare", "start", "newton", "advance")
 
@@ -134,15 +137,20 @@ def read_facts(text: str, where: str) -> Facts:
     )
 
 
+def digest(text: str) -> str:
+    """Give the SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def _check_digest(text: str, where: str) -> None:
-    found = re.search(r"^# sha256 of what follows: ([0-9a-f]{64})\n", text, re.MULTILINE)
+    found = SIGNED.search(text)
     if found is None:
         raise StaleKernelError(
             f"{where}: this is no module that symsimpson generated: its banner has no digest.\n"
             "Only generated modules are loaded, because loading executes them. Generate one with "
             "symsimpson.generate(system, scheme)."
         )
-    if hashlib.sha256(text[found.end() :].encode()).hexdigest() != found[1]:
+    if digest(text[found.end() :]) != found[1]:
         raise StaleKernelError(
             f"{where}: the module does not match the digest in its banner: it was edited or "
             "damaged.\nIts equations can no longer be trusted. Change the system, not the file, "

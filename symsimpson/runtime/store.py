@@ -21,6 +21,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.runtime.blocks import Results, Task, ensemble_of, run_blocks
 from symsimpson.runtime.ensemble import Ensemble, names_in_dataset
+from symsimpson.runtime.load import digest
 from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.status import Status
 
@@ -153,7 +154,7 @@ def _other(place: str, what: str) -> InputError:
 def _question(stepper: Stepper, task: Task) -> dict[str, Any]:
     """Say what is to be computed, such that equal questions have equal answers."""
     return {
-        "module": hashlib.sha256(stepper.source.encode()).hexdigest(),
+        "module": digest(stepper.source),
         "h": task.h, "t0": task.t0, "steps": task.steps, "every": task.every,
         "given": task.given, "members": task.members,
         "reduce": json.dumps([[r.name, r.kind, r.expression] for r in task.reductions]),
