@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from symsimpson.errors import StorageError
+from symsimpson.files import write_text
 
 __all__ = ["Certificate", "Check"]
 
@@ -108,15 +108,7 @@ class Certificate:
         StorageError
             If the file cannot be written.
         """
-        place = Path(path)
-        try:
-            place.write_text(self.to_json(), encoding="utf-8")
-        except OSError as error:
-            raise StorageError(
-                f"{place}: the certificate cannot be written: {error.strerror}.\n"
-                "Choose another place."
-            ) from error
-        return place
+        return write_text(path, self.to_json(), "certificate")
 
     def __repr__(self) -> str:
         numbers = ("(" + ", ".join(f"{x:.6g}" for x in state) + ")" for state in (self.q0, self.p0))

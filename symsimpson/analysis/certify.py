@@ -56,7 +56,7 @@ class Subject:
     @cached_property
     def scale(self) -> NDArray[np.float64]:
         """Sizes of the coordinates and the momenta, to measure errors by."""
-        run = self.compiled(self.h, 100, every=1)
+        run = self.compiled(100, every=1)
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
         return np.concatenate([np.maximum(q, 1.0), np.full(self.n, p.max() or 1.0)])
 
@@ -70,16 +70,12 @@ class Subject:
         """The linear symmetries of the system."""
         return linear_symmetries(self.precise, self.z)
 
-    def compiled(self, h: float, steps: int, every: int | None) -> Trajectory:
+    def compiled(self, steps: int, every: int | None) -> Trajectory:
         """Integrate in double precision."""
         return self.stepper.integrate(
-            self.z[: self.n], p0=self.z[self.n :], h=h, steps=steps, every=every,
+            self.z[: self.n], p0=self.z[self.n :], h=self.h, steps=steps, every=every,
             parameters=self.precise.parameters,
         )  # fmt: skip
-
-    def rates(self, z: list[Any]) -> list[Any]:
-        """Give Hamilton's equations."""
-        return self.precise.rates(np.array(z, dtype=object))
 
     def distance(self, a: Any, b: Any) -> float:
         """Give the largest difference of two states in units of the scale."""
@@ -97,8 +93,8 @@ def certify(
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
-    values = dict(zip(stepper.parameters, stepper._values(parameters).tolist(), strict=True))
-    q, p = choose_state(stepper, q0, v0, p0, values)
+    values = stepper._named_values(parameters)
+    q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
     step = choose_step(stepper, q, p, values, LONG) if h is None else float(h)
     subject = Subject(stepper, Precise(stepper, values, DIGITS), np.concatenate([q, p]), step)
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
@@ -129,7 +125,7 @@ def _order(s: Subject) -> Iterator[Check]:
     with mpmath.workdps(DIGITS):
         start = [mpmath.mpf(x) for x in s.z]
         end = steps * mpmath.mpf(s.h)
-        exact = extrapolate(s.rates, start, [end], mpmath.mpf(10) ** -27)[0]
+        exact = extrapolate(s.precise.rates, start, [end], mpmath.mpf(10) ** -27)[0]
     levels = [2**k for k in range(5)]
     errors = [
         s.distance(s.precise.flow(s.z, context.mpf(s.h) / k, steps * k), exact) for k in levels
@@ -137,12 +133,12 @@ def _order(s: Subject) -> Iterator[Check]:
     what = (
         f"errors {errors[0]:.1e} to {errors[-1]:.1e} after 8 h, for h to h/16, in {DIGITS} digits"
     )
-    order = stepper_order = float(s.stepper.order)
+    order = float(s.stepper.order)
     if errors[-1] > EXACT:
         orders = observed_orders(errors)
         order = float(orders[np.array(errors[1:]) > EXACT][-2:].min())
     yield Check(
-        "order", order, "at least", stepper_order - 0.15, what,
+        "order", order, "at least", s.stepper.order - 0.15, what,
         f"The scheme has order {s.stepper.order}; the last two pairs are asymptotic.",
     )  # fmt: skip
 
@@ -264,7 +260,7 @@ def _invariants(s: Subject) -> Iterator[Check]:
 
 def _rounding(s: Subject) -> Iterator[Check]:
     """rounding: compiled code against many digits."""
-    run = s.compiled(s.h, 100, every=None)
+    run = s.compiled(100, every=None)
     end = np.concatenate([s.path.q[-1], s.path.p[-1]])
     nearby = s.z + 1e-9 * s.scale
     moved = s.precise.flow(nearby, s.h, 100)
@@ -279,7 +275,7 @@ def _rounding(s: Subject) -> Iterator[Check]:
 
 def _iterations(s: Subject) -> Iterator[Check]:
     """iterations: of Newton's method for each step."""
-    run = s.compiled(s.h, 1000, every=None)
+    run = s.compiled(1000, every=None)
     yield Check(
         "iterations", float(run.newton_iterations.sum()) / 1000, "at most", 4.0,
         "Newton iterations a step", "The predictor leaves two or three at a reasonable step.",
@@ -288,7 +284,7 @@ def _iterations(s: Subject) -> Iterator[Check]:
 
 def _drift(s: Subject) -> Iterator[Check]:
     """drift: of energy, momenta and invariants over many steps."""
-    run = s.compiled(s.h, LONG, every=20)
+    run = s.compiled(LONG, every=20)
     watched = {"energy": run.energy}
     watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
     promised = len(watched)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.status import Status
@@ -27,26 +27,23 @@ TRIES = 30
 
 
 def choose_state(
-    stepper: Stepper,
-    q0: ArrayLike | None,
-    v0: ArrayLike | None,
-    p0: ArrayLike | None,
-    parameters: Mapping[str, float],
+    stepper: Stepper, state: Mapping[str, Any] | None, parameters: Mapping[str, float]
 ) -> State:
     """Give (q, p) of the state asked for, the stepper's reference state, or one at random.
+
+    A state is q0, and v0 or p0; what is None is not asked for.
 
     Raises
     ------
     InputError
         If the state makes no sense, or no random one can begin.
     """
-    given: dict[str, Any] = {"q0": q0, "v0": v0, "p0": p0}
-    if q0 is None and v0 is None and p0 is None and stepper.reference_state:
-        given = dict(stepper.reference_state)
-    if given["q0"] is not None:
+    given = {name: value for name, value in (state or {}).items() if value is not None}
+    given = given or dict(stepper.reference_state or {})
+    if "q0" in given:
         run = stepper.integrate(**given, h=1.0, steps=0, parameters=parameters)
         return run.q[0], run.p[0]
-    if v0 is not None or p0 is not None:
+    if given:
         raise InputError("a velocity or momentum without q0.\nPass q0 too, or neither.")
     for attempt in range(TRIES):
         random = np.random.default_rng(attempt)

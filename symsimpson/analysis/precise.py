@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -58,7 +58,7 @@ class Precise:
         ]
         return np.array(columns, dtype=object).T
 
-    def gradient(self, z: Vector) -> Vector:
+    def gradient(self, z: Iterable[Any]) -> Vector:
         """Differentiate the energy by differences: (dH/dq, dH/dp)."""
         moved = np.array(list(self._moved(z)), dtype=object).reshape(-1, 2 * self.n)
         energies = self.stepper.energy(
@@ -66,7 +66,7 @@ class Precise:
         )
         return (energies[0::2] - energies[1::2]) / (2 * self.small)
 
-    def rates(self, z: Vector) -> list[Any]:
+    def rates(self, z: Iterable[Any]) -> list[Any]:
         """Give Hamilton's equations: q' = dH/dp, p' = -dH/dq."""
         gradient = self.gradient(z)
         return [*gradient[self.n :], *(-gradient[: self.n])]
@@ -124,7 +124,7 @@ class Precise:
         run.rows("ACTIVE", 1)[:] = self._numbers.read(1.0)
         self._numbers.driver("call")(self.stepper._kernels.step[2], run.h, 0 * run.h, run.W)
 
-    def _moved(self, z: Vector) -> list[tuple[Vector, Vector]]:
+    def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:
         point = np.array([self.context.convert(x) for x in z], dtype=object)
         pairs = []
         for k in range(2 * self.n):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 import symsimpson as ss
 from symsimpson.bench.peers import double_pendulum
+from symsimpson.bench.timing import alternate
 from symsimpson.runtime.blocks import available_threads, lanes_of_machine, run_blocks
 from symsimpson.runtime.members import read_task
 
@@ -64,7 +64,7 @@ def report() -> Iterator[str]:
 
     yield f"{MEMBERS} double pendulums, 500 Simpson steps of h = 0.02"
     shapes = ((wide, threads), (wide, 1), (1, 1))
-    medians = _alternate({f"{shape}": simpson(500, *shape) for shape in shapes})
+    medians = _medians({f"{shape}": simpson(500, *shape) for shape in shapes})
     for (lanes, used), seconds in zip(shapes, medians.values(), strict=True):
         each = seconds * used / (500 * MEMBERS) * 1e9
         name = f"{lanes} lanes, {used} threads"
@@ -83,7 +83,7 @@ def report() -> Iterator[str]:
     for level in LEVELS:
         yield f"median error of the angles at t = {T_END:g} at most {level:g}:"
         chosen = {one.name: _coarsest(one, truth, level) for one in contenders}
-        medians = _alternate({name: run for name, (_, _, run) in chosen.items()})
+        medians = _medians({name: run for name, (_, _, run) in chosen.items()})
         for name, (choice, error, _) in chosen.items():
             ratio = medians[name] / medians["simpson"]
             yield (
@@ -113,13 +113,8 @@ def _error(found: Floats, truth: Floats) -> float:
     return float(np.median(np.abs(found - truth).max(axis=1)))
 
 
-def _alternate(jobs: dict[str, Run]) -> dict[str, float]:
-    times: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(REPEATS + 1):  # the first warms up
-        for name, job in jobs.items():
-            begin = time.perf_counter()
-            job()
-            times[name].append(time.perf_counter() - begin)
+def _medians(jobs: dict[str, Run]) -> dict[str, float]:
+    times = alternate(jobs, REPEATS + 1)  # the first round warms up
     return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 

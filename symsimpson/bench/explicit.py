@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods, compiled for one right-hand side: the peers of our own."""
+"""An explicit method of order eight, compiled for one right-hand side: a peer of our own."""
 
 from __future__ import annotations
 
@@ -7,33 +7,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["make_dop853", "make_rk4"]
-
-
-def make_rk4(f: Callable[..., None]) -> Callable[..., Any]:
-    """Compile the classical method of order four for f(y, parameters, out)."""
-    from numba import njit
-
-    @njit
-    def rk4(y, parameters, t_end, steps):  # type: ignore[no-untyped-def]
-        m, h = y.size, t_end / steps
-        k1, k2, k3, k4, x = np.empty(m), np.empty(m), np.empty(m), np.empty(m), np.empty(m)
-        for _ in range(steps):
-            f(y, parameters, k1)
-            for i in range(m):
-                x[i] = y[i] + 0.5 * h * k1[i]
-            f(x, parameters, k2)
-            for i in range(m):
-                x[i] = y[i] + 0.5 * h * k2[i]
-            f(x, parameters, k3)
-            for i in range(m):
-                x[i] = y[i] + h * k3[i]
-            f(x, parameters, k4)
-            for i in range(m):
-                y[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-        return 4 * steps
-
-    return rk4
+__all__ = ["make_dop853"]
 
 
 def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:

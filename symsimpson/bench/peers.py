@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.api import compile as compile_system
-from symsimpson.bench.explicit import make_dop853, make_rk4
+from symsimpson.bench.explicit import make_dop853
 from symsimpson.bench.problem import Problem
 from symsimpson.errors import InputError
 from symsimpson.reference import FirstOrder
-from symsimpson.reference.runge_kutta import compiled_rates
+from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["PEERS", "Contender", "double_pendulum", "ours", "peers"]
@@ -58,11 +58,14 @@ class Contender:
     make: Callable[[float], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
 
 
+def _steps(problem: Problem) -> list[int]:
+    """Give numbers of steps from coarse to fine."""
+    return [round(max(4, round(problem.t_end / 2)) * 2 ** (k / 4)) for k in range(80)]
+
+
 def ours(problem: Problem, scheme: str | Scheme) -> Contender:
     """Give one of our schemes; it counts Newton iterations."""
     stepper = compile_system(problem.system, scheme)
-    first = max(4, round(problem.t_end / 2))
-    choices = [round(first * 2 ** (k / 4)) for k in range(80)]
 
     def make(steps: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
         count = int(steps)
@@ -81,7 +84,7 @@ def ours(problem: Problem, scheme: str | Scheme) -> Contender:
 
         return run, read
 
-    return Contender(stepper.scheme, "steps", choices, make)
+    return Contender(stepper.scheme, "steps", _steps(problem), make)
 
 
 def peers(problem: Problem, names: str | Sequence[str] = "installed") -> Iterator[Contender]:
@@ -112,21 +115,29 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender]:
     parameters = np.array(problem.canonical.values(None), dtype=np.float64)
     start, n = np.concatenate([problem.q0, problem.p0]), problem.system.n
 
-    def making(loop: Callable[..., int], read_choice: Callable[[float], Any]) -> Any:
+    def making(solve: Callable[[Floats, float], int]) -> Any:
         def make(choice: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
-            value = read_choice(choice)
-
             def run() -> Any:
                 y = start.copy()
-                return y, loop(y, parameters, problem.t_end, value)
+                return y, solve(y, choice)
 
             return run, lambda found: Outcome(found[0][:n], found[0][n:], found[1])
 
         return make
 
-    steps = [round(max(4, round(problem.t_end / 2)) * 2 ** (k / 4)) for k in range(80)]
-    yield Contender("rk4", "steps", steps, making(make_rk4(rates), int))
-    yield Contender("dop853", "tolerance", TOLERANCES, making(make_dop853(rates), float))
+    rk4, dop853 = compiled_rk4(problem.canonical), make_dop853(rates)
+    kept = np.empty((2, start.size))
+
+    def fixed(y: Floats, steps: float) -> int:
+        count = int(steps)
+        rk4(y, parameters, problem.t_end / count, count, count, kept)
+        return 4 * count
+
+    def adaptive(y: Floats, tolerance: float) -> int:
+        return int(dop853(y, parameters, problem.t_end, tolerance))
+
+    yield Contender("rk4", "steps", _steps(problem), making(fixed))
+    yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
 
 
 def _scipy(problem: Problem) -> Iterator[Contender]:

@@ -79,11 +79,7 @@ def make_problem(
         If the solution has a singularity before ``t_end``.
     """
     stepper = compile_system(system, "simpson")
-    given = {"q0": None, "v0": None, "p0": None} | dict(state or {})
-    q, p = choose_state(
-        stepper, given["q0"], given["v0"], given["p0"],
-        dict(zip(stepper.parameters, stepper._defaults.tolist(), strict=True)),
-    )  # fmt: skip
+    q, p = choose_state(stepper, state, stepper._named_values())
     hamilton, newton = canonical(system), second_order(system)
     start = [mpmath.mpf(float(x)) for x in (*q, *p)]
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from symsimpson.errors import InputError, StorageError
+from symsimpson.files import write_text
 
 __all__ = ["Point", "WorkPrecision"]
 
@@ -96,14 +97,8 @@ class WorkPrecision:
         StorageError
             If the file cannot be written.
         """
-        place = Path(path)
-        try:
-            place.write_text(json.dumps({"format": FORMAT} | asdict(self), indent=1) + "\n")
-        except OSError as error:
-            raise StorageError(
-                f"{place}: the record cannot be written: {error.strerror}.\nChoose another place."
-            ) from error
-        return place
+        text = json.dumps({"format": FORMAT} | asdict(self), indent=1) + "\n"
+        return write_text(path, text, "record")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> WorkPrecision:

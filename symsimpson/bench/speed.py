@@ -10,6 +10,7 @@ from typing import Any
 
 import symsimpson as ss
 from symsimpson.bench.peers import double_pendulum
+from symsimpson.bench.timing import alternate
 
 __all__ = ["report"]
 
@@ -39,12 +40,7 @@ def report() -> Iterator[str]:
         yield "heyoka is not installed: pip install 'symsimpson[bench]' for the comparison"
     else:
         jobs["heyoka tol=1e-9"] = peer
-    times: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(REPEATS):
-        for name, job in jobs.items():
-            begin = time.perf_counter()
-            job()
-            times[name].append(time.perf_counter() - begin)
+    times = alternate(jobs, REPEATS)
     medians = {name: statistics.median(values) for name, values in times.items()}
     for name, median in medians.items():
         yield f"{name:<32} median {median * 1e3:9.4f} ms, best {min(times[name]) * 1e3:9.4f} ms"

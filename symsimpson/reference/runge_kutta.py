@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.reference.first_order import FirstOrder
 
-__all__ = ["compiled_rates", "rk4"]
+__all__ = ["compiled_rates", "compiled_rk4", "rk4"]
 
 
 def rk4(
@@ -57,17 +56,21 @@ def rk4(
         raise ValueError(f"steps is {steps} and every is {every}: steps >= 0, every >= 1.")
     values = np.array([float(x) for x in equations.values(parameters)])
     out = np.empty((steps // every + 1, m))
-    _loop()(compiled_rates(equations), start, values, float(h), steps, every, out)
+    compiled_rk4(equations)(start, values, float(h), steps, every, out)
     return h * np.arange(0, steps + 1, every, dtype=np.float64), out
 
 
-#: Compiled rates by what they were made of.
+#: Compiled functions by what they were made of.
 _MADE: dict[tuple[Any, ...], Callable[..., Any]] = {}
+
+
+def _key(equations: FirstOrder) -> tuple[Any, ...]:
+    return (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
 
 
 def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
     """Compile f as a function (y, parameters, out)."""
-    key = (equations.unknowns, equations.definitions, equations.rates, *equations.parameters)
+    key = _key(equations)
     if key not in _MADE:
         from numba import njit
 
@@ -81,12 +84,19 @@ def compiled_rates(equations: FirstOrder) -> Callable[..., Any]:
     return _MADE[key]
 
 
-@cache
-def _loop() -> Callable[..., Any]:
+def compiled_rk4(equations: FirstOrder) -> Callable[..., Any]:
+    """Compile the method as a function (y, parameters, h, steps, every, out)."""
+    key = ("rk4", *_key(equations))
+    if key not in _MADE:
+        _MADE[key] = _make_rk4(compiled_rates(equations))
+    return _MADE[key]
+
+
+def _make_rk4(f: Callable[..., None]) -> Callable[..., Any]:
     from numba import njit
 
     @njit
-    def loop(f, y, p, h, steps, every, out):  # type: ignore[no-untyped-def]
+    def loop(y, p, h, steps, every, out):  # type: ignore[no-untyped-def]
         k1, k2, k3, k4 = np.empty_like(y), np.empty_like(y), np.empty_like(y), np.empty_like(y)
         between = np.empty_like(y)
         out[0] = y

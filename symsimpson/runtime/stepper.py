@@ -373,6 +373,9 @@ class Stepper:
         """
         return evaluate_energy(self, q, p, parameters)
 
+    def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
+        return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
+
     def _values(self, given: Parameters | None) -> Reals:
         facts = self._facts
         return read_parameters(

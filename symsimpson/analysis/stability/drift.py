@@ -109,9 +109,8 @@ def energy_drift(
     -------
     Drift
     """
-    values = dict(parameters or zip(stepper.parameters, stepper._defaults.tolist(), strict=True))
-    given = {"q0": None, "v0": None, "p0": None} | dict(state or {})
-    q, p = choose_state(stepper, given["q0"], given["v0"], given["p0"], values)
+    values = stepper._named_values(parameters)
+    q, p = choose_state(stepper, state, values)
     moved = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
     energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values, progress)
     blocks = energies.reshape(len(energies), BLOCKS, SAMPLES)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -41,30 +40,30 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
         Edges, the first from stable to unstable.
     """
     stepper = compile_system(harmonic_oscillator(), scheme)
-    grid = np.linspace(0.01, largest, round(largest / 0.01))
-    stable = _stable(stepper, grid)
-    edges = []
-    for k in np.flatnonzero(stable[1:] != stable[:-1]):
-        low, high = float(grid[k]), float(grid[k + 1])
-        while high - low > width:
-            middle = (low + high) / 2
-            if _stable(stepper, [middle])[0] == stable[k]:
-                low = middle
-            else:
-                high = middle
-        edges.append((low + high) / 2)
-    return edges
 
-
-def _stable(stepper: Stepper, x: Sequence[float] | Floats) -> NDArray[np.bool_]:
-    found = []
-    for step in x:
+    def stable(x: float) -> bool:
         run = stepper.integrate(
-            [1.0], p0=[0.0], h=float(step), steps=STEPS, parameters={"m": 1.0, "k": 1.0},
+            [1.0], p0=[0.0], h=x, steps=STEPS, parameters={"m": 1.0, "k": 1.0},
             on_failure="return",
         )  # fmt: skip
-        found.append(run.steps == STEPS and bool(np.abs(run.q).max() < FAR))
-    return np.array(found)
+        return run.steps == STEPS and bool(np.abs(run.q).max() < FAR)
+
+    return _edges(stable, largest, width)
+
+
+def _edges(stable: Callable[[float], bool], largest: float, width: float) -> list[float]:
+    """Find where a property changes, by a scan and bisection."""
+    grid = np.linspace(0.01, largest, round(largest / 0.01)).tolist()
+    seen = [stable(x) for x in grid]
+    edges = []
+    for k in range(len(grid) - 1):
+        low, high = grid[k], grid[k + 1]
+        while seen[k] != seen[k + 1] and high - low > width:
+            middle = (low + high) / 2
+            low, high = (middle, high) if stable(middle) == seen[k] else (low, middle)
+        if seen[k] != seen[k + 1]:
+            edges.append((low + high) / 2)
+    return edges
 
 
 def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
@@ -77,7 +76,7 @@ def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
     A, B = (np.array(table, dtype=np.float64) for table in (found.A, found.B))
     b = np.array(found.quadrature.weights, dtype=np.float64)
 
-    def excess(x: float) -> float:
+    def stable(x: float) -> bool:
         # D_k L_d = sum_m K_km X_m with X the control points themselves; h = x, omega = 1
         K = B.T @ (b[:, None] * B) / x - x * A.T @ (b[:, None] * A)
         inner = slice(1, -1)
@@ -85,20 +84,9 @@ def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
         if found.degree > 1:
             solved = np.linalg.solve(K[inner, inner], K[inner][:, [0, -1]])
             K = K[ends] - K[[0, -1]][:, inner] @ solved
-        return abs(-(K[0, 0] + K[1, 1]) / K[0, 1]) - 2
+        return bool(abs(-(K[0, 0] + K[1, 1]) / K[0, 1]) - 2 <= 1e-12)
 
-    grid = np.linspace(0.01, largest, round(largest / 0.01))
-    values = [excess(x) for x in grid]
-    edges = []
-    for k in range(len(grid) - 1):
-        if (values[k] > 1e-12) != (values[k + 1] > 1e-12):
-            low, high = grid[k], grid[k + 1]
-            for _ in range(60):
-                middle = (low + high) / 2
-                same = (excess(middle) > 1e-12) == (values[k] > 1e-12)
-                low, high = (middle, high) if same else (low, middle)
-            edges.append(float(low))
-    return [x for x in edges if math.isfinite(x)]
+    return _edges(stable, largest, 1e-12)
 
 
 def energy_map(

@@ -28,6 +28,8 @@ Floats = NDArray[np.float64]
 
 #: Steps of the solution in space for each step of the scheme.
 FINER = 200
+#: Of the top about its axis, in rad/s.
+SPIN = 252.0
 #: An iteration count this many times the usual one, or velocities that M amplifies so much more,
 #: are told before a step is lost.
 MANY, STIFF = 2.0, 100.0
@@ -106,7 +108,7 @@ def pole_sweep(
     m, g, l, inertia, spin_inertia = top.parameters.values()
     mass, length, gravity = pendulum.parameters.values()
     cases = [
-        _Case(compile_system(top, scheme), inertia, m * g * l, 252.0 * spin_inertia,
+        _Case(compile_system(top, scheme), inertia, m * g * l, SPIN * spin_inertia,
               down=False, speed=8.0, h=0.005, t_end=0.4),
         _Case(compile_system(pendulum, scheme), mass * length**2, mass * gravity * length, 0.0,
               down=True, speed=3.0, h=0.02, t_end=1.0),
@@ -163,8 +165,7 @@ def _angles(n: Floats, v: Floats, case: _Case) -> tuple[list[float], list[float]
     along = np.array([c * np.sin(phi), -c * np.cos(phi), -s])
     across = np.array([np.cos(phi), np.sin(phi), 0.0])
     turn = float(v @ across / s)
-    spin_inertia = case.spin / 252.0
-    return [phi, theta, 0.0], [turn, float(v @ along), case.spin / spin_inertia - turn * c]
+    return [phi, theta, 0.0], [turn, float(v @ along), SPIN - turn * c]
 
 
 def _axis(q: Floats, case: _Case) -> Floats:

@@ -33,8 +33,8 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     str
         Lines.
     """
-    values = dict(zip(stepper.parameters, stepper._defaults.tolist(), strict=True))
-    q, p = choose_state(stepper, None, None, None, values)
+    values = stepper._named_values()
+    q, p = choose_state(stepper, None, values)
     step = choose_step(stepper, q, p, values, 10_000) if h is None else h
     state = {"q0": q, "p0": p}
     yield f"{stepper.system}, {stepper.scheme}: from q0 = {q.tolist()}, p0 = {p.tolist()}"
