@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,16 @@ class Results:
         self.codes = np.zeros((task.members, 3), dtype=np.int64)
         self.codes[:, 0] = Status.INTERRUPTED
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        self._task = task
+
+    def columns(self) -> dict[str, Any]:
+        """Give the arrays as an ensemble has them."""
+        task = self._task
+        status, steps, iterations = (column.copy() for column in self.codes.T)
+        q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
+        reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
+        return {"q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
+                "reduced": reduced}  # fmt: skip
 
 
 def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
@@ -117,7 +127,7 @@ def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tu
     _wait([work] * threads, queue)
     if not queue.stopped:
         _again(stepper, task, results, queue)
-    return ensemble_of(stepper, task, results), queue.stopped
+    return ensemble_of(stepper, task, **results.columns()), queue.stopped
 
 
 class _Queue:
@@ -225,15 +235,11 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
 
 
-def ensemble_of(stepper: Stepper, task: Task, results: Results) -> Ensemble:
-    """Give arrays of results as an ensemble."""
-    status, steps, iterations = (column.copy() for column in results.codes.T)
-    q, p = (results.q, results.p) if task.every else (results.q[:, 0], results.p[:, 0])
+def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
+    """Give what a task came to as an ensemble, with what it was asked for."""
     return Ensemble(
-        t=task.times, q=q, p=p, status=status, steps=steps, newton_iterations=iterations,
-        parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
-        reduced={r.name: results.seen[:, 2 * k] for k, r in enumerate(task.reductions)},
-        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper,
+        t=task.times, parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
+        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, **found,
     )  # fmt: skip
 
 

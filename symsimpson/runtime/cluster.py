@@ -20,7 +20,7 @@ from symsimpson.runtime.ensemble import names_in_dataset
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
 from symsimpson.runtime.progress import Progress
-from symsimpson.runtime.store import Store, said, write_chunk
+from symsimpson.runtime.store import Store, members_of, said, write_chunk
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -76,7 +76,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
 
     members = store.task.members
     with Progress(members, store.task.progress) as progress:
-        progress.add(members - sum(store.size(chunk) for chunk in chunks))
+        progress.add(members - sum(map(store.size, chunks)))
         window = AHEAD * max(1, sum(client.nthreads().values()))
         running: Any = cast(Any, distributed).as_completed(
             [submit(chunk) for chunk in islice(waiting, window)]
@@ -136,7 +136,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     reduce = {name: (kind, text) for name, kind, text in json.loads(question["reduce"])}
     reductions = read_reductions(stepper._facts, reduce)
     _, names = names_in_dataset(reduce, stepper.parameters)
-    members = slice(chunk * size, min((chunk + 1) * size, question["members"]))
+    members = members_of(chunk, size, question["members"])
     with said(path, "read"):
         q0, other0 = (group[name][members] for name in ("q0", question["given"]))
         columns = [group[names[name]][members] for name in stepper.parameters]

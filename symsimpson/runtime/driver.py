@@ -124,6 +124,20 @@ def put_back(W, first, last, lane, copy):
 
 
 @njit(**OPTIONS)
+def keep_all(W, copy):
+    """Copy all rows of all lanes."""
+    for lane in range(LANES):
+        keep(W, 0, W.shape[0], lane, copy)
+
+
+@njit(**OPTIONS)
+def put_all_back(W, copy):
+    """Restore all rows of all lanes."""
+    for lane in range(LANES):
+        put_back(W, 0, W.shape[0], lane, copy)
+
+
+@njit(**OPTIONS)
 def step_back(W, at, lane):
     """Restore the state and the predicted increments from before the last call of advance."""
     first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
@@ -158,8 +172,7 @@ def follow(kernels, h, t, W, at, lane):
     rows, lanes = W.shape[0], LANES
     unknowns = last - first
     whole = np.empty((rows, lanes))
-    for other in range(lanes):
-        keep(W, 0, rows, other, whole)
+    keep_all(W, whole)
     zero = np.zeros((unknowns, lanes))
     straight = np.zeros((unknowns, lanes))
     bend = np.zeros((unknowns, lanes))
@@ -192,8 +205,7 @@ def follow(kernels, h, t, W, at, lane):
             bend_before[row, lane] = bent if piece == 1 else bend[row, lane]
             bend[row, lane] = bent
     whole[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
-    for other in range(lanes):
-        put_back(W, 0, rows, other, whole)
+    put_all_back(W, whole)
     if status == 0:
         put_back(W, first, last, lane, found)
     return status
@@ -217,14 +229,11 @@ def go_on(kernels, h, t, W, at, lane, steps):
 def resolved(kernels, h, t, W, at, lane):
     """Tell whether a step, and what follows from it, is about what finer steps come to."""
     first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
-    after = np.empty((rows, lanes))
-    coarse = np.empty((n, lanes))
-    for other in range(lanes):
-        keep(W, 0, rows, other, after)
+    after, coarse = np.empty((rows, lanes)), np.empty((n, lanes))
+    keep_all(W, after)
     good = go_on(kernels, h, t + h, W, at, lane, MORE)
     keep(W, first, first + n, lane, coarse)
-    for other in range(lanes):
-        put_back(W, 0, rows, other, after)
+    put_all_back(W, after)
     if good:
         part = h / FINER
         step_back(W, at, lane)
@@ -236,8 +245,7 @@ def resolved(kernels, h, t, W, at, lane):
     for a in range(n):
         gap = W[first + a, lane] - coarse[a, lane]
         apart += W[at[METRIC] + a, lane] * gap * gap
-    for other in range(lanes):
-        put_back(W, 0, rows, other, after)
+    put_all_back(W, after)
     return good and apart <= APART * W[at[SCALE], lane]
 
 
@@ -249,8 +257,7 @@ def verify(kernels, h, t, W, at, lane):
     increments = np.empty((last - first, lanes))
     keep(W, at[SOLVED], at[SOLVED] + last - first, lane, increments)
     after = np.empty((rows, lanes))
-    for other in range(lanes):
-        keep(W, 0, rows, other, after)
+    keep_all(W, after)
     finite = W[at[MISMATCH], lane] < np.inf
     unresolved = W[at[IN_DOUBT], lane] == UNRESOLVED
     if finite and W[at[IN_DOUBT], lane] == LOOKED_AT:
@@ -283,8 +290,7 @@ def verify(kernels, h, t, W, at, lane):
             step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
             after[at[STATUS], lane] = NOT_FINITE
-    for other in range(lanes):
-        put_back(W, 0, rows, other, after)
+    put_all_back(W, after)
 
 
 @njit(**OPTIONS)

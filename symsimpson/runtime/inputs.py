@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 __all__ = [
     "read_array",
     "read_every",
+    "read_given",
     "read_number",
     "read_parameters",
     "read_steps",
     "read_vector",
+    "refused_start",
     "whole_number",
 ]
 
@@ -166,6 +168,18 @@ def read_parameters(
 def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def read_given(
+    who: str, how: str, v0: ArrayLike | None, p0: ArrayLike | None
+) -> tuple[str, ArrayLike]:
+    """Give the one of v0 and p0 that is there, with its name."""
+    if v0 is not None and p0 is None:
+        return "v0", v0
+    if p0 is not None and v0 is None:
+        return "p0", p0
+    given = "neither" if v0 is None else "both"
+    raise InputError(f"{who} needs exactly one of v0 and p0, and has {given}.\n{how}")
 
 
 def refused_start(system: str, where: str, pivot: float, finite: bool) -> InputError:

@@ -13,6 +13,7 @@ from symsimpson.runtime.blocks import Task, available_threads, lanes_of_machine
 from symsimpson.runtime.inputs import (
     read_array,
     read_every,
+    read_given,
     read_parameters,
     read_steps,
     whole_number,
@@ -55,16 +56,12 @@ def read_task(
             "Compile one without precision."
         )
     h, count, t0 = read_steps(*times, FLOAT64)
-    if (v0 is None) == (p0 is None):
-        given = "neither" if v0 is None else "both"
-        raise InputError(
-            f"an ensemble needs exactly one of v0 and p0, and has {given}.\n"
-            "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
-        )
-    names = ("q0", "v0" if p0 is None else "p0")
+    how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
+    second, other0 = read_given("an ensemble", how, v0, p0)
+    names = ("q0", second)
     states = [
         _states(name, given, stepper.coordinates)
-        for name, given in zip(names, (q0, v0 if p0 is None else p0), strict=True)
+        for name, given in zip(names, (q0, other0), strict=True)
     ]
     columns = _parameters(stepper, parameters)
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
@@ -95,7 +92,7 @@ def read_task(
     for k, name in enumerate(stepper.parameters):
         values[:, k] = columns[name]
     return Task(
-        q, other, p0 is None, values, h, t0, count, stride, reductions, workers, progress, lanes
+        q, other, second == "v0", values, h, t0, count, stride, reductions, workers, progress, lanes
     )  # fmt: skip
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, Interrupted
-from symsimpson.runtime.inputs import read_vector, refused_start
+from symsimpson.errors import ConvergenceError, Interrupted
+from symsimpson.runtime.inputs import read_given, read_vector, refused_start
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
@@ -31,18 +31,12 @@ def begin_run(
     InputError
         If it makes no sense, or M(q0) is not positive definite.
     """
-    if (v0 is None) == (p0 is None):
-        given = "neither" if v0 is None else "both"
-        raise InputError(
-            f"a run needs exactly one of v0 and p0, and has {given}.\n"
-            "Pass initial velocities v0=[...] or initial momenta p0=[...]."
-        )
+    how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
+    name, given = read_given("a run", how, v0, p0)
     numbers = stepper._numbers
     q = read_vector("q0", q0, stepper.coordinates, numbers)
-    if p0 is not None:
-        run.begin(q, read_vector("p0", p0, stepper.coordinates, numbers), velocity=False)
-    elif v0 is not None:
-        run.begin(q, read_vector("v0", v0, stepper.coordinates, numbers), velocity=True)
+    other = read_vector(name, given, stepper.coordinates, numbers)
+    run.begin(q, other, velocity=name == "v0")
     pivot = float(run.rows("MASS_PIVOT", 1)[0])
     if pivot < 0 or not numbers.finite(run.rows("VELOCITY", stepper.n)).all():
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))

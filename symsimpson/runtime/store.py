@@ -28,7 +28,7 @@ from symsimpson.runtime.status import Status
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Store", "open_store", "run_missing", "said", "write_chunk"]
+__all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_chunk"]
 
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
@@ -64,7 +64,7 @@ class Store:
 
     def members(self, chunk: int) -> slice:
         """Give the members of a chunk."""
-        return slice(chunk * self.chunk, min((chunk + 1) * self.chunk, self.task.members))
+        return members_of(chunk, self.chunk, self.task.members)
 
     def size(self, chunk: int) -> int:
         """Count the members of a chunk."""
@@ -91,12 +91,15 @@ class Store:
                 group[x][:] for x in ("status", "steps", "newton_iterations")
             )
             watched = {name: group[stored][:] for name, stored in reduced.items()}
-        return Ensemble(
-            t=task.times, q=group["q"], p=group["p"], status=status, steps=steps,
-            newton_iterations=iterations, reduced=watched,
-            parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
-            initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, store=self.path,
+        return ensemble_of(
+            stepper, task, q=group["q"], p=group["p"], status=status, steps=steps,
+            newton_iterations=iterations, reduced=watched, store=self.path,
         )  # fmt: skip
+
+
+def members_of(chunk: int, size: int, members: int) -> slice:
+    """Give the members of a chunk of a certain size."""
+    return slice(chunk * size, min((chunk + 1) * size, members))
 
 
 def open_store(path: object, stepper: Stepper, task: Task) -> Store:
@@ -170,7 +173,7 @@ def _create(place: str, stepper: Stepper, task: Task, question: dict[str, Any]) 
 
     chunk = _chunk(stepper, task)
     one = task.part(slice(0, 1))
-    template = ensemble_of(stepper, one, Results(one, stepper.n)).to_xarray()
+    template = ensemble_of(stepper, one, **Results(one, stepper.n).columns()).to_xarray()
     about = {key: value for key, value in template.attrs.items() if key != "outcome"}
     group = zarr.create_group(
         place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
