@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import symsimpson as ss
-from symsimpson.bench.peers import double_pendulum
+from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
+from symsimpson.reference import canonical
 from symsimpson.runtime.blocks import available_threads, lanes_of_machine, run_blocks
 from symsimpson.runtime.members import read_task
 
@@ -123,7 +124,7 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender]:
         import heyoka as hy
     except ImportError:
         return []
-    equations = double_pendulum(hy)
+    equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
     lanes = hy.recommended_simd_size()
     blocks = [np.vstack([part.T, np.zeros((2, lanes))])
               for part in angles[: len(angles) // lanes * lanes].reshape(-1, lanes, 2)]  # fmt: skip

@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import symsimpson as ss
-from symsimpson.bench.peers import double_pendulum
+from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
+from symsimpson.reference import canonical
 
 __all__ = ["report"]
 
@@ -59,7 +60,7 @@ def _heyoka() -> Callable[[], Any] | None:
         import heyoka as hy
     except ImportError:
         return None
-    equations = double_pendulum(hy)
+    equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
     start = [math.pi / 4, math.pi / 3, 0.0, 0.0]
     integrator = hy.taylor_adaptive(equations, start, tol=1e-9)
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from symsimpson.bench.peers import Contender, ours, peers
+from symsimpson.bench.contender import Contender
+from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
@@ -62,7 +63,8 @@ def work_precision(
     system : MechanicalSystem
     schemes : sequence of str or Scheme
     peers : "installed" or sequence of str
-        "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka"; () for none.
+        "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka",
+        "numbalsoda", "diffrax"; () for none.
     errors : sequence of float
         Levels of the table, between 1e-14 and 1.
     state : mapping, optional
@@ -176,7 +178,16 @@ def _timed(run: Any, number: int) -> float:
 def _machine() -> dict[str, Any]:
     """Say where it was measured."""
     versions = {}
-    for package in ("symsimpson", "numba", "numpy", "sympy", "scipy", "heyoka"):
+    for package in (
+        "symsimpson",
+        "numba",
+        "numpy",
+        "sympy",
+        "scipy",
+        "heyoka",
+        "numbalsoda",
+        "diffrax",
+    ):
         try:
             versions[package] = version(package)
         except PackageNotFoundError:

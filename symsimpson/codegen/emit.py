@@ -44,7 +44,7 @@ _SHOWN = 40
 _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
-NEGLIGIBLE = 2.0**-102  # the next correction would be lost in the rounding of the residual
+NEGLIGIBLE = 2.0**-106  # the next correction would be lost in the rounding of the residual
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt

@@ -46,7 +46,7 @@ class FirstOrder:
 
         Parameters
         ----------
-        modules : {"math", "mpmath"}
+        modules : {"math", "mpmath", "jax"}
             The functions that it calls.
         """
         made: Callable[..., Any] = sp.lambdify(

@@ -7,8 +7,9 @@ import pytest
 
 import symsimpson as ss
 from symsimpson.bench import ensembles
-from symsimpson.bench.peers import PEERS, ours, peers
+from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import make_problem
+from symsimpson.bench.programs import PROGRAMS
 from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
 
@@ -28,7 +29,7 @@ def test_the_solution_knows_its_error(problem):
     np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", PEERS)
+@pytest.mark.parametrize("name", PROGRAMS)
 def test_a_peer_solves_the_problem(problem, name):
     if name != "runge-kutta":
         pytest.importorskip(name)
@@ -114,7 +115,7 @@ def test_wrong_input(case):
 
 
 def test_a_peer_that_is_not_installed(problem, monkeypatch):
-    for module in ("heyoka", "scipy", "scipy.integrate"):
+    for module in ("heyoka", "scipy", "scipy.integrate", "numbalsoda", "diffrax"):
         monkeypatch.setitem(__import__("sys").modules, module, None)
     with pytest.raises(ss.InputError, match="not installed"):
         list(peers(problem, "heyoka"))

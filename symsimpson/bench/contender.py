@@ -1,0 +1,53 @@
+"""Who is compared: one program on one problem, with choices from coarse to fine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.bench.problem import Problem
+
+__all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "numbers_of_steps"]
+
+Floats = NDArray[np.float64]
+
+#: Tolerances from coarse to fine.
+TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
+COARSE = TOLERANCES[::2]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run came to: the state at the end, and how much it took."""
+
+    q: Floats
+    p: Floats
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A program that solves a problem.
+
+    Attributes
+    ----------
+    name : str
+    choices : sequence of float
+        From coarse to fine; ``what`` says of what.
+    make : callable
+        Gives for a choice a function without arguments that runs, and one that reads its outcome.
+    """
+
+    name: str
+    what: str
+    choices: Sequence[float]
+    make: Callable[[float], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
+
+
+def numbers_of_steps(problem: Problem) -> list[int]:
+    """Give numbers of steps from coarse to fine."""
+    return [round(max(4, round(problem.t_end / 2)) * 2 ** (k / 4)) for k in range(80)]

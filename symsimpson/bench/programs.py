@@ -1,0 +1,222 @@
+"""Other programs, each with its best setting on a problem.
+
+Those that compile a right-hand side get one; those that compile themselves do so before the clock
+starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.api import compile as compile_system
+from symsimpson.bench.contender import COARSE, TOLERANCES, Contender, Outcome, numbers_of_steps
+from symsimpson.bench.explicit import make_dop853
+from symsimpson.bench.problem import Problem
+from symsimpson.reference import FirstOrder
+from symsimpson.reference.runge_kutta import compiled_rates, compiled_rk4
+
+__all__ = ["PROGRAMS", "in_heyoka"]
+
+Floats = NDArray[np.float64]
+
+
+def _runge_kutta(problem: Problem) -> Iterator[Contender]:
+    """Explicit methods of our own, compiled with the right-hand side."""
+    rates = compiled_rates(problem.canonical)
+    parameters = np.array(problem.canonical.values(None), dtype=np.float64)
+    start, n = np.concatenate([problem.q0, problem.p0]), problem.system.n
+
+    def making(solve: Callable[[Floats, float], int]) -> Any:
+        def make(choice: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+            def run() -> Any:
+                y = start.copy()
+                return y, solve(y, choice)
+
+            return run, lambda found: Outcome(found[0][:n], found[0][n:], found[1])
+
+        return make
+
+    rk4, dop853 = compiled_rk4(problem.canonical), make_dop853(rates)
+    kept = np.empty((2, start.size))
+
+    def fixed(y: Floats, steps: float) -> int:
+        count = int(steps)
+        rk4(y, parameters, problem.t_end / count, count, count, kept)
+        return 4 * count
+
+    def adaptive(y: Floats, tolerance: float) -> int:
+        return int(dop853(y, parameters, problem.t_end, tolerance))
+
+    yield Contender("rk4", "steps", numbers_of_steps(problem), making(fixed))
+    yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
+
+
+def _scipy(problem: Problem) -> Iterator[Contender]:
+    """SciPy's solvers with a compiled right-hand side."""
+    from scipy.integrate import solve_ivp
+
+    rates = compiled_rates(problem.canonical)
+    parameters = np.array(problem.canonical.values(None), dtype=np.float64)
+    start, n = np.concatenate([problem.q0, problem.p0]), problem.system.n
+
+    def right(t: float, y: Floats) -> Floats:
+        out = np.empty_like(y)
+        rates(y, parameters, out)
+        return out
+
+    for method in ("DOP853", "LSODA", "Radau"):
+
+        def make(
+            tolerance: float, method: str = method
+        ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+            def run() -> Any:
+                return solve_ivp(
+                    right, (0.0, problem.t_end), start, method=method,
+                    rtol=max(tolerance, 2.3e-14), atol=tolerance,
+                )  # fmt: skip
+
+            def read(found: Any) -> Outcome:
+                end = found.y[:, -1] if found.success else np.full(2 * n, np.nan)
+                return Outcome(end[:n], end[n:], int(found.nfev))
+
+            return run, read
+
+        choices = COARSE[:5] if method == "Radau" else COARSE  # of order five: too slow beyond
+        yield Contender(f"scipy {method}", "tolerance", choices, make)
+
+
+def _heyoka(problem: Problem) -> Iterator[Contender]:
+    """The Taylor method of heyoka, in both forms of the equations and both modes of compilation."""
+    import heyoka as hy
+
+    stepper, n = compile_system(problem.system, "simpson"), problem.system.n
+    forms = (
+        ("q, p", problem.canonical, problem.p0, lambda q, p: p),
+        ("q, v", problem.second_order, problem.v0, lambda q, v: problem.momentum(stepper, q, v)),
+    )
+    for form, equations, other, momentum in forms:
+        written = in_heyoka(hy, equations)
+        start = np.concatenate([problem.q0, other])
+        for mode in ("", " compact"):
+
+            def make(
+                tolerance: float, written: Any = written, start: Floats = start,
+                compact: bool = bool(mode), momentum: Callable[..., Any] = momentum,
+            ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:  # fmt: skip
+                integrator = hy.taylor_adaptive(
+                    written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
+                )
+
+                def run() -> Any:
+                    integrator.time = 0.0
+                    integrator.state[:] = start
+                    return integrator.propagate_until(problem.t_end)[3]
+
+                def read(steps: Any) -> Outcome:
+                    q, second = integrator.state[:n].copy(), integrator.state[n:].copy()
+                    return Outcome(q, momentum(q, second), int(steps))
+
+                return run, read
+
+            yield Contender(f"heyoka{mode} ({form})", "tolerance", TOLERANCES, make)
+
+
+def in_heyoka(hy: Any, equations: FirstOrder) -> list[tuple[Any, Any]]:
+    """Write y' = f(y) in heyoka's expressions, parameters as numbers."""
+    known: dict[Any, Any] = {
+        symbol: hy.make_vars(f"y_{i}") for i, symbol in enumerate(equations.unknowns)
+    }
+    variables = list(known.values())
+    known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
+    for symbol, value in equations.definitions:
+        known[symbol] = hy.from_sympy(value, known)
+    rates = [hy.from_sympy(rate, known) for rate in equations.rates]
+    return list(zip(variables, rates, strict=True))
+
+
+def _numbalsoda(problem: Problem) -> Iterator[Contender]:
+    """The compiled LSODA and DOP853 of numbalsoda, with a compiled right-hand side."""
+    import numbalsoda
+    from numba import carray, cfunc  # type: ignore[attr-defined]
+
+    rates, size, n = compiled_rates(problem.canonical), 2 * problem.system.n, problem.system.n
+    values = problem.canonical.values(None)
+    count = len(values)
+
+    @cfunc(numbalsoda.lsoda_sig)
+    def right(t, y, out, data):  # type: ignore[no-untyped-def]  # numba infers them
+        known = carray(data, (count + 1,))
+        known[count] += 1.0
+        rates(carray(y, (size,)), known, carray(out, (size,)))
+
+    address = right.address
+    start, times = np.concatenate([problem.q0, problem.p0]), np.array([0.0, problem.t_end])
+    for method in ("lsoda", "dop853"):
+        solve = getattr(numbalsoda, method)
+
+        def make(
+            tolerance: float, solve: Any = solve
+        ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+            def run() -> Any:
+                data = np.array([*values, 0.0])
+                found, success = solve(
+                    address, start, times, data, max(tolerance, 1e-13), tolerance
+                )
+                return found[-1] if success else np.full(size, np.nan), data[count]
+
+            return run, lambda found: Outcome(found[0][:n], found[0][n:], int(found[1]))
+
+        yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
+
+
+def _diffrax(problem: Problem) -> Iterator[Contender]:
+    """The explicit method of order eight of diffrax, compiled once for all tolerances."""
+    import diffrax
+    import jax
+
+    rates, n = problem.canonical.function("jax"), problem.system.n
+    values = problem.canonical.values(None)
+    start = np.concatenate([problem.q0, problem.p0])
+
+    def solve(y: Any, tolerance: Any) -> Any:
+        term = diffrax.ODETerm(lambda t, y, _: jax.numpy.stack(rates(*y, *values)))
+        return diffrax.diffeqsolve(
+            term, diffrax.Dopri8(), 0.0, problem.t_end, None, y,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            saveat=diffrax.SaveAt(t1=True), max_steps=None, throw=False,
+            adjoint=diffrax.ForwardMode(),
+        )  # fmt: skip
+
+    with jax.enable_x64(True):
+        compiled = jax.jit(solve).lower(start, 1.0).compile()
+
+    def make(tolerance: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+        with jax.enable_x64(True):
+            given = jax.numpy.asarray(start), jax.numpy.asarray(tolerance)
+
+        def run() -> Any:
+            found = compiled(*given)
+            found.ys.block_until_ready()
+            return found
+
+        def read(found: Any) -> Outcome:
+            end = np.asarray(found.ys)[0]
+            return Outcome(end[:n], end[n:], 13 * int(found.stats["num_steps"]))
+
+        return run, read
+
+    yield Contender("diffrax Dopri8", "tolerance", COARSE, make)
+
+
+#: Other programs by name.
+PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender]]] = {
+    "runge-kutta": _runge_kutta,
+    "scipy": _scipy,
+    "heyoka": _heyoka,
+    "numbalsoda": _numbalsoda,
+    "diffrax": _diffrax,
+}
