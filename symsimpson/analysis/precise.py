@@ -122,7 +122,7 @@ class Precise:
 
     def _iterate(self, run: Run) -> None:
         run.rows("ACTIVE", 1)[:] = self._numbers.read(1.0)
-        self._numbers.driver("call")(self.stepper._kernels.step[2], run.h, 0 * run.h, run.W)
+        self._numbers.driver("call")(self.stepper._kernels.newton[2], run.h, 0 * run.h, run.W)
 
     def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:
         point = np.array([self.context.convert(x) for x in z], dtype=object)

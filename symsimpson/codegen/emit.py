@@ -31,7 +31,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 5
+INTERFACE = 6
 
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
@@ -50,6 +50,7 @@ STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
+{rough}
 """
 
 
@@ -79,13 +80,18 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.12)
+        rough = "ROUGH = 0.01  # what nodes have is extrapolated with care if it was off by more\n"
+        thresholds = _THRESHOLDS.format(
+            unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
+            rough=rough if "STRIDE" in module.tables else "",
+        )
         constants = f"{constants}\n{thresholds}" if constants else thresholds
-    library = _library(body)
+    made = _made(equations, module)
+    library = _library(f"{body}\n{made}")
     numbers = "\n".join(
         part
         for part in (
-            _imports(printer.used, arrays="array(" in tables),
+            _imports(printer.used, arrays="array(" in tables or "stage_tables(" in made),
             _facts(equations, module),
             _layout(module),
         )
@@ -94,7 +100,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     text = "\n".join(
         [
             numbers, tables, *([constants] if constants else []),
-            "compiled = njit(**OPTIONS)\n", *(f"\n{part}\n" for part in library), "", body, "",
+            "compiled = njit(**OPTIONS)\n", *(f"\n{part}\n" for part in library),
+            *(["", made] if made else []), "", body, "",
         ]
     )  # fmt: skip
     documented = f'"""{_docstring(equations, module)}"""\n\n{text}'
@@ -219,18 +226,22 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
     ]
-    for name, values in {
+    vectors = {
         "POINTS": scheme.points,
         "WEIGHTS": scheme.quadrature.weights,
         "END_SLOPE": scheme.end_slope,
         "START_SLOPE": scheme.correction,
-    }.items():
-        lines += _folded(f"{name} = ", row(values), "    ")
-    for name, table in {
+    }
+    matrices = {
         "BASIS": scheme.A,
         "BASIS_SLOPE": scheme.B,
         "EXTRAPOLATION": scheme.extrapolation,
-    }.items():
+    }
+    if not scheme.exact:
+        vectors, matrices = {}, {}
+    for name, values in vectors.items():
+        lines += _folded(f"{name} = ", row(values), "    ")
+    for name, table in matrices.items():
         lines += [f"{name} = ("]
         for values in table:
             lines += ["    " + line for line in _folded("", row(values) + ",", "    ")]
@@ -240,6 +251,19 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         lines += _folded(f"{name} = ", _table(value, number), "    ")
     printer.used |= exact.used
     return "\n".join([*lines, ""])
+
+
+def _made(equations: DiscreteEquations, module: Module) -> str:
+    """Write the tables that a module makes itself, with the digits of its numbers."""
+    scheme = equations.scheme
+    kind, s, d = scheme.quadrature.kind, scheme.stages, scheme.degree
+    lines = []
+    if not scheme.exact:
+        names = "POINTS, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
+        lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
+    if "STRIDE" in module.tables:
+        lines.append(f'STAGE_PATH, STAGE_IMPULSE, STAGE_AHEAD = stage_tables("{kind}", {s})')
+    return "\n".join(["DIGITS = 40", *lines, ""]) if lines else ""
 
 
 def _table(value: object, number: Callable[[sp.Expr], str]) -> str:

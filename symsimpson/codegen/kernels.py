@@ -14,6 +14,7 @@ from symsimpson.codegen.looped import (
     solve_tables,
 )
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.straight import STATE, lanes, straight_kernels, velocity
 from symsimpson.codegen.template import Point
@@ -28,6 +29,8 @@ __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 UNROLLED_UNKNOWNS = 8
 #: Loops over families of terms are worth their indices from so many members on, on average.
 FAMILY_MEMBERS = 2
+#: With more coordinates than this, nodes are not taken as lanes.
+STAGE_COORDINATES = 12
 
 
 def lower(equations: DiscreteEquations) -> Module:
@@ -47,7 +50,7 @@ def lower(equations: DiscreteEquations) -> Module:
 
 def unrolled(equations: DiscreteEquations) -> bool:
     """Tell whether the parts are emitted one by one as straight lines, or all as loops."""
-    return max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
+    return equations.scheme.exact and max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
 
 
 def _straight(equations: DiscreteEquations) -> Module:
@@ -117,6 +120,15 @@ def _module(
     constant_mass: bool,
 ) -> Module:
     """Add what is computed once a run, when it is known what that is; lay out the workspace."""
+    shares: tuple[Statement, ...] = ()
+    stage_sizes: dict[str, int] = {}
+    if low.equations.scheme.by_stages and low.n <= STAGE_COORDINATES:
+        stages = StageKernels(low)
+        kernels = [*kernels, *stages.kernels]
+        stage_sizes = stages.sizes
+        if stages.kernels:
+            tables = {**tables, "STRIDE": stages.stride}
+            shares = (Call("step_shares", ("W", "h", "lane")),)
     stores = [
         Store(Row("COEFFICIENT", i), low.graph.define("coefficient", _own(low, value), "constants"))
         for i, value in enumerate(low.coefficients)
@@ -124,12 +136,14 @@ def _module(
     low.statements(stores, (Level.RUN,))
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
-    prepare = Kernel("prepare", doc, lanes(low.statements(stores, (Level.RUN,), "constants")))
+    known = low.statements(stores, (Level.RUN,), "constants")
+    prepare = Kernel("prepare", doc, lanes((*known, *shares)))
     sizes = {
         "PARAMETER": len(low.names.parameters),
         "INVARIANT": len(low.names.invariants),
         "HOISTED": len(low.hoisted),
         "COEFFICIENT": len(low.coefficients),
+        **stage_sizes,
     }
     degree = low.equations.scheme.degree
     first, rows = layout(storage, degree, sizes, constant_mass=constant_mass)

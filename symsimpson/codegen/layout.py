@@ -9,14 +9,17 @@ from symsimpson.codegen.storage import Storage
 
 __all__ = ["layout"]
 
+#: Rows that are read as vectors begin with one: so many numbers.
+CACHE_LINE = 8
+
 
 def layout(
     storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
 ) -> tuple[dict[str, int], int]:
     """Give the first row of each block, and the number of rows.
 
-    ``sizes`` are those of blocks that depend on the module: parameters, invariants, hoisted values
-    and coefficients of families.
+    ``sizes`` are those of blocks that depend on the module: parameters, invariants, hoisted
+    values, coefficients of families and what belongs to stages.
 
     The blocks from POSITION to INCREMENT are the state of a trajectory: position and momentum,
     what compensated summation carries along, and the increments of the control points, from which
@@ -42,6 +45,10 @@ def layout(
     first: dict[str, int] = {}
     row = 0
     for block in BLOCKS:
+        if block.startswith("STAGE_"):
+            if not sizes.get(block):
+                continue
+            row = -(-row // CACHE_LINE) * CACHE_LINE
         first[block] = row
         row += every[block]
     return first, row

@@ -25,10 +25,17 @@ class Level(IntEnum):
     RUN = 1
     STEP = 2
     ITERATION = 3
+    LATE = 4  # once the forces at all nodes are known
 
 
 #: Names of values cut out of an expression, by when they are known.
-_PREFIX = {Level.CONSTANT: "k", Level.RUN: "c", Level.STEP: "s", Level.ITERATION: "x"}
+_PREFIX = {
+    Level.CONSTANT: "k",
+    Level.RUN: "c",
+    Level.STEP: "s",
+    Level.ITERATION: "x",
+    Level.LATE: "y",
+}
 
 
 @dataclass(frozen=True)

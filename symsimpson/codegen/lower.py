@@ -120,20 +120,11 @@ class Lowering:
         """
         stores = tuple(stores)
         levels = set(computed)
-        needed: set[sp.Symbol] = set()
-        work = [s for store in stores for s in self._symbols(store)]
-        while work:
-            symbol = work.pop()
-            if symbol in needed:
-                continue
-            needed.add(symbol)
-            definition = self.graph.definitions.get(symbol)
-            if definition is not None and definition.level in levels:
-                work.extend(definition.value.free_symbols)
+        needed = self._needed(stores, levels)
         inputs = [s for s in self.rows if s in needed]
         used = [s for s, d in self.graph.definitions.items() if s in needed]
         for symbol in used:
-            if self.graph.definitions[symbol].level not in levels:
+            if self.graph.definitions[symbol].level not in levels and symbol not in self.rows:
                 assert self.graph.levels[symbol] in (Level.RUN, Level.STEP)
                 self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
                 inputs.append(symbol)
@@ -146,6 +137,34 @@ class Lowering:
             *_sections(list(dict.fromkeys(defined)), title),
             *((Section("results", stores),) if stores else ()),
         )
+
+    def _needed(self, stores: Iterable[Store], levels: set[Level]) -> set[sp.Symbol]:
+        """Collect what stores need, through definitions of these levels."""
+        needed: set[sp.Symbol] = set()
+        work = [s for store in stores for s in self._symbols(store)]
+        while work:
+            symbol = work.pop()
+            if symbol in needed:
+                continue
+            needed.add(symbol)
+            definition = self.graph.definitions.get(symbol)
+            if definition is not None and definition.level in levels:
+                work.extend(definition.value.free_symbols)
+        return needed
+
+    def reached(self, stores: Iterable[Store]) -> list[sp.Symbol]:
+        """List all that is defined for stores, whatever its level."""
+        needed = self._needed(stores, set(Level))
+        return [symbol for symbol in self.graph.definitions if symbol in needed]
+
+    def needed_before(self, stores: Iterable[Store], level: Level) -> list[sp.Symbol]:
+        """List what definitions of a level need of the levels of an iteration before it."""
+        needed = self._needed(stores, {level})
+        return [
+            symbol
+            for symbol, definition in self.graph.definitions.items()
+            if symbol in needed and Level.RUN < definition.level < level
+        ]
 
     def hoisted_at(self, level: Level) -> list[tuple[sp.Symbol, Row]]:
         """List the hoisted values of a level with their rows."""

@@ -23,8 +23,9 @@ BLOCKS = (
     "PREVIOUS", "SOLVED",
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
     "NODE_L_Q", "NODE_L_V",
-    "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT", "RESIDUAL",
-    "JACOBIAN",
+    "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT",
+    "STAGE_V", "STAGE_F", "STAGE_STEP", "STAGE_RATE", "STAGE_CORRECTION", "STAGE_SIZE",
+    "STAGE_HELD", "RESIDUAL", "JACOBIAN",
 )  # fmt: skip
 
 #: What an emitted module defines or imports; no symbol may take these names.
@@ -49,6 +50,17 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "step",
         "int",
         "node",
+        "STRIDE",
+        "ROUGH",
+        "smooth",
+        "DIGITS",
+        "STAGE_PATH",
+        "STAGE_IMPULSE",
+        "STAGE_AHEAD",
+        "sum",
+        "len",
+        "zip",
+        "tuple",
         "LANES",
         "ROWS",
         "OPTIONS",
@@ -116,7 +128,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
 KERNELS = frozenset(
     [
         "prepare", "start", "legendre", "newton", "advance", "energy", "invariants", "equations",
-        "newton_pivoted", "jet", "forces", "gradient", "mass", "potential",
+        "newton_pivoted", "start_stages", "iterate", "advance_stages", "jet", "forces", "gradient",
+        "mass", "potential",
     ]
 )  # fmt: skip
 

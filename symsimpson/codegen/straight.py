@@ -17,7 +17,17 @@ from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Coupled, Linear, Part, Routh, Separable
 
-__all__ = ["JUDGE", "QUESTION", "STATE", "lanes", "momentum_stores", "straight_kernels", "velocity"]
+__all__ = [
+    "JUDGE",
+    "QUESTION",
+    "STATE",
+    "lanes",
+    "mass_order",
+    "momentum_stores",
+    "straight_kernels",
+    "velocities",
+    "velocity",
+]
 
 #: What ends an iteration, and a step.
 JUDGE, QUESTION = Call("judge", ("W", "lane")), Call("question", ("W", "lane"))
@@ -63,7 +73,7 @@ def velocity(
     found: dict[int, sp.Expr] = {}
     deficits: list[sp.Expr] = []
     for part in low.equations.parts:
-        v, pivots = velocities(low, point, p, section, _mass_order(part))
+        v, pivots = velocities(low, point, p, section, mass_order(part))
         found |= v
         deficits += [
             low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots
@@ -73,13 +83,18 @@ def velocity(
 
 
 def velocities(
-    low: Lowering, point: Point, p: tuple[sp.Expr, ...], section: str, group: Sequence[int]
+    low: Lowering,
+    point: Point,
+    p: tuple[sp.Expr, ...],
+    section: str,
+    group: Sequence[int],
+    suffix: str | None = None,
 ) -> tuple[dict[int, sp.Expr], list[sp.Expr]]:
     """Solve M v = p - a for a group of coordinates; gives the pivots of L D L^T too."""
     entry = low.template.entry
     mass = [[entry(point, section, "M", i, j) for j in group] for i in group]
     right = [p[i] - entry(point, section, "a", i) for i in group]
-    wishes = [f"v_{low.names.coordinates[i]}_{point.suffix}" for i in group]
+    wishes = [f"v_{low.names.coordinates[i]}_{suffix or point.suffix}" for i in group]
     v, pivots = solve_symmetric(low.graph, mass, right, wishes, section)
     return dict(zip(group, v, strict=True)), pivots
 
@@ -206,7 +221,7 @@ def _predicted(
     following: dict[tuple[int, int], sp.Expr] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
         group = solver.coordinates if solver.unknowns else ()
-        v = velocities(low, end, momentum, "velocity at q1", _mass_order(part))[0]
+        v = velocities(low, end, momentum, "velocity at q1", mass_order(part))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
         slopes: dict[int, sp.Expr] = {}
         if isinstance(part, Routh) and solver.unknowns:
@@ -245,7 +260,7 @@ def _predicted(
     return stores, metric
 
 
-def _mass_order(part: Part) -> tuple[int, ...]:
+def mass_order(part: Part) -> tuple[int, ...]:
     """List the coordinates that M couples in a part, cyclic ones first.
 
     In L D L^T what comes last is found first, and nothing else is computed.

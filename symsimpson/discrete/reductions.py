@@ -151,15 +151,15 @@ def _joined(subsystems: Sequence[Subsystem]) -> Subsystem:
 
 def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset[str]) -> Part:
     coordinates = subsystem.coordinates
-    if subsystem.linear and "linear" in exploit:
+    if subsystem.linear and "linear" in exploit and scheme.exact:
         shears = shear_factors(scheme)
         if shears is not None:
             return Linear(coordinates, shears)
-    if subsystem.separable and "constant_mass" in exploit:
+    if subsystem.separable and "constant_mass" in exploit and scheme.exact:
         return _separable(coordinates, scheme)
     rows, columns = elimination_order(scheme.degree)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
-    if subsystem.cyclic and others and "cyclic" in exploit:
+    if subsystem.cyclic and others and "cyclic" in exploit and (scheme.exact or scheme.by_stages):
         factors = factorise(plain.mass.extract(subsystem.cyclic, subsystem.cyclic), plain.q)
         if factors is not None:
             cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
@@ -204,6 +204,8 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
 def annihilating(scheme: Scheme) -> Table:
     """Give a basis of the combinations of nodal values that vanish for degree d - 1."""
     nodes, d = scheme.quadrature.nodes, scheme.degree
+    if d == len(nodes):
+        return ()
     powers = sp.Matrix(d, len(nodes), lambda k, i: nodes[i] ** k if k else sp.S.One)
     return tuple(
         tuple(sp.radsimp(sp.expand(value)) for value in vector) for vector in powers.nullspace()

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.ensemble import Ensemble
-from symsimpson.runtime.load import Kernels
+from symsimpson.runtime.load import Facts, Kernels
 from symsimpson.runtime.machine import driver
 from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
 from symsimpson.runtime.status import Status
@@ -79,6 +79,11 @@ class Task:
             other0=np.ascontiguousarray(self.other0[members]),
             parameters=np.ascontiguousarray(self.parameters[members]),
         )  # fmt: skip
+
+
+def lanes_for(facts: Facts) -> int:
+    """Give the number of lanes of a block: one where nodes are the lanes of vector code."""
+    return 1 if facts.by_stages else lanes_of_machine()
 
 
 @cache
@@ -182,7 +187,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
         dtype=np.int64,
     )
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step, compiled = kernels.step, driver("sweep", lanes)
+    step, compiled = getattr(kernels, kernels.ladder[0]), driver("sweep", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = np.zeros((facts.rows + watched, lanes))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
-from symsimpson.runtime.blocks import Task, lanes_of_machine, run_blocks
+from symsimpson.runtime.blocks import Task, lanes_for, run_blocks
 from symsimpson.runtime.ensemble import names_in_dataset
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
@@ -144,7 +144,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     task = Task(
         q0, other0, question["given"] == "v0", parameters, question["h"], question["t0"],
         question["steps"], question["every"], reductions, threads=1, progress=False,
-        lanes=lanes_of_machine(),
+        lanes=lanes_for(stepper._facts),
     )  # fmt: skip
     found, _ = run_blocks(stepper, task, lambda done: None)
     write_chunk(path, group, members, found)

@@ -85,17 +85,20 @@ class _Anything:
 class _Functions:
     """Kernels as Python functions."""
 
+    #: Where digits are many, quadratic convergence is worth its price: no stages.
+    ladder = ("newton", "robust")
+
     def __init__(self, module: SimpleNamespace) -> None:
         self._module = module
 
     @cached_property
-    def step(self) -> Sequence[Any]:
+    def newton(self) -> Sequence[Any]:
         return tuple(map(self.address, ("prepare", "start", "newton", "advance")))
 
     @cached_property
     def robust(self) -> Sequence[Any]:
         pivoted = getattr(self._module, "newton_pivoted", None)
-        prepare, start, newton, advance = self.step
+        prepare, start, newton, advance = self.newton
         return prepare, start, pivoted or newton, advance
 
     def address(self, name: str) -> Any:

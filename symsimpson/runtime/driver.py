@@ -16,6 +16,8 @@ from numba.extending import intrinsic
 LANES = 1
 # addresses of kernels
 PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
+#: Kernels that iterate over stages are one more: what they cannot solve is left to Newton's method.
+BY_STAGES = 5
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(6)
 POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(6, 12)
@@ -298,6 +300,11 @@ def mend(kernels, h, t, W, at, event):
     """Finish a step at which ``run`` stopped: lanes that failed, or are in doubt."""
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
+    if len(kernels) == BY_STAGES:
+        if event == SUSPICIOUS:
+            step_back(W, at, 0)
+        W[at[STATUS], 0] = NOT_CONVERGED
+        return
     if event == FAILED:
         for lane in range(lanes):
             failure = -W[at[ACTIVE], lane]

@@ -20,12 +20,13 @@ from symsimpson.runtime.cache import compiled
 __all__ = ["INTERFACE", "SIGNED", "Facts", "Kernels", "digest", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
-INTERFACE = 5
+INTERFACE = 6
 
 #: The line above a module that holds the digest of what follows.
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
 
-_STEP = ("prepare", "start", "newton", "advance")
+_NEWTON = ("prepare", "start", "newton", "advance")
+_STAGES = ("prepare", "start_stages", "iterate", "advance_stages")
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,11 @@ class Facts:
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)
+
+    @property
+    def by_stages(self) -> bool:
+        """Whether steps are iterated by velocities and forces at the nodes, which are lanes."""
+        return "iterate" in self.functions
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
@@ -168,10 +174,21 @@ class Kernels:
         self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
 
+    @property
+    def ladder(self) -> tuple[str, ...]:
+        """Names of the kernels to take steps with, each where the one before fails."""
+        first = ("stages",) if self._facts.by_stages else ()
+        return (*first, "newton", *(("robust",) if self._facts.newton_unknowns else ()))
+
     @cached_property
-    def step(self) -> NDArray[np.int64]:
+    def newton(self) -> NDArray[np.int64]:
         """Addresses of prepare, start, newton and advance."""
-        return self._addresses(self._text, "step", _STEP)
+        return self._addresses(self._text, "step", _NEWTON)
+
+    @cached_property
+    def stages(self) -> NDArray[np.int64]:
+        """Addresses of the same for an iteration over stages; one more says that it is one."""
+        return np.append(self._addresses(self._text, "stages", _STAGES), 1)
 
     @cached_property
     def robust(self) -> NDArray[np.int64]:

@@ -26,8 +26,9 @@ __all__ = ["Run", "driver", "driver_text"]
 PARTS = ("driver", "march", "sweep")
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
-#: After a step that only the robust kernels could take, so many more are taken with them.
-ROBUST_STRETCH = 64
+#: After a step that only slower and more robust kernels could take, so many more are taken with
+#: them.
+FALLBACK_STRETCH = 64
 
 
 def driver_text(lanes: int = 1) -> str:
@@ -82,7 +83,8 @@ class Run:
         self.p = numbers.zeros((stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._progress = np.zeros(2, dtype=np.int64)
-        self._robust_until = -1
+        self._ladder = kernels.ladder
+        self._rung, self._rung_until = 0, -1
         self._stretch = numbers.stretch
 
     def begin(self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool) -> None:
@@ -94,9 +96,7 @@ class Run:
             legendre, second = self.kernels.address("legendre"), layout["VELOCITY"]
         self.W[layout["POSITION"] : layout["POSITION"] + n, 0] = q
         self.W[second : second + n, 0] = other
-        self._driver("begin")(
-            self.kernels.step, legendre, self.h, self.t0, self.W, self.facts.places
-        )
+        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)
         self.store(0)
 
     def store(self, place: int) -> None:
@@ -134,24 +134,36 @@ class Run:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
         while self.step < stop and self.status is Status.SUCCESS:
             until = min(stop, self.step + self._stretch)
-            robust = self.step < self._robust_until
-            if robust:
-                until = min(until, self._robust_until)
+            if self._rung:
+                until = min(until, self._rung_until)
             before, start = self.step, time.perf_counter()
             with self._undisturbed():
-                self._stretch_until(self.kernels.robust if robust else self.kernels.step, until)
+                self._stretch_until(self._kernels(), until)
             spent = time.perf_counter() - start
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
             hopeful = self.status not in (Status.SUCCESS, Status.COORDINATE_SINGULARITY)
-            if hopeful and not robust and self.facts.newton_unknowns:
-                self._robust_until = self.step + ROBUST_STRETCH
-                self._switch(self.kernels.robust)
-            elif robust and self.step == self._robust_until:
-                self._switch(self.kernels.step)
+            if hopeful and self._rung + 1 < len(self._ladder):
+                self._rung_until = self.step + FALLBACK_STRETCH
+                self._climb(self._rung + 1)
+            elif self._rung and self.step == self._rung_until:
+                self._climb(0)
 
-    def _switch(self, kernels: Any) -> None:
-        self._driver("switch")(kernels, self.h, self._time(), self.W, self.facts.places)
+    def _kernels(self) -> Any:
+        return getattr(self.kernels, self._ladder[self._rung])
+
+    def _climb(self, rung: int) -> None:
+        """Go on with other kernels; between stages and Newton's method nothing is handed over."""
+        anew = "stages" in (self._ladder[rung], self._ladder[self._rung])
+        self._rung = rung
+        if not anew:
+            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.facts.places)
+            return
+        kept = [self.rows(name, 1) for name in ("ITERATIONS", "SCALE")]
+        values = [row.copy() for row in kept]
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.facts.places)
+        for row, value in zip(kept, values, strict=True):
+            row[:] = value
 
     def _time(self) -> Any:
         return self.t0 + self.h * self.step

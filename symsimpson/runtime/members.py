@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.blocks import Task, available_threads, lanes_of_machine
+from symsimpson.runtime.blocks import Task, available_threads, lanes_for
 from symsimpson.runtime.inputs import (
     read_array,
     read_every,
@@ -75,7 +75,7 @@ def read_task(
             )
     stride, reductions = read_every(every), read_reductions(stepper._facts, reduce)
     workers = _threads(threads)
-    lanes = lanes_of_machine()
+    lanes = lanes_for(stepper._facts)
     stored = count // stride + 1 if stride else 1
     try:
         values = np.empty((members, len(stepper.parameters)))

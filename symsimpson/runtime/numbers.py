@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Protocol
 
@@ -20,12 +20,12 @@ class KernelSet(Protocol):
     """Kernels as the driver calls them: addresses, or functions."""
 
     @property
-    def step(self) -> Any:
-        """Prepare, start, newton and advance."""
+    def ladder(self) -> Sequence[str]:
+        """The kernels to take steps with, each where the one before fails; they are attributes."""
 
     @property
-    def robust(self) -> Any:
-        """The same with row pivoting."""
+    def newton(self) -> Any:
+        """Prepare, start, newton and advance."""
 
     def address(self, name: str) -> Any:
         """Give one kernel."""

@@ -6,13 +6,19 @@ from dataclasses import dataclass
 from functools import cache
 
 import sympy as sp
+from sympy.integrals.quadrature import gauss_legendre, gauss_lobatto
 
 from symsimpson.errors import SchemeError
 
 __all__ = ["Quadrature", "gauss", "lagrange_basis", "lobatto"]
 
-#: Roots of Legendre polynomials and of their derivatives are written in radicals up to here.
-CLOSED_FORM = {"gauss": 5, "lobatto": 6}
+#: Roots of Legendre polynomials and of their derivatives are written in radicals up to here; with
+#: one node more, products of them fill pages.
+CLOSED_FORM = {"gauss": 4, "lobatto": 5}
+#: Beyond that they are decimal numbers here; modules make them with as many digits as they need.
+SHOWN_DIGITS = 60
+#: So many nodes at most.
+MOST = 16
 
 _x = sp.Symbol("x", real=True)
 
@@ -36,11 +42,18 @@ class Quadrature:
     weights: tuple[sp.Expr, ...]
     order: int
 
+    @property
+    def exact(self) -> bool:
+        """Whether nodes and weights are exact numbers, not decimal ones."""
+        return not any(node.is_Float for node in self.nodes)
+
 
 @cache
 def gauss(nodes: int) -> Quadrature:
     """Give the Gauss rule: the zeros of the Legendre polynomial, order 2s."""
     _check("gauss", nodes, 1)
+    if nodes > CLOSED_FORM["gauss"]:
+        return Quadrature("gauss", *_decimal(gauss_legendre(nodes, SHOWN_DIGITS)), 2 * nodes)
     points = _unit_roots(sp.legendre(nodes, _x))
     return Quadrature("gauss", points, _weights(points), 2 * nodes)
 
@@ -49,6 +62,10 @@ def gauss(nodes: int) -> Quadrature:
 def lobatto(nodes: int) -> Quadrature:
     """Give the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
     _check("lobatto", nodes, 2)
+    if nodes > CLOSED_FORM["lobatto"]:
+        found, weights = _decimal(gauss_lobatto(nodes, SHOWN_DIGITS))
+        points = (sp.S.Zero, *found[1:-1], sp.S.One)
+        return Quadrature("lobatto", points, weights, 2 * nodes - 2)
     inner = _unit_roots(sp.diff(sp.legendre(nodes - 1, _x), _x)) if nodes > 2 else ()
     points = (sp.S.Zero, *inner, sp.S.One)
     return Quadrature("lobatto", points, _weights(points), 2 * nodes - 2)
@@ -68,11 +85,19 @@ def _check(kind: str, nodes: int, least: int) -> None:
             f"a {kind} quadrature has at least {least} node(s), not {nodes!r}.\n"
             f"Choose nodes={least} or more."
         )
-    if nodes > CLOSED_FORM[kind]:
+    if nodes > MOST:
         raise SchemeError(
-            f"the {kind} nodes are known in closed form up to nodes={CLOSED_FORM[kind]}, "
-            f"not {nodes}.\nExact tables keep a scheme symplectic to round-off. Use fewer nodes."
+            f"a quadrature has at most {MOST} nodes here, not {nodes!r}.\n"
+            "Rounding leaves nothing of an order beyond 20 in double precision. Use fewer nodes."
         )
+
+
+def _decimal(
+    found: tuple[list[sp.Expr], list[sp.Expr]],
+) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
+    """Move nodes and weights from [-1, 1] to [0, 1]."""
+    nodes, weights = found
+    return tuple((1 + x) / 2 for x in nodes), tuple(w / 2 for w in weights)
 
 
 def _unit_roots(polynomial: sp.Expr) -> tuple[sp.Expr, ...]:

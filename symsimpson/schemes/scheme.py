@@ -18,6 +18,8 @@ _QUADRATURES = {"gauss": gauss, "lobatto": lobatto}
 
 
 def _number(expression: sp.Expr) -> sp.Expr:
+    if expression.is_Float:
+        return expression if abs(expression) > 1e-50 else sp.S.Zero
     return sp.radsimp(sp.expand(expression))
 
 
@@ -54,6 +56,20 @@ class Scheme:
     def stages(self) -> int:
         """Number s of quadrature nodes."""
         return len(self.quadrature.nodes)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the tables are exact numbers; if not, modules make their own."""
+        return self.quadrature.exact and lobatto(self.degree + 1).exact
+
+    @property
+    def by_stages(self) -> bool:
+        """Whether a step may be iterated by velocities and forces at the nodes.
+
+        With as many nodes as the path has degrees these determine the path, and the scheme is a
+        symplectic partitioned Runge-Kutta method; with fewer than three, Newton's is as cheap.
+        """
+        return self.degree == self.stages > 2
 
     @property
     def order(self) -> int:
@@ -216,7 +232,7 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
             if order % 2 == 0:
                 nodes = order // 2 + (kind == "lobatto")
                 return galerkin(kind, nodes, nodes - (kind == "lobatto"))
-        if found := re.fullmatch(r"(gauss|lobatto)_([1-9])_([1-9])", scheme):
+        if found := re.fullmatch(r"(gauss|lobatto)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
             return galerkin(found[1], int(found[2]), int(found[3]))
     raise SchemeError(
         f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "

@@ -14,7 +14,10 @@ from importlib import resources
 __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
-FILES = ("sincos", "path", "clear", "assemble", "solve", "mass", "close", "judge")
+FILES = (
+    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "judge", "stages",
+    "collocation",
+)  # fmt: skip
 
 
 @cache
@@ -26,6 +29,6 @@ def library_sources() -> dict[str, str]:
         lines = text.splitlines()
         for node in ast.parse(text).body:
             if isinstance(node, ast.FunctionDef):
-                first = node.decorator_list[0].lineno - 1
+                first = min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 1
                 found[node.name] = "\n".join(lines[first : node.end_lineno])
     return found

@@ -1,0 +1,158 @@
+"""Tables of a scheme whose nodes have no closed form, in whole numbers of 10**-DIGITS."""
+
+from collections.abc import Callable
+from typing import Any
+
+real: Callable[[Any], Any]
+array: Callable[[Any], Any]
+
+DIGITS: int
+STRIDE: int
+
+
+def number(units):
+    """A number of units of 10**-DIGITS: the nearest there is."""
+    return units / 10**DIGITS
+
+
+def legendre(degree, x):
+    """The Legendre polynomial P at x, of the degree and of the one below."""
+    one = 10**DIGITS
+    before, now = 0, one
+    for k in range(1, degree + 1):
+        before, now = now, ((2 * k - 1) * x * now // one - (k - 1) * before) // k
+    return now, before
+
+
+def zeros(function, count):
+    """Zeros between -1 and 1 of the last of a row of functions; each separates the next one's.
+
+    All are positive at 1.
+    """
+    one = 10**DIGITS
+    found = []
+    for degree in range(1, count + 1):
+        ends = [-one, *found, one]
+        found = []
+        for place in range(degree):
+            low, high = ends[place], ends[place + 1]
+            rising = (degree - place) % 2 == 1
+            while high - low > 1:
+                middle = (low + high) // 2
+                if (function(degree, middle) > 0) == rising:
+                    high = middle
+                else:
+                    low = middle
+            found.append(high)
+    return found
+
+
+def quadrature(kind, nodes):
+    """Nodes and weights on [0, 1]."""
+    one = 10**DIGITS
+    if kind == "gauss":
+        found = zeros(lambda k, x: legendre(k, x)[0], nodes)
+        # 2/((1 - x^2) P'^2) with (x^2 - 1) P' = n (x P - P_below)
+        weights = [
+            (one**2 - x * x) * one // (nodes * legendre(nodes, x)[1]) ** 2 for x in found
+        ]  # fmt: skip
+    else:
+        # (x^2 - 1) P' where P' is zero
+        found = zeros(
+            lambda k, x: legendre(k + 1, x)[1] * one - x * legendre(k + 1, x)[0], nodes - 2
+        )
+        found = [-one, *found, one]
+        weights = [
+            one**3 // (nodes * (nodes - 1) * legendre(nodes - 1, x)[0] ** 2) for x in found
+        ]  # fmt: skip
+    return [(x + one) // 2 for x in found], weights
+
+
+def basis(points, x):
+    """The Lagrange polynomials of the points at x."""
+    one = 10**DIGITS
+    values = []
+    for point in points:
+        value = one
+        for other in points:
+            if other != point:
+                value = value * (x - other) // (point - other)
+        values.append(value)
+    return values
+
+
+def slopes(points, x):
+    """Their derivatives at x."""
+    one = 10**DIGITS
+    values = []
+    for point in points:
+        total = 0
+        for leaving in points:
+            value = one
+            for other in points:
+                if other not in (point, leaving):
+                    value = value * (x - other) // (point - other)
+            if leaving != point:
+                total += value * one // (point - leaving)
+        values.append(total)
+    return values
+
+
+def path_tables(kind, nodes, degree):
+    """Control points, weights, basis and slopes at the nodes, and what predicts the next path."""
+
+    def row(values):
+        return tuple(number(value) for value in values)
+
+    one = 10**DIGITS
+    points = quadrature("lobatto", degree + 1)[0]
+    c, b = quadrature(kind, nodes)
+    bends = []
+    for x in points[1:]:
+        value = x
+        for other in points[:-1]:
+            value = value * (x - (other - one)) // (one - other)
+        bends.append(value)
+    ahead = [basis(points, one + x) for x in points[1:]]
+    return (
+        row(points),
+        row(b),
+        tuple(row(basis(points, x)) for x in c),
+        tuple(row(slopes(points, x)) for x in c),
+        tuple(row([*values[1:-1], values[-1] - one]) for values in ahead),
+        row(slopes(points, one)[1:]),
+        row(bends),
+    )
+
+
+def stage_tables(kind, nodes):
+    """How velocities and forces at the nodes add up to positions and momenta there, and later.
+
+    With a_ij the integrals to c_i of the Lagrange polynomials of the nodes: a_ij/b_j for
+    velocities; 1 - a_ji/b_i for forces, so that the step is symplectic whatever the rounding; and
+    b_i/b_j times the polynomials at 1 + c_i, then the same for their parts up to degree s - 3,
+    which are smoother. A column belongs to node i; those past the last are zero.
+    """
+    one, grid = 10**DIGITS, 2**52
+    c, b = quadrature(kind, nodes)
+    rows = nodes, nodes, 2 * nodes
+    tables = [array([[real(0)] * STRIDE for _ in range(count)]) for count in rows]
+    velocities, forces, ahead = tables
+    for i in range(nodes):
+        inner = [basis(c, c[i] * x // one) for x in c]
+        following = basis(c, one + c[i])
+        smooth = [legendre(k, 2 * c[i] + one)[0] for k in range(max(1, nodes - 2))]
+        for j in range(nodes):
+            total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
+            share = c[i] * total // b[j]
+            # on a grid on which 1 - x is exact
+            share = real((share * grid + one // 2) // one) / grid if DIGITS < 50 else number(share)
+            velocities[j, i] = share
+            forces[i, j] = real(1) - share
+            ahead[j, i] = number(b[i] * following[j] // b[j])
+            terms = [
+                (2 * k + 1) * value * legendre(k, 2 * c[j] - one)[0] // one
+                for k, value in enumerate(smooth)
+            ]
+            ahead[nodes + j, i] = number(b[i] * sum(terms) // one)
+    return tables

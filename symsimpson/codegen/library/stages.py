@@ -1,0 +1,92 @@
+"""What an iteration over the velocities and forces at the nodes has in common for all systems."""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+ACTIVE: int
+CORRECTION_SQUARED: int
+INCREMENT_SQUARED: int
+SURPRISE_SQUARED: int
+CYCLIC_MISMATCH_SQUARED: int
+RELATIVE: int
+CONTRACTION: int
+ITERATIONS: int
+SCALE: int
+IN_DOUBT: int
+STAGE_STEP: int
+STAGE_RATE: int
+STAGE_CORRECTION: int
+STAGE_SIZE: int
+NODES: int
+STRIDE: int
+WEIGHTS: tuple[float, ...]
+INFINITE: float
+NEGLIGIBLE: float
+STAGNATION: float
+UNRESOLVED: float
+
+
+@compiled
+def step_shares(W, h, lane):
+    """The parts h b_i of the step, which add up to h, and their inverses."""
+    inner = real(0)
+    for node in range(1, NODES - 1):
+        W[STAGE_STEP + node, lane] = h * WEIGHTS[node]
+        inner += h * WEIGHTS[node]
+    W[STAGE_STEP, lane] = (h - inner) / 2
+    W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
+    for node in range(NODES):
+        W[STAGE_RATE + node, lane] = 1 / W[STAGE_STEP + node, lane]
+
+
+@compiled
+def over_nodes(W, first, lane):
+    """The sum of a row of nodes, in four parts that do not wait for each other."""
+    a, b, c, d = real(0), real(0), real(0), real(0)
+    for node in range(first, first + STRIDE, 4):
+        a += W[node, lane]
+        b += W[node + 1, lane]
+        c += W[node + 2, lane]
+        d += W[node + 3, lane]
+    return (a + b) + (c + d)
+
+
+@compiled
+def judge_stages(W, lane):
+    """Go on or not: ACTIVE becomes 0 where the nodes are solved, -3 where they are not finite.
+
+    Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
+    of late, and where it would be lost in rounding, the step is done. All sizes are squared.
+    """
+    correction = over_nodes(W, STAGE_CORRECTION, lane)
+    increment = max(over_nodes(W, STAGE_SIZE, lane), correction)
+    before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
+    now = correction / (increment if increment != 0 else 1.0)
+    seen = now / before if before < INFINITE else 1.0
+    factor = max(seen, 0.25 * factor)
+    left = now * factor
+    solved = (factor < 1) & (left <= NEGLIGIBLE * (1 - factor) * (1 - factor))
+    done = solved | ((now < STAGNATION) & (now >= 0.25 * before)) | (now == 0)
+    finite = (correction < INFINITE) & (increment < INFINITE)
+    W[CORRECTION_SQUARED, lane] = correction
+    W[INCREMENT_SQUARED, lane] = increment
+    W[ITERATIONS, lane] += 1.0
+    W[CONTRACTION, lane] = factor
+    W[SURPRISE_SQUARED, lane] = W[SURPRISE_SQUARED, lane] if before < INFINITE else now
+    W[RELATIVE, lane] = now
+    W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
+
+
+@compiled
+def question_stages(W, lane):
+    """Leave it to Newton's method where velocities of cyclic coordinates are no polynomial.
+
+    SCALE is what it compares its increments with: about n^2/4 times those of n nodes, squared.
+    """
+    increment = W[INCREMENT_SQUARED, lane]
+    resolved = W[CYCLIC_MISMATCH_SQUARED, lane] <= UNRESOLVED * increment
+    W[IN_DOUBT, lane] = 0.0 if resolved else 1.0
+    W[SCALE, lane] = max(W[SCALE, lane], 0.25 * NODES**2 * increment)

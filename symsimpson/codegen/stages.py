@@ -1,0 +1,296 @@
+"""Kernels that iterate the velocities and forces at the nodes, which are the lanes of vector code.
+
+With as many nodes as degrees the path is given by the velocities v_j at its nodes,
+
+    q_i = q0 + sum_j (a_ij/b_j) (h b_j v_j),    p_i = p0 + sum_j (1 - a_ji/b_i) (h b_j f_j),
+
+f_j = L_q(q_j, v_j) and M(q_j) v_j = p_j - a(q_j): a symplectic partitioned Runge-Kutta method. An
+iteration takes positions from velocities, forces from positions, momenta from forces and velocities
+from momenta, with one small solve a node; what contracts is h^2 K rather than h. All nodes are
+treated alike, so they are lanes, and one trajectory fills a vector register.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section, Statement, Store
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.straight import STATE, lanes, mass_order, velocities, velocity
+from symsimpson.codegen.template import Point
+
+__all__ = ["StageKernels", "stride"]
+
+#: Nodes are filled up to a multiple of this: a vector register of the widest machines.
+REGISTER = 8
+#: An iteration with more operations a node than this is not written out.
+MOST_OPERATIONS = 3000
+#: What is computed in the first half of an iteration.
+FIRST = (Level.STEP, Level.ITERATION)
+HERE = ("W", "lane")
+
+
+def stride(nodes: int) -> int:
+    """Give the number of lanes of so many nodes."""
+    return -(-nodes // REGISTER) * REGISTER
+
+
+class StageKernels:
+    """Makes the kernels, and knows the rows they need.
+
+    Attributes
+    ----------
+    kernels : list of Kernel
+        start_stages, iterate, advance_stages; empty if an iteration would be too long to write out.
+    held : int
+        Values of a node that the first half of an iteration leaves to the second.
+    """
+
+    def __init__(self, low: Lowering) -> None:
+        scheme = low.equations.scheme
+        self._low, self._nodes, self.stride = low, scheme.stages, stride(scheme.stages)
+        self.held = 0
+        fresh, names = low.names.fresh, low.names.coordinates
+        declare = low.graph.declare
+
+        def row(
+            name: str, block: str, place: int | str, level: Level = Level.ITERATION
+        ) -> sp.Symbol:
+            symbol = declare(fresh(name), level)
+            low.rows[symbol] = Row(block, place)
+            return symbol
+
+        def of_nodes(wish: str, block: str, a: int, level: Level) -> list[sp.Symbol]:
+            return [
+                row(f"{wish}{names[a]}_{j}", block, a * self.stride + j, level)
+                for j in range(self._nodes)
+            ]
+
+        # h b_j v_j and h b_j f_j of all nodes, and what belongs to the node at hand
+        self._moves = [of_nodes("dq_", "STAGE_V", a, Level.ITERATION) for a in range(low.n)]
+        self._kicks = [of_nodes("dp_", "STAGE_F", a, Level.LATE) for a in range(low.n)]
+        self._own = [row(f"dq_{name}_j", "STAGE_V", self._place(a)) for a, name in enumerate(names)]
+        self._share = row("h_b", "STAGE_STEP", "node")
+        self._rate = row("rate", "STAGE_RATE", "node")
+        self._mu = [declare(fresh(f"mu_{j}"), Level.ITERATION) for j in range(self._nodes)]
+        self._nu = [declare(fresh(f"nu_{j}"), Level.LATE) for j in range(self._nodes)]
+        self._next = [declare(fresh(f"ahead_{j}"), Level.LATE) for j in range(self._nodes)]
+        start = low.start_point()
+        self._moving = Point(f"{start.suffix}_moving", low.q, low.v)
+        self._forced = [
+            a for a in range(low.n) if low.template.entry(self._moving, "forces", "L_q", a) != 0
+        ]
+        iterate, operations = self._iterate()
+        self.kernels = (
+            [self._start(), iterate, self._advance()] if operations <= MOST_OPERATIONS else []
+        )
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Give the sizes of the blocks of rows that stages need; none without kernels."""
+        if not self.kernels:
+            return {}
+        n = self._low.n
+        numbers = {"V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1}
+        return {
+            f"STAGE_{name}": count * self.stride
+            for name, count in (numbers | {"HELD": self.held}).items()
+        }
+
+    def _place(self, a: int) -> str:
+        return f"{a * self.stride} + node" if a else "node"
+
+    def _combined(
+        self, factors: Sequence[sp.Symbol], values: Sequence[sp.Symbol], wish: str, section: str
+    ) -> sp.Expr:
+        """Give a sum of products in two halves that do not wait for each other."""
+        define, half = self._low.graph.define, len(values) // 2
+        terms = [x * y for x, y in zip(factors, values, strict=True)]
+        first = define(f"{wish}_first", sp.Add(*terms[:half]), section)
+        second = define(f"{wish}_second", sp.Add(*terms[half:]), section)
+        return define(wish, first + second, section)
+
+    def _over_nodes(
+        self, body: Iterable[Statement], tables: Iterable[Index], known: Iterable[Statement] = ()
+    ) -> list[Statement]:
+        """Wrap statements in the loop over nodes; what is the same for all is loaded before it.
+
+        Unless statements before, those ``known``, did so.
+        """
+        loaded = {x for section in known if isinstance(section, Section) for x in section.body}
+        inside: list[Statement] = list(tables)
+        before: list[Load] = []
+        for statement in body:
+            if isinstance(statement, Section) and statement.title == "known before":
+                reads = [load for load in statement.body if isinstance(load, Load)]
+                same = [load for load in reads if "node" not in str(load.row.index)]
+                before += [load for load in same if load not in loaded]
+                own = tuple(load for load in reads if "node" in str(load.row.index))
+                inside = [Section("of this node", own), *inside] if own else inside
+            else:
+                inside.append(statement)
+        loads = [Section("known before", tuple(before))] if before else []
+        return [*loads, Loop("node", "range(STRIDE)", tuple(inside))]
+
+    def _table(self, symbols: Sequence[sp.Symbol], name: str, first: str = "") -> list[Index]:
+        return [Index(symbol.name, f"{name}[{first}{j}, node]") for j, symbol in enumerate(symbols)]
+
+    def _iterate(self) -> tuple[Kernel, int]:
+        """One iteration: positions, forces; momenta, velocities."""
+        low, n = self._low, self._low.n
+        define, names, entry = low.graph.define, low.names.coordinates, low.template.entry
+        q = [
+            define(f"{names[a]}_j",
+                   low.q[a] + self._combined(self._mu, self._moves[a], f"shift_{names[a]}", "path"),
+                   "path")
+            for a in range(n)
+        ]  # fmt: skip
+        v = [define(f"v_{names[a]}_j", self._rate * self._own[a], "path") for a in range(n)]
+        point = Point("j", tuple(q), tuple(v))
+        kicks = [
+            Store(
+                Row("STAGE_F", self._place(a)),
+                define(
+                    f"dp_{names[a]}_j", self._share * entry(point, "forces", "L_q", a), "forces"
+                ),
+            )
+            for a in self._forced
+        ]
+        p = list(low.p)
+        for a in self._forced:
+            kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
+            p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
+        found: dict[int, sp.Expr] = {}
+        for part in low.equations.parts:
+            group = mass_order(part)
+            found |= velocities(low, point, tuple(p), "velocities", group, suffix="new")[0]
+        metric = [entry(point, "velocities", "M", a, a) for a in range(n)]
+        new = [define(f"dq_{names[a]}_new", self._share * found[a], "velocities") for a in range(n)]
+        correction = sp.Add(*(metric[a] * (new[a] - self._own[a]) ** 2 for a in range(n)))
+        size = sp.Add(*(metric[a] * new[a] ** 2 for a in range(n)))
+        closing = [
+            Store(Row("STAGE_CORRECTION", "node"), define("correction", correction, "velocities")),
+            Store(Row("STAGE_SIZE", "node"), define("size", size, "velocities")),
+            *(Store(Row("STAGE_V", self._place(a)), new[a]) for a in range(n)),
+        ]
+        held = [s for s in low.needed_before(closing, Level.LATE) if s not in low.rows]
+        opening = low.statements(
+            [*kicks, *(Store(self._held(k), symbol) for k, symbol in enumerate(held))], FIRST
+        )
+        self.held = len(held)
+        low.rows |= {symbol: self._held(k) for k, symbol in enumerate(held)}
+        ending = low.statements(closing, (Level.LATE,))
+        for symbol in held:
+            del low.rows[symbol]
+        body = [
+            *self._over_nodes(opening, self._table(self._mu, "STAGE_PATH")),
+            *self._over_nodes(ending, self._table(self._nu, "STAGE_IMPULSE")),
+            Call("judge_stages", HERE),
+        ]
+        operations = sum(
+            count_operations(low.graph.definitions[s].value)
+            for s in low.reached([*kicks, *closing])
+        )
+        doc = "One iteration for the velocities and forces at all nodes, which are the lanes."
+        return Kernel("iterate", doc, lanes(body)), operations
+
+    def _held(self, k: int) -> Row:
+        return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
+
+    def _start(self) -> Kernel:
+        """From q and p to velocities and forces that are the same at all nodes."""
+        low, point = self._low, self._low.start_point()
+        v, deficit = velocity(low, point, low.p, "velocity")
+        moving = Point(self._moving.suffix + "_now", low.q, tuple(v))
+        stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
+        for a in range(low.n):
+            stores.append(Store(Row("METRIC", a), low.template.entry(point, "velocity", "M", a, a)))
+        stores.append(Store(Row("MASS_PIVOT", 0), deficit))
+        same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
+        for a in range(low.n):
+            same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
+        for a in self._forced:
+            force = low.template.entry(moving, "forces", "L_q", a)
+            stores.append(Store(Row("NODE_L_Q", a), force))
+            same.append(Store(Row("STAGE_F", self._place(a)), self._share * force))
+        body = (*low.statements(stores, STATE), Loop("node", "range(STRIDE)", tuple(same)))
+        doc = "Begin at (q, p): the same velocity and force at all nodes."
+        return Kernel("start_stages", doc, lanes(body))
+
+    def _advance(self) -> Kernel:
+        """Close a step and extrapolate to the next one."""
+        low, n = self._low, self._low.n
+        define, names = low.graph.define, low.names.coordinates
+        stores = [
+            Store(Row("PREVIOUS", i), old)
+            for i, old in enumerate((*low.q, *low.q_low, *low.p, *low.p_low))
+        ]
+        q: list[sp.Expr] = []
+        p: list[sp.Expr] = list(low.p)
+
+        def total(values: Sequence[sp.Expr], wish: str) -> sp.Expr:
+            parts = [define(f"{wish}_{k}", sp.Add(*values[k::4]), "sums") for k in range(4)]
+            return define(f"{wish}_all", (parts[0] + parts[1]) + (parts[2] + parts[3]), "sums")
+
+        for a, name in enumerate(names):
+            change = total(self._moves[a], f"dq_{name}")
+            new, rest = low.compensated(name, low.q[a], low.q_low[a], change)
+            q.append(new)
+            stores += [Store(Row("POSITION", a), new), Store(Row("POSITION_LOW", a), rest)]
+        for a in self._forced:
+            name = f"p_{names[a]}"
+            change = total(self._kicks[a], f"dp_{names[a]}")
+            new, rest = low.compensated(name, low.p[a], low.p_low[a], change)
+            p[a] = new
+            stores += [Store(Row("MOMENTUM", a), new), Store(Row("MOMENTUM_LOW", a), rest)]
+        cyclic = [a for a in range(n) if a not in self._forced]
+        if cyclic:
+            stores.append(Store(Row("CYCLIC_MISMATCH_SQUARED", 0), self._mismatch(q, p, cyclic)))
+        ahead = self._ahead()
+        levels = (*FIRST, Level.LATE)
+        closing = low.statements(stores, levels)
+        table = self._table(self._next, "STAGE_AHEAD", "smooth + ")
+        following = self._over_nodes(low.statements(ahead, levels), table, closing)
+        # where the last extrapolation was far off, a smoother one is closer
+        smooth = Index("smooth", f"{self._nodes} if W[SURPRISE_SQUARED, lane] > ROUGH else 0")
+        body = [*closing, Call("question_stages", HERE), smooth, *following]
+        doc = "Close a step by compensated sums, then extrapolate what the nodes have to the next."
+        return Kernel("advance_stages", doc, lanes(body))
+
+    def _mismatch(
+        self, q: Sequence[sp.Expr], p: Sequence[sp.Expr], cyclic: Sequence[int]
+    ) -> sp.Expr:
+        """Give how far velocities of cyclic coordinates at q1 are from those of the path."""
+        low, c = self._low, self._low.equations.scheme.quadrature.nodes
+        define, section = low.graph.define, "velocity at q1"
+        end = Point("end", tuple(q))
+        v: dict[int, sp.Expr] = {}
+        for part in low.equations.parts:
+            v |= velocities(low, end, tuple(p), section, mass_order(part))[0]
+        b = low.equations.scheme.quadrature.weights
+        terms = []
+        for a in cyclic:
+            weights = [
+                sp.Float(sp.Mul(*((1 - y) / (x - y) for y in c if y != x)) / b[i], 17)
+                for i, x in enumerate(c)
+            ]
+            path = sp.Add(*(w * x for w, x in zip(weights, self._moves[a], strict=True)))
+            gap = define(f"gap_{low.names.coordinates[a]}", low.equations.h * v[a] - path, section)
+            terms.append(low.template.entry(end, section, "M", a, a) * gap**2)
+        return define("cyclic_mismatch_squared", sp.Add(*terms), section)
+
+    def _ahead(self) -> list[Store]:
+        """Extrapolate to the nodes of the next step."""
+        names, section = self._low.names.coordinates, "extrapolation"
+        stores = []
+        for a, name in enumerate(names):
+            value = self._combined(self._next, self._moves[a], f"dq_{name}_ahead", section)
+            stores.append(Store(Row("STAGE_V", self._place(a)), value))
+        for a in self._forced:
+            value = self._combined(self._next, self._kicks[a], f"dp_{names[a]}_ahead", section)
+            stores.append(Store(Row("STAGE_F", self._place(a)), value))
+        return stores
