@@ -71,7 +71,9 @@ def plain_arithmetic(
     def nothing(W: Any, lane: int) -> None:
         """Leave it to the caller when to stop."""
 
-    judging: dict[str, Any] = {"judge": nothing, "question": nothing}
+    judging: dict[str, Any] = dict.fromkeys(
+        ("judge", "question", "judge_stages", "question_stages"), nothing
+    )
     if digits is not None:
         unit = real(10) ** -digits
         judging = {"NEGLIGIBLE": 4 * unit**2, "STAGNATION": unit}
@@ -105,6 +107,7 @@ def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False)
     functions: dict[str, Any] = {name: getattr(context, name) for name in names}
     functions["pi"] = +context.pi
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
+    functions |= _tables(context.mpf, context.dps)
     digits = context.dps if judging else None
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
 
@@ -121,7 +124,14 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["power"] = _power
+    functions |= _tables(arb, ctx.dps)
     return bind(source, plain_arithmetic(functions, arb, ctx.dps if judging else None))
+
+
+def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
+    """Let a module make tables of its own with more digits than are asked for."""
+    scale = digits + 20
+    return {"DIGITS": scale, "number": lambda units: real(units) / real(10) ** scale}
 
 
 def _power(base: Any, exponent: Any) -> Any:

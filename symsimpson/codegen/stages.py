@@ -275,7 +275,7 @@ class StageKernels:
         terms = []
         for a in cyclic:
             weights = [
-                sp.Float(sp.Mul(*((1 - y) / (x - y) for y in c if y != x)) / b[i], 17)
+                sp.N(sp.Mul(*((1 - y) / (x - y) for y in c if y != x)) / b[i])
                 for i, x in enumerate(c)
             ]
             path = sp.Add(*(w * x for w, x in zip(weights, self._moves[a], strict=True)))

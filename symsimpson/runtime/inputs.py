@@ -43,9 +43,8 @@ def read_vector(
             f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
             f"{', '.join(coordinates)}.\nThe order is that of the coordinates in the declaration."
         )
-    finite = numbers.finite(vector)
-    if not finite.all():
-        where = coordinates[int(np.argmin(finite))]
+    if not numbers.all_finite(vector):
+        where = coordinates[int(np.argmin(numbers.finite(vector)))]
         raise InputError(
             f"{name} is not finite for {where}: {value!r}.\n"
             "A run must begin at a finite state. Look where the number comes from."
@@ -58,7 +57,7 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     if numbers.is_one(value):
         return value
     array = read_array(name, value, numbers)
-    if array.shape != () or not numbers.finite(array).all():
+    if array.shape != () or not numbers.all_finite(array):
         raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
     return array.item()
 
@@ -123,6 +122,8 @@ def _count(name: str, value: Any, least: int) -> int:
 
 def whole_number(value: Any) -> int | None:
     """Give an int, None for what is no whole number; truth values are none."""
+    if type(value) is int:
+        return value
     try:
         return None if isinstance(value, (bool, np.bool_)) else operator.index(value)
     except TypeError:

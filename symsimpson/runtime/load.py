@@ -51,12 +51,12 @@ class Facts:
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)
 
-    @property
+    @cached_property
     def by_stages(self) -> bool:
         """Whether steps are iterated by velocities and forces at the nodes, which are lanes."""
         return "iterate" in self.functions
@@ -174,7 +174,7 @@ class Kernels:
         self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
 
-    @property
+    @cached_property
     def ladder(self) -> tuple[str, ...]:
         """Names of the kernels to take steps with, each where the one before fails."""
         first = ("stages",) if self._facts.by_stages else ()

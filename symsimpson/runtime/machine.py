@@ -77,8 +77,10 @@ class Run:
         self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self.W = numbers.zeros((facts.rows, 1))
+        self._column = self.W[:, 0]
+        self._status = layout["STATUS"]
         first = layout["PARAMETER"]
-        self.W[first : first + parameters.size, 0] = parameters
+        self._column[first : first + parameters.size] = parameters
         self.q = numbers.zeros((stored, n, 1))
         self.p = numbers.zeros((stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
@@ -94,8 +96,8 @@ class Run:
         second = layout["MOMENTUM"]
         if velocity:
             legendre, second = self.kernels.address("legendre"), layout["VELOCITY"]
-        self.W[layout["POSITION"] : layout["POSITION"] + n, 0] = q
-        self.W[second : second + n, 0] = other
+        self._column[layout["POSITION"] : layout["POSITION"] + n] = q
+        self._column[second : second + n] = other
         self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)
         self.store(0)
 
@@ -108,31 +110,38 @@ class Run:
     def rows(self, block: str, count: int) -> NDArray[Any]:
         """Give rows of the workspace."""
         first = self.facts.layout[block]
-        return self.W[first : first + count, 0]
+        return self._column[first : first + count]
+
+    def value(self, block: str) -> Any:
+        """Give the number in a block of one row."""
+        return self._column[self.facts.layout[block]]
 
     @property
     def step(self) -> int:
         """Number of steps done."""
-        return int(self._progress[0])
+        return self._progress.item(0)
 
     @property
     def status(self) -> Status:
         """The state of the run."""
-        return Status(int(self.W[self.facts.layout["STATUS"], 0]))
+        return Status.SUCCESS if self._alive() else Status(int(self._column[self._status]))
 
     @property
     def last_correction(self) -> float:
         """Size of the last Newton correction relative to the increment."""
-        return float(self.rows("RELATIVE", 1)[0]) ** 0.5
+        return float(self.value("RELATIVE")) ** 0.5
 
     @property
     def last_iterations(self) -> int:
         """Newton iterations since the last stored state."""
-        return int(self.W[self.facts.layout["ITERATIONS"], 0])
+        return int(self.value("ITERATIONS"))
+
+    def _alive(self) -> bool:
+        return bool(self._column[self._status] == 0)
 
     def advance(self, stop: int) -> None:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
-        while self.step < stop and self.status is Status.SUCCESS:
+        while self.step < stop and self._alive():
             until = min(stop, self.step + self._stretch)
             if self._rung:
                 until = min(until, self._rung_until)
@@ -142,7 +151,7 @@ class Run:
             spent = time.perf_counter() - start
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            hopeful = self.status not in (Status.SUCCESS, Status.COORDINATE_SINGULARITY)
+            hopeful = not self._alive() and self.status is not Status.COORDINATE_SINGULARITY
             if hopeful and self._rung + 1 < len(self._ladder):
                 self._rung_until = self.step + FALLBACK_STRETCH
                 self._climb(self._rung + 1)
@@ -187,6 +196,6 @@ class Run:
             if event == 0:
                 return
             self._driver("mend")(kernels, self.h, self._time(), W, at, event)
-            if self.status is not Status.SUCCESS:
+            if not self._alive():
                 self._progress[1] = 0
                 return

@@ -16,6 +16,12 @@ from symsimpson.runtime.machine import driver
 __all__ = ["FLOAT64", "KernelSet", "Numbers"]
 
 
+#: A context that does nothing can be entered many times.
+NOTHING: AbstractContextManager[None] = nullcontext()
+#: Python is quicker than NumPy with so many numbers.
+FEW = 16
+
+
 class KernelSet(Protocol):
     """Kernels as the driver calls them: addresses, or functions."""
 
@@ -49,6 +55,8 @@ class Numbers:
     def read(self, value: Any) -> NDArray[Any]:
         """Convert numbers of any shape; raises TypeError, ValueError or OverflowError."""
         array = np.array(value)
+        if array.dtype == np.float64:
+            return array
         if array.dtype.kind not in "fiuO":
             raise TypeError(array.dtype)
         return array.astype(np.float64)
@@ -60,6 +68,12 @@ class Numbers:
     def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
         """Tell which numbers are finite."""
         return np.isfinite(array)
+
+    def all_finite(self, array: NDArray[Any]) -> bool:
+        """Tell whether all numbers are finite; quick where there are few."""
+        if array.size > FEW:
+            return bool(self.finite(array).all())
+        return all(map(math.isfinite, array.ravel().tolist()))
 
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
         """Give whole numbers to multiply with."""
@@ -79,11 +93,11 @@ class Numbers:
 
     def working(self) -> AbstractContextManager[Any]:
         """Give the context in which these numbers are computed with."""
-        return nullcontext()
+        return NOTHING
 
     def undisturbed(self) -> AbstractContextManager[None]:
         """Put off Ctrl-C; what is compiled hears it only afterwards anyway."""
-        return nullcontext()
+        return NOTHING
 
 
 FLOAT64 = Numbers()

@@ -37,12 +37,12 @@ def begin_run(
     q = read_vector("q0", q0, stepper.coordinates, numbers)
     other = read_vector(name, given, stepper.coordinates, numbers)
     run.begin(q, other, velocity=name == "v0")
-    pivot = float(run.rows("MASS_PIVOT", 1)[0])
-    if pivot < 0 or not numbers.finite(run.rows("VELOCITY", stepper.n)).all():
+    pivot = float(run.value("MASS_PIVOT"))
+    if pivot < 0 or not numbers.all_finite(run.rows("VELOCITY", stepper.n)):
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
-        raise refused_start(stepper.system, where, pivot, bool(numbers.finite(q).all()))
+        raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
 
 
 def trajectory_of(
@@ -55,10 +55,9 @@ def trajectory_of(
         t = run.t0 + stepper._numbers.counted(0, done + 1, run.every) * run.h
         q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
     else:
-        run.store(0)
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
-        q, p = run.q[:, :, 0], run.p[:, :, 0]
-        iterations = run.rows("ITERATIONS", 1).astype(np.int64)
+        q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
+        iterations = np.array([run.last_iterations], dtype=np.int64)
     message = status.message
     if status is not Status.SUCCESS:
         time, h = float(run.t0 + run.h * done), float(run.h)
@@ -66,7 +65,8 @@ def trajectory_of(
             f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
             f"h={h:g} was not taken. {message}"
         )
-    t, q, p, values = map(stepper._numbers.result, (t, q, p, values))
+    result = stepper._numbers.result
+    t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
         message=message,
