@@ -50,7 +50,7 @@ STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
-{rough}
+{many}
 """
 
 
@@ -80,10 +80,10 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        rough = "ROUGH = 0.01  # what nodes have is extrapolated with care if it was off by more\n"
+        many = "MANY = 10  # after more iterations what nodes have is extrapolated with care\n"
         thresholds = _THRESHOLDS.format(
             unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
-            rough=rough if "STRIDE" in module.tables else "",
+            many=many if "STRIDE" in module.tables else "",
         )
         constants = f"{constants}\n{thresholds}" if constants else thresholds
     made = _made(equations, module)

@@ -25,7 +25,7 @@ BLOCKS = (
     "NODE_L_Q", "NODE_L_V",
     "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT",
     "STAGE_V", "STAGE_F", "STAGE_STEP", "STAGE_RATE", "STAGE_CORRECTION", "STAGE_SIZE",
-    "STAGE_HELD", "RESIDUAL", "JACOBIAN",
+    "STAGE_HELD", "STAGE_EXPECTED", "STAGE_COUNT", "RESIDUAL", "JACOBIAN",
 )  # fmt: skip
 
 #: What an emitted module defines or imports; no symbol may take these names.
@@ -51,7 +51,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "int",
         "node",
         "STRIDE",
-        "ROUGH",
+        "MANY",
         "smooth",
         "DIGITS",
         "STAGE_PATH",

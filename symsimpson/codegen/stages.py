@@ -95,10 +95,11 @@ class StageKernels:
         if not self.kernels:
             return {}
         n = self._low.n
-        numbers = {"V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1}
+        rows = {"V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1, "HELD": self.held}
         return {
-            f"STAGE_{name}": count * self.stride
-            for name, count in (numbers | {"HELD": self.held}).items()
+            **{f"STAGE_{name}": count * self.stride for name, count in rows.items()},
+            "STAGE_EXPECTED": 1,
+            "STAGE_COUNT": 1,
         }
 
     def _place(self, a: int) -> str:
@@ -210,6 +211,7 @@ class StageKernels:
         for a in range(low.n):
             stores.append(Store(Row("METRIC", a), low.template.entry(point, "velocity", "M", a, a)))
         stores.append(Store(Row("MASS_PIVOT", 0), deficit))
+        stores += [Store(Row(f"STAGE_{name}", 0), sp.S.Zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
             same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
@@ -255,9 +257,9 @@ class StageKernels:
         closing = low.statements(stores, levels)
         table = self._table(self._next, "STAGE_AHEAD", "smooth + ")
         following = self._over_nodes(low.statements(ahead, levels), table, closing)
-        # where the last extrapolation was far off, a smoother one is closer
-        smooth = Index("smooth", f"{self._nodes} if W[SURPRISE_SQUARED, lane] > ROUGH else 0")
-        body = [*closing, Call("question_stages", HERE), smooth, *following]
+        # steps that take many iterations are long: there a smoother extrapolation is closer
+        smooth = Index("smooth", f"{self._nodes} if W[STAGE_COUNT, lane] > MANY else 0")
+        body = [*closing, smooth, Call("question_stages", HERE), *following]
         doc = "Close a step by compensated sums, then extrapolate what the nodes have to the next."
         return Kernel("advance_stages", doc, lanes(body))
 

@@ -81,8 +81,7 @@ class Run:
         self._status = layout["STATUS"]
         first = layout["PARAMETER"]
         self._column[first : first + parameters.size] = parameters
-        self.q = numbers.zeros((stored, n, 1))
-        self.p = numbers.zeros((stored, n, 1))
+        self.q, self.p = numbers.zeros((2, stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._progress = np.zeros(2, dtype=np.int64)
         self._ladder = kernels.ladder
@@ -99,7 +98,8 @@ class Run:
         self._column[layout["POSITION"] : layout["POSITION"] + n] = q
         self._column[second : second + n] = other
         self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)
-        self.store(0)
+        if self.every:
+            self.store(0)
 
     def store(self, place: int) -> None:
         """Store the present state."""

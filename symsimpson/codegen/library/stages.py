@@ -9,7 +9,6 @@ real: Callable[[Any], Any]
 ACTIVE: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
-SURPRISE_SQUARED: int
 CYCLIC_MISMATCH_SQUARED: int
 RELATIVE: int
 CONTRACTION: int
@@ -20,6 +19,8 @@ STAGE_STEP: int
 STAGE_RATE: int
 STAGE_CORRECTION: int
 STAGE_SIZE: int
+STAGE_EXPECTED: int
+STAGE_COUNT: int
 NODES: int
 STRIDE: int
 WEIGHTS: tuple[float, ...]
@@ -60,22 +61,23 @@ def judge_stages(W, lane):
 
     Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
     of late, and where it would be lost in rounding, the step is done. All sizes are squared.
+    Nothing is judged before the iteration in which the step is expected to be nearly done.
     """
+    W[ITERATIONS, lane] += 1.0
+    W[STAGE_COUNT, lane] += 1.0
+    if W[STAGE_COUNT, lane] < W[STAGE_EXPECTED, lane]:
+        return
     correction = over_nodes(W, STAGE_CORRECTION, lane)
     increment = max(over_nodes(W, STAGE_SIZE, lane), correction)
     before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
     now = correction / (increment if increment != 0 else 1.0)
-    seen = now / before if before < INFINITE else 1.0
-    factor = max(seen, 0.25 * factor)
-    left = now * factor
-    solved = (factor < 1) & (left <= NEGLIGIBLE * (1 - factor) * (1 - factor))
-    done = solved | ((now < STAGNATION) & (now >= 0.25 * before)) | (now == 0)
+    factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
+    negligible = (factor < 1) & (now * factor <= NEGLIGIBLE * (1 - factor) * (1 - factor))
+    done = negligible | ((now < STAGNATION) & (now >= 0.25 * before)) | (now == 0)
     finite = (correction < INFINITE) & (increment < INFINITE)
     W[CORRECTION_SQUARED, lane] = correction
     W[INCREMENT_SQUARED, lane] = increment
-    W[ITERATIONS, lane] += 1.0
     W[CONTRACTION, lane] = factor
-    W[SURPRISE_SQUARED, lane] = W[SURPRISE_SQUARED, lane] if before < INFINITE else now
     W[RELATIVE, lane] = now
     W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
 
@@ -85,8 +87,11 @@ def question_stages(W, lane):
     """Leave it to Newton's method where velocities of cyclic coordinates are no polynomial.
 
     SCALE is what it compares its increments with: about n^2/4 times those of n nodes, squared.
+    The next step is judged first when it is likely to be solved but for one iteration.
     """
     increment = W[INCREMENT_SQUARED, lane]
     resolved = W[CYCLIC_MISMATCH_SQUARED, lane] <= UNRESOLVED * increment
     W[IN_DOUBT, lane] = 0.0 if resolved else 1.0
     W[SCALE, lane] = max(W[SCALE, lane], 0.25 * NODES**2 * increment)
+    W[STAGE_EXPECTED, lane] = W[STAGE_COUNT, lane] - 1.0
+    W[STAGE_COUNT, lane] = 0.0
