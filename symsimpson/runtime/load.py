@@ -71,8 +71,11 @@ class Facts:
         rows = [self.layout[name] for name in names]
         end = self.layout["INCREMENT"] + self.degree * self.n
         saved = [
-            self.layout[name] for name in ("PREVIOUS", "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT")
-        ]
+            self.layout[name]
+            for name in (
+                "PREVIOUS", "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED"
+            )
+        ]  # fmt: skip
         return np.array([*rows, end, self.layout["METRIC"], self.n, *saved], dtype=np.int64)
 
 
@@ -183,7 +186,11 @@ class Kernels:
     @cached_property
     def newton(self) -> NDArray[np.int64]:
         """Addresses of prepare, start, newton and advance."""
-        return self._addresses(self._text, "step", _NEWTON)
+        return self._watched(self._addresses(self._text, "step", _NEWTON))
+
+    def _watched(self, kernels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Add the energy where Newton's method takes what stages could not solve."""
+        return np.append(kernels, [1, self.address("energy")]) if self._facts.by_stages else kernels
 
     @cached_property
     def stages(self) -> NDArray[np.int64]:
@@ -203,7 +210,9 @@ class Kernels:
             "from numba import", "from math import cos, sin\n\nfrom numba import", 1
         )
         pivoted = "newton_pivoted" if "newton_pivoted" in self._facts.functions else "newton"
-        return self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
+        return self._watched(
+            self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
+        )
 
     def address(self, name: str) -> int:
         """Give the address of one kernel."""

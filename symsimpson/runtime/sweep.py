@@ -21,10 +21,10 @@ from symsimpson.runtime.driver import (
     WORKSPACE,
     begin,
     call,
-    mend,
     run,
 )
 from symsimpson.runtime.march import finite, march
+from symsimpson.runtime.mend import mend
 
 #: A member whose first state makes no sense; a value of Status.
 BAD_INPUT = 5
