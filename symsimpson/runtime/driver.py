@@ -19,8 +19,11 @@ PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
 #: Kernels that iterate over stages are one more: what they cannot solve is left to Newton's method,
 #: whose kernels then have another one, that of the energy.
 ENERGY, BY_STAGES, AFTER_STAGES = 5, 5, 6
-#: Such a step may change the energy by so much of the largest increments' squared velocity.
-ENERGY_CHANGE = 0.5
+#: Such a step may change the energy by about half the largest kinetic energy before: this, divided
+#: by the degree, of the largest squared increments, over h^2.
+ENERGY_CHANGE = 0.75
+#: And its increments may be so many times the largest ones before, squared.
+GROWTH = 25.0
 # what the driver must know of the layout, in the order in which it comes
 ACTIVE, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(6)
 POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(6, 12)
@@ -170,13 +173,17 @@ def store(W, at, place, q_out, p_out, iterations_out):
 
 @njit(**OPTIONS)
 def watch(kernels, h, t, W, at):
-    """Take a step back that changed the energy out of proportion: another solution of it."""
+    """Take a step back that is out of proportion to those before: another solution of it."""
     before = W[at[ENERGY_ROW], 0]
     call(kernels[ENERGY], h, t, W)
-    change = W[at[ENERGY_ROW], 0] - before
-    proportionate = abs(change) * h * h <= ENERGY_CHANGE * W[at[INCREMENT_SQUARED], 0]
-    if not proportionate and W[at[STATUS], 0] == 0.0:
+    degree = (at[STATE_END] - at[INCREMENT]) // at[DIMENSION]
+    increment = max(W[at[INCREMENT_SQUARED], 0], W[at[SCALE], 0])
+    largest = W[at[COUNT], 0] if W[at[COUNT], 0] > 0.0 else increment
+    change = abs(W[at[ENERGY_ROW], 0] - before) * h * h
+    small = change * degree <= ENERGY_CHANGE * largest and increment <= GROWTH * largest
+    if W[at[STATUS], 0] == 0.0 and not small:
         step_back(W, at, 0)
+        W[at[SCALE], 0] = W[at[COUNT], 0]
         W[at[STATUS], 0] = STEP_TOO_LARGE
 
 
@@ -200,6 +207,8 @@ def run(
     while step < stop:
         if not mended:
             t = t0 + h * step
+            if watched:
+                W[at[COUNT], 0] = W[at[SCALE], 0]
             alive = 0
             for lane in range(lanes):
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
