@@ -204,12 +204,15 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
 def annihilating(scheme: Scheme) -> Table:
     """Give a basis of the combinations of nodal values that vanish for degree d - 1."""
     nodes, d = scheme.quadrature.nodes, scheme.degree
-    if d == len(nodes):
-        return ()
-    powers = sp.Matrix(d, len(nodes), lambda k, i: nodes[i] ** k if k else sp.S.One)
-    return tuple(
-        tuple(sp.radsimp(sp.expand(value)) for value in vector) for vector in powers.nullspace()
-    )
+    basis = []
+    for first in range(len(nodes) - d):  # divided differences of d + 1 neighbours
+        group = range(first, first + d + 1)
+        row = [
+            1 / sp.Mul(*(nodes[i] - nodes[j] for j in group if j != i)) if i in group else sp.S.Zero
+            for i in range(len(nodes))
+        ]
+        basis.append(tuple(sp.radsimp(sp.expand(value / row[first + d])) for value in row))
+    return tuple(basis)
 
 
 @cache
