@@ -76,7 +76,12 @@ def plain_arithmetic(
     )
     if digits is not None:
         unit = real(10) ** -digits
-        judging = {"NEGLIGIBLE": 4 * unit**2, "STAGNATION": unit}
+        judging = {
+            "NEGLIGIBLE": 4 * unit**2,
+            "STAGNATION": unit,
+            "LOST": unit**2,
+            "ROUNDING": unit**2,
+        }
     return {
         "pi": math.pi,
         **judging,

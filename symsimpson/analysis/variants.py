@@ -28,9 +28,12 @@ def rewritten(stepper: Stepper, old: str, new: str) -> Stepper:
 
 
 def oversolved(stepper: Stepper) -> Stepper:
-    """Give a stepper whose Newton iterations go on until corrections stagnate in rounding."""
+    """Give a stepper whose iterations go on until corrections stagnate in rounding."""
     if stepper._facts.newton_unknowns == 0:
         return stepper
-    line = re.search(r"^NEGLIGIBLE = [^#\n]*", stepper.source, re.MULTILINE)
-    assert line is not None
-    return rewritten(stepper, line[0].rstrip(), "NEGLIGIBLE = 0.0")
+    names = ("LOST", "ROUNDING") if stepper._facts.by_stages else ("NEGLIGIBLE",)
+    for name in names:
+        line = re.search(rf"^{name} = [^#\n]*", stepper.source, re.MULTILINE)
+        assert line is not None
+        stepper = rewritten(stepper, line[0].rstrip(), f"{name} = 0.0")
+    return stepper

@@ -80,7 +80,11 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        many = "MANY = 10  # after more iterations what nodes have is extrapolated with care\n"
+        many = (
+            "MANY = 10  # after more iterations what nodes have is extrapolated with care\n"
+            "LOST = 2.0**-120  # what is left at nodes has a sign and adds up: far below rounding\n"
+            "ROUNDING = 2.0**-104  # corrections below this are made of rounding\n"
+        )
         thresholds = _THRESHOLDS.format(
             unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
             many=many if "STRIDE" in module.tables else "",

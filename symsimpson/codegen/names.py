@@ -52,6 +52,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "node",
         "STRIDE",
         "MANY",
+        "LOST",
+        "ROUNDING",
         "smooth",
         "DIGITS",
         "STAGE_PATH",

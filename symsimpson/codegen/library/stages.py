@@ -25,7 +25,8 @@ NODES: int
 STRIDE: int
 WEIGHTS: tuple[float, ...]
 INFINITE: float
-NEGLIGIBLE: float
+LOST: float
+ROUNDING: float
 STAGNATION: float
 UNRESOLVED: float
 
@@ -72,8 +73,8 @@ def judge_stages(W, lane):
     before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
     now = correction / (increment if increment != 0 else 1.0)
     factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
-    negligible = (factor < 1) & (now * factor <= NEGLIGIBLE * (1 - factor) * (1 - factor))
-    done = negligible | ((now < STAGNATION) & (now >= 0.25 * before)) | (now == 0)
+    negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
+    done = negligible | (now <= ROUNDING) | ((now < STAGNATION) & (now >= 0.25 * before))
     finite = (correction < INFINITE) & (increment < INFINITE)
     W[CORRECTION_SQUARED, lane] = correction
     W[INCREMENT_SQUARED, lane] = increment
