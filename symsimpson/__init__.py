@@ -43,6 +43,8 @@ __version__ = "0.1.0"
 _HOME = {
     "compile": "api",
     "generate": "api",
+    "Choice": "analysis.choose",
+    "choose": "analysis.choose",
     "load": "api",
     "ConvergenceError": "errors",
     "GenerationError": "errors",
@@ -70,6 +72,7 @@ _HOME = {
 __all__ = [
     "MIDPOINT",
     "SIMPSON",
+    "Choice",
     "ConvergenceError",
     "Ensemble",
     "GenerationError",
@@ -85,6 +88,7 @@ __all__ = [
     "StorageError",
     "SymsimpsonError",
     "Trajectory",
+    "choose",
     "compile",
     "coordinates",
     "galerkin",

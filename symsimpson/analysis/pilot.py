@@ -24,6 +24,8 @@ ENOUGH = 1e-4
 #: Halving the step moves the path of eight steps by at most so much of its length.
 CLOSE = 0.05
 TRIES = 30
+#: More iterations a step than this, and it is too large.
+NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 12.0
 
 
 def choose_state(
@@ -69,10 +71,11 @@ def choose_step(
     InputError
         If there is none.
     """
+    most = STAGE_ITERATIONS if stepper._facts.by_stages else NEWTON_ITERATIONS
     for halvings in range(60):
         h = 4.0 / 2**halvings  # a power of two: its parts are exact
         run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
-        if run.steps < 64 or run.newton_iterations.sum() > 3.3 * 64:
+        if run.steps < 64 or run.newton_iterations.sum() > most * 64:
             continue
         kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
         if np.ptp(run.energy) > ENOUGH * kinetic:

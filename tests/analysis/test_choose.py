@@ -1,0 +1,72 @@
+"""Schemes and steps for a wanted error: it is reached, and what is said is true."""
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
+
+PENDULUM = ss.systems.double_pendulum()
+STATE = PENDULUM.reference_state
+#: At t = 10, in 72 digits.
+TRUTH = np.array([-0.248608400375483644278, -0.613578116238233122889])
+
+
+@pytest.mark.parametrize("error", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_errors_of_the_state(error):
+    choice = ss.choose(PENDULUM, **STATE, t_end=10, error=error)
+    run = choice.stepper.integrate(**STATE, h=choice.h, t_end=10, every=None)
+    found = np.abs(run.q[0] - TRUTH).max()
+    assert found <= error
+    assert found > error * 1e-3 or found < 1e-13  # no more work than needed
+    assert f"{choice.stepper.scheme} with h = {choice.h:.6g}" in repr(choice)
+    assert f"{error:.1e} is asked for" in choice.reason
+
+
+def test_errors_of_the_energy():
+    choice = ss.choose(PENDULUM, **STATE, t_end=300, error=1e-7, on="energy", schemes=["simpson"])
+    run = choice.stepper.integrate(**STATE, h=choice.h, t_end=300)
+    assert 1e-9 < np.abs(run.energy_error).max() <= 1e-7
+    assert "until t =" in choice.reason  # a part was run
+
+
+def test_longer_runs_take_smaller_steps():
+    short, long = (
+        ss.choose(PENDULUM, **STATE, t_end=t, error=1e-6, schemes=["gauss8"]) for t in (50, 2000)
+    )
+    assert long.h < short.h
+    assert "grew like t^" in long.reason
+
+
+def test_the_fastest_oscillation_bounds_the_step():
+    spring = ss.systems.harmonic_oscillator()
+    given = {"m": 1.0, "k": 400.0}
+    assert largest_frequency(spring, np.array([0.3]), given) == pytest.approx(20.0)
+    assert largest_stable("simpson") == pytest.approx(8**0.5)
+    assert largest_stable("midpoint") == largest_stable("gauss16") == np.inf
+    stiff = ss.systems.elastic_pendulum()
+    choice = ss.choose(
+        stiff, [1.0, 0.3], v0=[0, 0], t_end=1, error=0.5, on="energy", parameters={"k": 1e4},
+        schemes=["simpson"],
+    )  # fmt: skip
+    assert choice.h * 100 <= 8**0.5
+    assert "Linear stability" in choice.reason
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"error": 0.0}, "error is 0.0"),
+        ({"error": float("nan")}, "error is nan"),
+        ({"t_end": -1.0}, "t_end is -1.0"),
+        ({"t_end": "long"}, "t_end is 'long'"),
+        ({"on": "momentum"}, "on is 'momentum'"),
+        ({"error": 1e-17}, "none of simpson"),
+        ({"p0": None}, "exactly one of v0 and p0"),
+        ({"q0": [1.0]}, "q0 has shape"),
+    ],
+)
+def test_wrong_input(given, message):
+    asked = {**STATE, "t_end": 2.0, "error": 1e-5, "schemes": ["simpson"]} | given
+    with pytest.raises(ss.InputError, match=message):
+        ss.choose(PENDULUM, **asked)
