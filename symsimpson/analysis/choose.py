@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
@@ -55,7 +56,7 @@ class Choice:
     reason: str
 
     def __repr__(self) -> str:
-        return f"Choice({self.stepper.scheme}, h={self.h:.6g})\n{self.reason}"
+        return "\n".join([f"Choice({self.stepper.scheme}, h={self.h:.6g})", *wrap(self.reason, 96)])
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,9 @@ class Problem:
         return largest if np.isfinite(largest) else float("inf")
 
     def momentum(self, stepper: Stepper, q: Any, v: Any) -> Floats:
-        """Give p of a state in (q, v)."""
+        """Give p of a state in (q, v), NaN for a peer that failed."""
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            return np.full(len(self.q0), np.nan)
         momentum: Floats = stepper.integrate(q, v0=v, h=1.0, steps=0).p[0]
         return momentum
 

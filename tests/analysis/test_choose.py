@@ -19,7 +19,8 @@ def test_errors_of_the_state(error):
     found = np.abs(run.q[0] - TRUTH).max()
     assert found <= error
     assert found > error * 1e-3 or found < 1e-13  # no more work than needed
-    assert f"{choice.stepper.scheme} with h = {choice.h:.6g}" in repr(choice)
+    assert f"{choice.stepper.scheme} with h = {choice.h:.6g}" in choice.reason
+    assert choice.stepper.scheme in repr(choice)
     assert f"{error:.1e} is asked for" in choice.reason
 
 

@@ -25,6 +25,7 @@ def test_the_solution_knows_its_error(problem):
     run = stepper.integrate(problem.q0, p0=problem.p0, h=1 / 500, steps=500, every=None)
     assert problem.error(run.q[0], run.p[0]) < 1e-12
     assert problem.error(run.q[0] + np.nan, run.p[0]) == np.inf
+    assert np.isnan(problem.momentum(stepper, problem.q0, problem.v0 + np.nan)).all()
     again = problem.momentum(stepper, problem.q0, problem.v0)
     np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
 
