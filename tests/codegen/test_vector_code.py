@@ -35,6 +35,19 @@ def test_eight_lanes_are_packed(scheme):
         assert single < packed / 5, name
 
 
+@pytest.mark.parametrize("scheme", ["gauss8", "gauss16"])
+def test_nodes_of_one_trajectory_are_packed(scheme):
+    def build(module):
+        return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
+
+    iterate = compiled(source(ss.systems.double_pendulum(), scheme), "iterate", build)
+    assembly = iterate._library.get_asm_str()
+    packed = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)pd\b", assembly))
+    single = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)sd\b", assembly))
+    assert packed > 80
+    assert single < packed / 3  # the judgement of an iteration
+
+
 def test_lanes_do_not_know_of_each_other():
     """A lane's bits are the same whatever the other lanes do, converged or diverging."""
     text = source(ss.systems.double_pendulum())
