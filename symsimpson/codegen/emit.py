@@ -54,6 +54,13 @@ SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held ag
 """
 
 
+#: What a module says of its kernels over stages.
+_STAGES_RUN = (
+    "The nodes of one trajectory can be lanes, too: start_stages, then for each step iterate, with",
+    "RELATIVE infinite at first, until it is not ACTIVE, and advance_stages.",
+)
+
+
 def emit(equations: DiscreteEquations, module: Module) -> str:
     """Write the module's text, the same bytes for the same system and scheme.
 
@@ -155,6 +162,7 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
         "holds one trajectory with its own state and parameters. A run is prepare, start, then for",
         "each step newton, with RELATIVE infinite at first, until no lane is ACTIVE, and advance",
         "with those lanes ACTIVE that are to move.",
+        *(_STAGES_RUN if "STRIDE" in module.tables else ()),
         "",
         "References: J. E. Marsden and M. West, Acta Numerica 10 (2001); S. Ober-Bloebaum, IMA J.",
         "Numer. Anal. 37 (2017).",

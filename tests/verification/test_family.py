@@ -162,6 +162,26 @@ def test_stages_are_reversible(system, h, scheme):
     assert np.abs(back.p[0] - there.p[0]).max() < 2e-12 * max(1.0, np.abs(there.p[0]).max())
 
 
+def test_the_trapezoidal_rule_is_stoermer_verlet():
+    """Where M is constant a step is explicit: kick, drift, kick."""
+    system = ss.systems.henon_heiles()
+    stepper = ss.compile(system, "lobatto2")
+    assert stepper._facts.newton_unknowns == 0
+    run = stepper.integrate(**system.reference_state, h=0.05, steps=100)
+    (q, p), h = (run.q[0].copy(), run.p[0].copy()), 0.05
+
+    def force(q):
+        return -np.array([q[0] + 2 * q[0] * q[1], q[1] + q[0] ** 2 - q[1] ** 2])
+
+    for _ in range(100):
+        p += h / 2 * force(q)
+        q += h * p
+        p += h / 2 * force(q)
+    assert np.abs(run.q[-1] - q).max() < 1e-14
+    assert np.abs(run.p[-1] - p).max() < 1e-14
+    assert run.newton_iterations.sum() == 0
+
+
 @pytest.mark.parametrize("scheme", BY_STAGES)
 def test_stages_keep_cyclic_momenta(scheme):
     run = ss.compile(TOP, scheme).integrate(**TOP.reference_state, h=0.01, steps=500)
