@@ -23,6 +23,9 @@ __all__ = ["PROGRAMS", "in_heyoka"]
 
 Floats = NDArray[np.float64]
 
+#: A coarse run that goes astray takes no more steps than this.
+MOST_STEPS = 200_000
+
 
 def _runge_kutta(problem: Problem) -> Iterator[Contender]:
     """Explicit methods of our own, compiled with the right-hand side."""
@@ -94,18 +97,22 @@ def _heyoka(problem: Problem) -> Iterator[Contender]:
     import heyoka as hy
 
     stepper, n = compile_system(problem.system, "simpson"), problem.system.n
+    # its tolerance is one for all variables: they are scaled where they differ by orders
+    units = problem.scale if np.ptp(np.log10(problem.scale)) > 2 else np.ones(2 * n)
     forms = (
-        ("q, p", problem.canonical, problem.p0, lambda q, p: p),
-        ("q, v", problem.second_order, problem.v0, lambda q, v: problem.momentum(stepper, q, v)),
-    )
-    for form, equations, other, momentum in forms:
-        written = in_heyoka(hy, equations)
-        start = np.concatenate([problem.q0, other])
+        ("q, p", problem.canonical, problem.p0, units, lambda q, p: p),
+        ("q, v", problem.second_order, problem.v0, np.ones(2 * n),
+         lambda q, v: problem.momentum(stepper, q, v)),
+    )  # fmt: skip
+    for form, equations, other, scale, momentum in forms:
+        written = in_heyoka(hy, equations, scale)
+        start = np.concatenate([problem.q0, other]) / scale
         for mode in ("", " compact"):
 
             def make(
                 tolerance: float, written: Any = written, start: Floats = start,
                 compact: bool = bool(mode), momentum: Callable[..., Any] = momentum,
+                scale: Floats = scale,
             ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:  # fmt: skip
                 integrator = hy.taylor_adaptive(
                     written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
@@ -114,10 +121,10 @@ def _heyoka(problem: Problem) -> Iterator[Contender]:
                 def run() -> Any:
                     integrator.time = 0.0
                     integrator.state[:] = start
-                    return integrator.propagate_until(problem.t_end)[3]
+                    return integrator.propagate_until(problem.t_end, max_steps=MOST_STEPS)[3]
 
                 def read(steps: Any) -> Outcome:
-                    q, second = integrator.state[:n].copy(), integrator.state[n:].copy()
+                    q, second = np.split(integrator.state * scale, 2)
                     return Outcome(q, momentum(q, second), int(steps))
 
                 return run, read
@@ -125,16 +132,19 @@ def _heyoka(problem: Problem) -> Iterator[Contender]:
             yield Contender(f"heyoka{mode} ({form})", "tolerance", TOLERANCES, make)
 
 
-def in_heyoka(hy: Any, equations: FirstOrder) -> list[tuple[Any, Any]]:
-    """Write y' = f(y) in heyoka's expressions, parameters as numbers."""
+def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> list[tuple[Any, Any]]:
+    """Write y' = f(y) in heyoka's expressions, parameters as numbers, y in units of ``scale``."""
+    variables = [hy.make_vars(f"y_{i}") for i in range(len(equations.unknowns))]
+    units = [1.0] * len(variables) if scale is None else [float(x) for x in scale]
     known: dict[Any, Any] = {
-        symbol: hy.make_vars(f"y_{i}") for i, symbol in enumerate(equations.unknowns)
+        symbol: variable if unit == 1.0 else variable * unit
+        for symbol, variable, unit in zip(equations.unknowns, variables, units, strict=True)
     }
-    variables = list(known.values())
     known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
     for symbol, value in equations.definitions:
         known[symbol] = hy.from_sympy(value, known)
     rates = [hy.from_sympy(rate, known) for rate in equations.rates]
+    rates = [rate if unit == 1.0 else rate / unit for rate, unit in zip(rates, units, strict=True)]
     return list(zip(variables, rates, strict=True))
 
 

@@ -27,6 +27,7 @@ __all__ = ["work_precision"]
 LEAST_SECONDS = 1e-3
 #: A choice that takes longer than this once is not made finer.
 MOST_SECONDS = 2.0
+MOST_SLOW = 3
 #: Errors are not followed below this: it is rounding.
 FLOOR = 3e-14
 
@@ -148,6 +149,7 @@ def _once(contender: Contender, choice: float, problem: Problem) -> _Entry | Non
 def _sweep(contender: Contender, problem: Problem, finest: float) -> list[_Entry]:
     """Run choices from coarse to fine until the error is small enough or falls no longer."""
     found: list[_Entry] = []
+    slow = 0
     for choice in contender.choices:
         entry = _once(contender, choice, problem)
         if entry is None:
@@ -155,7 +157,9 @@ def _sweep(contender: Contender, problem: Problem, finest: float) -> list[_Entry
         if entry.error < 1:
             found.append(entry)
         best = min((e.error for e in found), default=1.0)
-        if best < max(FLOOR, finest / 4) or entry.times[0] > MOST_SECONDS:
+        slow += entry.times[0] > MOST_SECONDS
+        # a coarse run may go astray and take long
+        if best < max(FLOOR, finest / 4) or (slow and found) or slow > MOST_SLOW:
             break
         if len(found) > 12 and best == min(e.error for e in found[:-8]):
             break
