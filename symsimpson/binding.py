@@ -136,7 +136,11 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
 def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:
     """Let a module make tables of its own with more digits than are asked for."""
     scale = digits + 20
-    return {"DIGITS": scale, "number": lambda units: real(units) / real(10) ** scale}
+
+    def number(units: int) -> Any:
+        return real(units) / real(10) ** scale
+
+    return {"DIGITS": scale, "number": number, "on_grid": number}
 
 
 def _power(base: Any, exponent: Any) -> Any:

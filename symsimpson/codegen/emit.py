@@ -27,6 +27,7 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import Printer
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["INTERFACE", "emit"]
 
@@ -50,7 +51,11 @@ STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
-{many}
+"""
+_STAGE_THRESHOLDS = """\
+MANY = 10  # after more iterations what nodes have is extrapolated with care
+LOST = 2.0**-120  # what is left at nodes has a sign and adds up: far below rounding
+ROUNDING = 2.0**-104  # corrections below this are made of rounding
 """
 
 
@@ -87,15 +92,9 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        many = (
-            "MANY = 10  # after more iterations what nodes have is extrapolated with care\n"
-            "LOST = 2.0**-120  # what is left at nodes has a sign and adds up: far below rounding\n"
-            "ROUNDING = 2.0**-104  # corrections below this are made of rounding\n"
-        )
-        thresholds = _THRESHOLDS.format(
-            unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
-            many=many if "STRIDE" in module.tables else "",
-        )
+        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.12)
+        if "STRIDE" in module.tables:
+            thresholds += _STAGE_THRESHOLDS
         constants = f"{constants}\n{thresholds}" if constants else thresholds
     made = _made(equations, module)
     library = _library(f"{body}\n{made}")
@@ -238,31 +237,35 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
     ]
-    vectors = {
-        "POINTS": scheme.points,
-        "WEIGHTS": scheme.quadrature.weights,
-        "END_SLOPE": scheme.end_slope,
-        "START_SLOPE": scheme.correction,
-    }
-    matrices = {
-        "BASIS": scheme.A,
-        "BASIS_SLOPE": scheme.B,
-        "EXTRAPOLATION": scheme.extrapolation,
-    }
-    if not scheme.exact:
-        vectors, matrices = {}, {}
-    for name, values in vectors.items():
-        lines += _folded(f"{name} = ", row(values), "    ")
-    for name, table in matrices.items():
-        lines += [f"{name} = ("]
-        for values in table:
-            lines += ["    " + line for line in _folded("", row(values) + ",", "    ")]
-        lines += [")"]
+    if scheme.exact:
+        lines += _scheme_tables(scheme, row)
     lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
     for name, value in module.tables.items():
         lines += _folded(f"{name} = ", _table(value, number), "    ")
     printer.used |= exact.used
     return "\n".join([*lines, ""])
+
+
+def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
+    """Write the tables of a scheme whose numbers are exact."""
+    lines = []
+    for name, values in {
+        "POINTS": scheme.points,
+        "WEIGHTS": scheme.quadrature.weights,
+        "END_SLOPE": scheme.end_slope,
+        "START_SLOPE": scheme.correction,
+    }.items():
+        lines += _folded(f"{name} = ", row(values), "    ")
+    for name, table in {
+        "BASIS": scheme.A,
+        "BASIS_SLOPE": scheme.B,
+        "EXTRAPOLATION": scheme.extrapolation,
+    }.items():
+        lines += [f"{name} = ("]
+        for values in table:
+            lines += ["    " + line for line in _folded("", row(values) + ",", "    ")]
+        lines += [")"]
+    return lines
 
 
 def _made(equations: DiscreteEquations, module: Module) -> str:

@@ -9,9 +9,6 @@ from symsimpson.codegen.storage import Storage
 
 __all__ = ["layout"]
 
-#: Rows that are read as vectors begin with one: so many numbers.
-CACHE_LINE = 8
-
 
 def layout(
     storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
@@ -45,10 +42,8 @@ def layout(
     first: dict[str, int] = {}
     row = 0
     for block in BLOCKS:
-        if block.startswith("STAGE_"):
-            if not sizes.get(block):
-                continue
-            row = -(-row // CACHE_LINE) * CACHE_LINE
+        if block.startswith("STAGE_") and not sizes.get(block):
+            continue
         first[block] = row
         row += every[block]
     return first, row

@@ -20,10 +20,10 @@ from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section,
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
-from symsimpson.codegen.straight import STATE, lanes, mass_order, velocities, velocity
+from symsimpson.codegen.straight import STATE, lanes, velocity
 from symsimpson.codegen.template import Point
 
-__all__ = ["StageKernels", "stride"]
+__all__ = ["StageKernels"]
 
 #: Nodes are filled up to a multiple of this: a vector register of the widest machines.
 REGISTER = 8
@@ -32,11 +32,6 @@ MOST_OPERATIONS = 3000
 #: What is computed in the first half of an iteration.
 FIRST = (Level.STEP, Level.ITERATION)
 HERE = ("W", "lane")
-
-
-def stride(nodes: int) -> int:
-    """Give the number of lanes of so many nodes."""
-    return -(-nodes // REGISTER) * REGISTER
 
 
 class StageKernels:
@@ -52,7 +47,8 @@ class StageKernels:
 
     def __init__(self, low: Lowering) -> None:
         scheme = low.equations.scheme
-        self._low, self._nodes, self.stride = low, scheme.stages, stride(scheme.stages)
+        self._low, self._nodes = low, scheme.stages
+        self.stride = -(-scheme.stages // REGISTER) * REGISTER
         self.held = 0
         fresh, names = low.names.fresh, low.names.coordinates
         declare = low.graph.declare
@@ -79,11 +75,7 @@ class StageKernels:
         self._mu = [declare(fresh(f"mu_{j}"), Level.ITERATION) for j in range(self._nodes)]
         self._nu = [declare(fresh(f"nu_{j}"), Level.LATE) for j in range(self._nodes)]
         self._next = [declare(fresh(f"ahead_{j}"), Level.LATE) for j in range(self._nodes)]
-        start = low.start_point()
-        self._moving = Point(f"{start.suffix}_moving", low.q, low.v)
-        self._forced = [
-            a for a in range(low.n) if low.template.entry(self._moving, "forces", "L_q", a) != 0
-        ]
+        self._forced = [a for a, force in enumerate(low.equations.jet.L_q) if force != 0]
         iterate, operations = self._iterate()
         self.kernels = (
             [self._start(), iterate, self._advance()] if operations <= MOST_OPERATIONS else []
@@ -165,10 +157,7 @@ class StageKernels:
         for a in self._forced:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
-        found: dict[int, sp.Expr] = {}
-        for part in low.equations.parts:
-            group = mass_order(part)
-            found |= velocities(low, point, tuple(p), "velocities", group, suffix="new")[0]
+        found, _ = velocity(low, point, p, "velocities", suffix="new")
         metric = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [define(f"dq_{names[a]}_new", self._share * found[a], "velocities") for a in range(n)]
         correction = sp.Add(*(metric[a] * (new[a] - self._own[a]) ** 2 for a in range(n)))
@@ -206,7 +195,7 @@ class StageKernels:
         """From q and p to velocities and forces that are the same at all nodes."""
         low, point = self._low, self._low.start_point()
         v, deficit = velocity(low, point, low.p, "velocity")
-        moving = Point(self._moving.suffix + "_now", low.q, tuple(v))
+        moving = Point(f"{point.suffix}_moving", low.q, tuple(v))
         stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
         for a in range(low.n):
             stores.append(Store(Row("METRIC", a), low.template.entry(point, "velocity", "M", a, a)))
@@ -270,9 +259,7 @@ class StageKernels:
         low, c = self._low, self._low.equations.scheme.quadrature.nodes
         define, section = low.graph.define, "velocity at q1"
         end = Point("end", tuple(q))
-        v: dict[int, sp.Expr] = {}
-        for part in low.equations.parts:
-            v |= velocities(low, end, tuple(p), section, mass_order(part))[0]
+        v, _ = velocity(low, end, p, section)
         b = low.equations.scheme.quadrature.weights
         terms = []
         for a in cyclic:

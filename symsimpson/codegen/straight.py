@@ -22,10 +22,8 @@ __all__ = [
     "QUESTION",
     "STATE",
     "lanes",
-    "mass_order",
     "momentum_stores",
     "straight_kernels",
-    "velocities",
     "velocity",
 ]
 
@@ -67,13 +65,16 @@ def lanes(body: Iterable[Statement]) -> tuple[Statement, ...]:
 
 
 def velocity(
-    low: Lowering, point: Point, p: tuple[sp.Expr, ...], section: str
+    low: Lowering, point: Point, p: Sequence[sp.Expr], section: str, suffix: str | None = None
 ) -> tuple[list[sp.Expr], sp.Expr]:
-    """Solve M v = p - a; the second value is negative if M is not positive definite."""
+    """Solve M v = p - a; the second value is negative if M is not positive definite.
+
+    Velocities have the point's suffix unless another one is given.
+    """
     found: dict[int, sp.Expr] = {}
     deficits: list[sp.Expr] = []
     for part in low.equations.parts:
-        v, pivots = velocities(low, point, p, section, mass_order(part))
+        v, pivots = _velocities(low, point, p, section, _mass_order(part), suffix)
         found |= v
         deficits += [
             low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots
@@ -82,10 +83,10 @@ def velocity(
     return [found[a] for a in range(low.n)], deficit
 
 
-def velocities(
+def _velocities(
     low: Lowering,
     point: Point,
-    p: tuple[sp.Expr, ...],
+    p: Sequence[sp.Expr],
     section: str,
     group: Sequence[int],
     suffix: str | None = None,
@@ -221,7 +222,7 @@ def _predicted(
     following: dict[tuple[int, int], sp.Expr] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
         group = solver.coordinates if solver.unknowns else ()
-        v = velocities(low, end, momentum, "velocity at q1", mass_order(part))[0]
+        v = _velocities(low, end, momentum, "velocity at q1", _mass_order(part))[0]
         path = {a: [low.increments[j][a] for j in range(d)] for a in group}
         slopes: dict[int, sp.Expr] = {}
         if isinstance(part, Routh) and solver.unknowns:
@@ -260,7 +261,7 @@ def _predicted(
     return stores, metric
 
 
-def mass_order(part: Part) -> tuple[int, ...]:
+def _mass_order(part: Part) -> tuple[int, ...]:
     """List the coordinates that M couples in a part, cyclic ones first.
 
     In L D L^T what comes last is found first, and nothing else is computed.

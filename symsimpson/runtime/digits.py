@@ -153,10 +153,6 @@ class Digits(Numbers):
         finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
         return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
 
-    def all_finite(self, array: NDArray[Any]) -> bool:
-        """Tell whether all numbers are finite."""
-        return bool(self.finite(array).all())
-
     def _outer(self, number: Any) -> Any:
         """Give a number as a user gets it."""
         return number

@@ -71,9 +71,9 @@ class Numbers:
 
     def all_finite(self, array: NDArray[Any]) -> bool:
         """Tell whether all numbers are finite; quick where there are few."""
-        if array.size > FEW:
-            return bool(self.finite(array).all())
-        return all(map(math.isfinite, array.ravel().tolist()))
+        if array.dtype == np.float64 and array.size <= FEW:
+            return all(map(math.isfinite, array.ravel().tolist()))
+        return bool(self.finite(array).all())
 
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
         """Give whole numbers to multiply with."""

@@ -15,6 +15,11 @@ def number(units):
     return units / 10**DIGITS
 
 
+def on_grid(units):
+    """The same on a grid on which 1 - x is exact."""
+    return (units * 2**52 + 10**DIGITS // 2) // 10**DIGITS / 2**52
+
+
 def legendre(degree, x):
     """The Legendre polynomial P at x, of the degree and of the one below."""
     one = 10**DIGITS
@@ -133,7 +138,7 @@ def stage_tables(kind, nodes):
     b_i/b_j times the polynomials at 1 + c_i, then the same for their parts up to degree s - 3,
     which are smoother. A column belongs to node i; those past the last are zero.
     """
-    one, grid = 10**DIGITS, 2**52
+    one = 10**DIGITS
     c, b = quadrature(kind, nodes)
     rows = nodes, nodes, 2 * nodes
     tables = [array([[real(0)] * STRIDE for _ in range(count)]) for count in rows]
@@ -145,10 +150,8 @@ def stage_tables(kind, nodes):
         for j in range(nodes):
             total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
             share = c[i] * total // b[j]
-            # on a grid on which 1 - x is exact
-            share = real((share * grid + one // 2) // one) / grid if DIGITS < 50 else number(share)
-            velocities[j, i] = share
-            forces[i, j] = real(1) - share
+            velocities[j, i] = on_grid(share)
+            forces[i, j] = real(1) - velocities[j, i]
             ahead[j, i] = number(b[i] * following[j] // b[j])
             terms = [
                 (2 * k + 1) * value * legendre(k, 2 * c[j] - one)[0] // one
