@@ -22,6 +22,8 @@ _MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
     "exp", "log", "sqrt",
 )  # fmt: skip
+#: What a kernel calls to tell whether an iteration is done.
+_JUDGES = ("judge", "question", "judge_stages", "question_stages")
 
 
 def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
@@ -71,9 +73,7 @@ def plain_arithmetic(
     def nothing(W: Any, lane: int) -> None:
         """Leave it to the caller when to stop."""
 
-    judging: dict[str, Any] = dict.fromkeys(
-        ("judge", "question", "judge_stages", "question_stages"), nothing
-    )
+    judging: dict[str, Any] = dict.fromkeys(_JUDGES, nothing)
     if digits is not None:
         unit = real(10) ** -digits
         judging = {
@@ -130,7 +130,21 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     functions["sincos"] = method("sin_cos")
     functions["power"] = _power
     functions |= _tables(arb, ctx.dps)
-    return bind(source, plain_arithmetic(functions, arb, ctx.dps if judging else None))
+
+    def judged(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Let judges see midpoints: no ball of rounding errors is smaller than another."""
+        if function.__name__ not in _JUDGES:
+            return function
+
+        def on_midpoints(W: Any, lane: int) -> None:
+            column = W[:, lane]
+            column[:] = [value.mid() if type(value) is arb else value for value in column]
+            function(W, lane)
+
+        return on_midpoints
+
+    arithmetic = plain_arithmetic(functions, arb, ctx.dps if judging else None)
+    return bind(source, arithmetic | {"compiled": judged})
 
 
 def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:

@@ -25,7 +25,7 @@ ENOUGH = 1e-4
 CLOSE = 0.05
 TRIES = 30
 #: More iterations a step than this, and it is too large.
-NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 12.0
+NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 9.0
 
 
 def choose_state(

@@ -115,7 +115,9 @@ class Precise:
         numbers, stepper = self._numbers, self.stepper
         values = stepper._values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(stepper._facts, stepper._kernels, numbers, values, step, 0 * step, 0, 1)
+        run = Run(
+            stepper._facts, stepper._kernels, numbers, values, step, 0 * step, 0, 1, ("newton",)
+        )  # fmt: skip
         run.begin(start[: self.n], start[self.n :], velocity=False)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
         return run

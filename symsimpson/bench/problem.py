@@ -92,7 +92,7 @@ def make_problem(
     scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
     return Problem(
         system, q, _velocity(hamilton, q, p), p, float(t_end), hamilton, newton, path[-1],
-        float(found.error) / float(scale.min()), scale,
+        float(np.max(np.array(found.errors, dtype=np.float64) / scale)), scale,
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def extrapolate(
     times : sequence of mpf
         Increasing.
     tolerance : mpf
-        Bound of the local error.
+        Bound of the local error, relative in components larger than 1.
 
     Returns
     -------
@@ -77,10 +77,10 @@ def _step(
             weight = ratio**2 - 1
             row.append([a + (a - b) / weight for a, b in zip(row[k], old, strict=True)])
         if column > 2:
-            change = max(abs(a - b) for a, b in zip(row[-1], row[-2], strict=True))
-            if not mpmath.isfinite(change):
+            changes = [abs(a - b) / max(1, abs(a)) for a, b in zip(row[-1], row[-2], strict=True)]
+            if not all(map(mpmath.isfinite, changes)):
                 return None, column
-            if change < tolerance * max(1, *map(abs, row[-1])):
+            if max(changes) < tolerance:
                 return row[-1], column
         previous = row
     return None, MOST_COLUMNS

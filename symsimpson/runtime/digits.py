@@ -30,6 +30,8 @@ from symsimpson.runtime.numbers import Numbers
 __all__ = ["read_precision"]
 
 FEWEST, MOST = 15, 10_000
+#: With more digits, quadratic convergence is worth its price.
+MOST_BY_STAGES = 64
 ARITHMETICS = ("mpmath", "arb")
 
 
@@ -85,21 +87,29 @@ class _Anything:
 class _Functions:
     """Kernels as Python functions."""
 
-    #: Where digits are many, quadratic convergence is worth its price: no stages.
-    ladder = ("newton", "robust")
-
-    def __init__(self, module: SimpleNamespace) -> None:
+    def __init__(self, module: SimpleNamespace, facts: Facts, digits: int) -> None:
         self._module = module
+        self._staged = facts.by_stages and digits <= MOST_BY_STAGES
+
+    @cached_property
+    def ladder(self) -> Sequence[str]:
+        return (*(("stages",) if self._staged else ()), "newton", "robust")
+
+    @cached_property
+    def stages(self) -> Sequence[Any]:
+        names = ("prepare", "start_stages", "iterate", "advance_stages")
+        return *map(self.address, names), 1
 
     @cached_property
     def newton(self) -> Sequence[Any]:
-        return tuple(map(self.address, ("prepare", "start", "newton", "advance")))
+        kernels = map(self.address, ("prepare", "start", "newton", "advance"))
+        return *kernels, *((1, self.address("energy")) if self._staged else ())
 
     @cached_property
     def robust(self) -> Sequence[Any]:
         pivoted = getattr(self._module, "newton_pivoted", None)
-        prepare, start, newton, advance = self.newton
-        return prepare, start, pivoted or newton, advance
+        prepare, start, newton, *others = self.newton
+        return prepare, start, pivoted or newton, *others
 
     def address(self, name: str) -> Any:
         return getattr(self._module, name, None)
@@ -163,7 +173,7 @@ class Digits(Numbers):
 
     def kernels(self, text: str, facts: Facts) -> _Functions:
         """Bind the kernels of a module."""
-        return _Functions(bind_mpmath(text, self.context, judging=True))
+        return _Functions(bind_mpmath(text, self.context, judging=True), facts, self.digits)
 
     def driver(self, name: str) -> Callable[..., Any]:
         """Give a function of the driver, bound to these numbers."""
@@ -175,6 +185,7 @@ class Digits(Numbers):
             "njit": lambda **options: lambda function: function,
             "types": _Anything(),
             "call": self._call,
+            "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
             "np": SimpleNamespace(
                 inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros
             ),
@@ -232,7 +243,7 @@ class Arb(Digits):
     def kernels(self, text: str, facts: Facts) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
-            return _Functions(bind_arb(text, judging=True))
+            return _Functions(bind_arb(text, judging=True), facts, self.digits)
 
     def working(self) -> AbstractContextManager[Any]:
         """Set the precision of python-flint, which is global, for a while."""

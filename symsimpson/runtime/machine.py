@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import resources
 from types import ModuleType
@@ -72,6 +72,7 @@ class Run:
         t0: Any,
         every: int,
         stored: int,
+        ladder: Sequence[str] | None = None,
     ) -> None:
         layout, n = facts.layout, facts.n
         self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
@@ -84,7 +85,7 @@ class Run:
         self.q, self.p = numbers.zeros((2, stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._progress = np.zeros(2, dtype=np.int64)
-        self._ladder = kernels.ladder
+        self._ladder = kernels.ladder if ladder is None else ladder
         self._rung, self._rung_until = 0, -1
         self._stretch = numbers.stretch
 
