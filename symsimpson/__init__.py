@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.status import Status
     from symsimpson.runtime.stepper import Stepper
     from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.schemes.composition import Composition, composition
     from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 
 __version__ = "0.1.0"
@@ -62,6 +63,8 @@ _HOME = {
     "Status": "runtime.status",
     "Stepper": "runtime.stepper",
     "Trajectory": "runtime.trajectory",
+    "Composition": "schemes.composition",
+    "composition": "schemes.composition",
     "MIDPOINT": "schemes.scheme",
     "SIMPSON": "schemes.scheme",
     "Scheme": "schemes.scheme",
@@ -73,6 +76,7 @@ __all__ = [
     "MIDPOINT",
     "SIMPSON",
     "Choice",
+    "Composition",
     "ConvergenceError",
     "Ensemble",
     "GenerationError",
@@ -90,6 +94,7 @@ __all__ = [
     "Trajectory",
     "choose",
     "compile",
+    "composition",
     "coordinates",
     "galerkin",
     "generate",

@@ -12,7 +12,8 @@ from symsimpson.errors import GenerationError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.stepper import Stepper
-from symsimpson.schemes.scheme import Scheme, read_scheme
+from symsimpson.schemes.named import read_scheme
+from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["compile", "generate", "load"]
 

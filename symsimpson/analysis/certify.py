@@ -195,6 +195,8 @@ def _momenta(s: Subject) -> Iterator[Check]:
 
 def _equations(s: Subject) -> Iterator[Check]:
     """equations: derivatives of the residual against differences."""
+    if "equations" not in s.stepper._facts.functions:
+        return
     precise, n, d = s.precise, s.n, s.stepper._facts.degree
     q, p = s.path.q, s.path.p
     share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)

@@ -6,6 +6,7 @@ import hashlib
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
+from decimal import Context, Decimal
 
 import sympy as sp
 
@@ -37,6 +38,8 @@ INTERFACE = 6
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
 _LONG = 16
+#: Fractions with larger denominators are finite decimals.
+_LARGE = 10**6
 #: Beyond so many terms a formula is told by its families.
 _SHOWN = 40
 
@@ -59,7 +62,12 @@ ROUNDING = 2.0**-104  # corrections below this are made of rounding
 """
 
 
-#: What a module says of its kernels over stages.
+#: What a module says of its kernels.
+_ITERATED_RUN = (
+    "each step newton, with RELATIVE infinite at first, until no lane is ACTIVE, and advance",
+    "with those lanes ACTIVE that are to move.",
+)
+_EXPLICIT_RUN = ("COUNT steps advance, with those lanes ACTIVE that are to move.",)
 _STAGES_RUN = (
     "The nodes of one trajectory can be lanes, too: start_stages, then for each step iterate, with",
     "RELATIVE infinite at first, until it is not ACTIVE, and advance_stages.",
@@ -147,24 +155,20 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
             lines += [f"    {name} = a sum of {len(value.args)} terms, told below by families"]
         elif name != "a" or value != 0:
             lines += _folded(f"    {name} = ", sp.sstr(value.xreplace(shown)), "        ")
-    kind = scheme.quadrature.kind.capitalize()
     lines += [
         "",
-        "    L_d(X_0, ..., X_d) = h sum_i b_i L(sum_k A_ik X_k, 1/h sum_k B_ik X_k),",
-        f"    d = {scheme.degree}, X_0 = q0, X_d = q1, {kind} quadrature, {scheme.stages} nodes,",
-        "    p0 = -D_0 L_d,  D_k L_d = 0 for 0 < k < d,  p1 = D_d L_d",
+        *scheme.formula,
         "",
         *_folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
         *_folded("Parameters: ", ", ".join(names.parameters) or "none", "    "),
         "",
         "Kernels take the step h, the time t and a workspace of ROWS x LANES numbers; each lane",
         "holds one trajectory with its own state and parameters. A run is prepare, start, then for",
-        "each step newton, with RELATIVE infinite at first, until no lane is ACTIVE, and advance",
-        "with those lanes ACTIVE that are to move.",
+        *(_ITERATED_RUN if module.newton_unknowns else _EXPLICIT_RUN),
         *(_STAGES_RUN if "STRIDE" in module.tables else ()),
         "",
-        "References: J. E. Marsden and M. West, Acta Numerica 10 (2001); S. Ober-Bloebaum, IMA J.",
-        "Numer. Anal. 37 (2017).",
+        f"References: {scheme.references[0]}",
+        *scheme.references[1:],
         "",
     ]
     return "\n".join(lines)
@@ -221,6 +225,8 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
 
     def number(value: sp.Expr) -> str:
         # all of one type, because compiled code takes them in loops
+        if value.is_Rational and value.q > _LARGE:  # a decimal number, as it was published
+            return f'real("{Context(prec=99).divide(Decimal(value.p), Decimal(value.q))}")'
         return f"real({value})" if value.is_Integer else exact.doprint(value)
 
     def row(values: Iterable[sp.Expr]) -> str:
@@ -228,7 +234,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
 
     d, n = scheme.degree, equations.system.n
     lines = [
-        "# the scheme: nodes, weights b_i, A_ik = l_k(c_i), B_ik = l_k'(c_i), and the predictor",
+        f"# the scheme: {scheme.legend}",
         f"DIMENSION = {n}",
         f"DEGREE = {d}",
         f"UNKNOWNS = {d * n}",
@@ -237,8 +243,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
     ]
-    if scheme.exact:
-        lines += _scheme_tables(scheme, row)
+    lines += _scheme_tables(scheme, row)
     lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
     for name, value in module.tables.items():
         lines += _folded(f"{name} = ", _table(value, number), "    ")
@@ -247,20 +252,12 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
 
 
 def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
-    """Write the tables of a scheme whose numbers are exact."""
+    """Write the tables of a scheme: rows of numbers, and rows of rows."""
     lines = []
-    for name, values in {
-        "POINTS": scheme.points,
-        "WEIGHTS": scheme.quadrature.weights,
-        "END_SLOPE": scheme.end_slope,
-        "START_SLOPE": scheme.correction,
-    }.items():
-        lines += _folded(f"{name} = ", row(values), "    ")
-    for name, table in {
-        "BASIS": scheme.A,
-        "BASIS_SLOPE": scheme.B,
-        "EXTRAPOLATION": scheme.extrapolation,
-    }.items():
+    for name, table in scheme.tables.items():
+        if isinstance(table[0], sp.Expr):
+            lines += _folded(f"{name} = ", row(table), "    ")
+            continue
         lines += [f"{name} = ("]
         for values in table:
             lines += ["    " + line for line in _folded("", row(values) + ",", "    ")]

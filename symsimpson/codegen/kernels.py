@@ -8,6 +8,7 @@ from symsimpson.codegen.ir import Call, Function, Kernel, Module, Row, Statement
 from symsimpson.codegen.layout import layout
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import (
+    composed_kernels,
     energy_kernel,
     equations_kernel,
     looped_kernels,
@@ -21,12 +22,14 @@ from symsimpson.codegen.template import Point
 from symsimpson.codegen.terms_of_l import family_functions, straight_functions
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import families, neighbours, ordering
-from symsimpson.discrete.reductions import Linear, Part, Routh, Separable
+from symsimpson.discrete.reductions import Composed, Linear, Part, Routh, Separable
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
 #: Parts with up to so many unknowns are emitted as straight lines; with more, all is loops.
 UNROLLED_UNKNOWNS = 8
+#: In an explicit step so many forces count as one unknown.
+UNROLLED_FORCES = 30
 #: Loops over families of terms are worth their indices from so many members on, on average.
 FAMILY_MEMBERS = 2
 #: With more coordinates than this, nodes are not taken as lanes.
@@ -59,7 +62,8 @@ def _straight(equations: DiscreteEquations) -> Module:
     kernels = [*straight_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
-    kernels.append(equations_kernel(storage, degree))
+    if equations.rows:
+        kernels.append(equations_kernel(storage, degree))
     unknowns = sum(part_unknowns(part) for part in equations.parts)
     tables = {
         **storage.node_constants(),
@@ -67,23 +71,23 @@ def _straight(equations: DiscreteEquations) -> Module:
         **{f"SOLVE_{name}": value for name, value in (
             ("STRIDE", unknowns), ("OFFSET", 0), ("LOWER", unknowns), ("UPPER", unknowns))},
     }  # fmt: skip
-    functions = straight_functions(low, ("jet",))
+    functions = straight_functions(low, ("jet",)) if equations.rows else []
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
 
 
 def _looped(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     part, degree = equations.joined(), equations.scheme.degree
-    constant = isinstance(part, Separable)
+    constant = isinstance(part, (Separable, Composed))
     found = families(equations.plain)
     storage = Storage.dense(low.n)
     if "sparse" in equations.exploit:
         banded = Storage(*ordering(neighbours(found, low.n)), banded=True)
         if banded.size(degree) < storage.size(degree):
             storage = banded
-    names = (
-        "jet", *(("forces",) if constant else ()), "gradient", "mass", "potential",
-    )  # fmt: skip
+    names = ("gradient", "mass", "potential")
+    if not isinstance(part, Composed):
+        names = ("jet", *(("forces",) if constant else ()), *names)
     tables: dict[str, object] = {}
     members = sum(len(family.coordinates) for family in found)
     if storage.banded or members >= FAMILY_MEMBERS * len(found):
@@ -92,19 +96,23 @@ def _looped(equations: DiscreteEquations) -> Module:
         tables |= own
     else:
         functions = straight_functions(low, names)
-    kernels = looped_kernels(part, storage, degree)
+    kernels = (
+        composed_kernels() if isinstance(part, Composed) else looped_kernels(part, storage, degree)
+    )
     kernels.append(energy_kernel())
     if equations.plain.invariants:
         kernels.append(_watched(low))
-    kernels.append(equations_kernel(storage, degree))
-    blocks = len(part.columns)
-    tables = {
-        **storage.node_constants(),
-        **storage.constants("EQUATION", degree),
-        **storage.constants("SOLVE", blocks),
-        **solve_tables(part, equations.scheme),
-        **tables,
-    }
+    blocks = 0
+    own_tables = storage.node_constants()
+    if not isinstance(part, Composed):
+        kernels.append(equations_kernel(storage, degree))
+        blocks = len(part.columns)
+        own_tables |= {
+            **storage.constants("EQUATION", degree),
+            **storage.constants("SOLVE", blocks),
+            **solve_tables(part, equations.scheme),
+        }
+    tables = own_tables | tables
     unknowns = blocks * low.n
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=constant)
 
@@ -158,16 +166,20 @@ def _own(low: Lowering, value: sp.Expr) -> sp.Expr:
 
 
 def _size(part: Part) -> int:
-    """Measure a part by its unknowns or multipliers, a linear one by its matrices."""
+    """Measure a part by its unknowns or multipliers, others by what their text is as long as."""
     if isinstance(part, Linear):
         return 2 * len(part.coordinates)
+    if isinstance(part, Composed):
+        return len(part.coordinates) * len(part.drifts) // UNROLLED_FORCES
     multipliers = len(part.cyclic) * len(part.annihilator) if isinstance(part, Routh) else 0
     return max(part_unknowns(part), multipliers)
 
 
 def part_unknowns(part: Part) -> int:
     """Count the unknowns that a part solves for together."""
-    return 0 if isinstance(part, Linear) else len(part.coordinates) * len(part.columns)
+    if isinstance(part, (Linear, Composed)):
+        return 0
+    return len(part.coordinates) * len(part.columns)
 
 
 def _energy(low: Lowering) -> Kernel:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store, When
+from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.straight import JUDGE, QUESTION, lanes
 from symsimpson.discrete.reductions import Coupled, Separable
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["equations_kernel", "looped_kernels", "solve_tables"]
+__all__ = [
+    "composed_kernels",
+    "energy_kernel",
+    "equations_kernel",
+    "looped_kernels",
+    "solve_tables",
+]
 
 _HERE = ("W", "lane")
 _NODE = ("W", "h", "node", "lane")
@@ -81,17 +87,43 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
         *(following if part.columns else ()),
     )
     step = lanes((When(advance),))
-    if not part.columns:  # nothing to solve, nothing to predict
-        newton = (Store(Row("CORRECTION_SQUARED", 0), sp.S.Zero),)
-        step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
-    return [
+    beginning = [
         Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
         Kernel("legendre", "p = dL/dv from q and v.",
                lanes((_call("path_start"), _call("mass"), _call("momentum")))),
+    ]  # fmt: skip
+    if not part.columns:  # nothing to solve, nothing to predict
+        step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
+        doc = "Take as many steps as W[COUNT] says, by compensated sums."
+        return [*beginning, Kernel("advance", doc, step)]
+    return [
+        *beginning,
         Kernel("newton", "One Newton iteration, assembled node by node, with row pivoting.",
                lanes((When(newton),))),
         Kernel("advance", "Close a step by compensated sums, then predict the next increments.",
                step),
+    ]  # fmt: skip
+
+
+def composed_kernels() -> list[Kernel]:
+    """Make the kernels of an explicit step with loops over kicks and drifts."""
+    momentum = (_call("path_start"), _call("mass"))
+    begin = (
+        *momentum, _call("factor_mass"), _call("momentum_to_solve"), _call("solve_mass"),
+        _call("path_start"), _call("gradient"),
+    )  # fmt: skip
+    parts = Loop(
+        "part", "range(len(DRIFTS))",
+        (_call("drift", "W", "h", "part", "lane"), _call("gradient"),
+         _call("kick", "W", "h", "part + 1", "lane")),
+    )  # fmt: skip
+    closing = (_call("first_kick", "W", "h", "lane"), parts, _call("close_composed"))
+    step = lanes((When(closing),))
+    return [
+        Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),
+        Kernel("legendre", "p = dL/dv from q and v.", lanes((*momentum, _call("momentum")))),
+        Kernel("advance", "Take as many steps as W[COUNT] says: kicks, and drifts between them.",
+               (Loop("step", "range(int(W[COUNT, 0]))", step),)),
     ]  # fmt: skip
 
 

@@ -50,6 +50,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "step",
         "int",
         "node",
+        "KICKS",
+        "DRIFTS",
         "STRIDE",
         "MANY",
         "LOST",

@@ -10,7 +10,8 @@ from symsimpson.codegen.kernels import lower
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.schemes.scheme import Scheme, read_scheme
+from symsimpson.schemes.named import read_scheme
+from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["source"]
 

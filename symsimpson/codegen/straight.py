@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import sympy as sp
 
+from symsimpson.codegen.composed import ComposedSolver
 from symsimpson.codegen.coupled import NOTHING, CoupledSolver, Solver
 from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store, When
 from symsimpson.codegen.levels import Level
@@ -15,7 +16,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.routh import RouthSolver
 from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
-from symsimpson.discrete.reductions import Coupled, Linear, Part, Routh, Separable
+from symsimpson.discrete.reductions import Composed, Coupled, Linear, Part, Routh, Separable
 
 __all__ = [
     "JUDGE",
@@ -34,6 +35,7 @@ STATE = (Level.STEP, Level.ITERATION)
 
 
 _SOLVERS: dict[type, Callable[..., Solver]] = {
+    Composed: ComposedSolver,
     Coupled: CoupledSolver,
     Linear: LinearSolver,
     Routh: RouthSolver,
@@ -44,9 +46,10 @@ _SOLVERS: dict[type, Callable[..., Solver]] = {
 def straight_kernels(low: Lowering) -> list[Kernel]:
     """Make the kernels of a step: start, legendre, newton, advance, newton_pivoted."""
     solvers = [_SOLVERS[type(part)](low, part) for part in low.equations.parts]
-    newton, advance = _newton(low, solvers), _advance(low, solvers)
-    kernels = [_start(low, solvers), _legendre(low), newton, advance]
-    return [*kernels, _pivoted(low, solvers)] if unknowns(solvers) else kernels
+    iterated = [_newton(low, solvers)] if unknowns(solvers) else []
+    step = [*iterated, _advance(low, solvers)]  # first: it finds out what start must leave
+    pivoted = [_pivoted(low, solvers)] if iterated else []
+    return [_start(low, solvers), _legendre(low), *step, *pivoted]
 
 
 def unknowns(solvers: Iterable[Solver]) -> list[tuple[int, int]]:
@@ -77,7 +80,9 @@ def velocity(
         v, pivots = _velocities(low, point, p, section, _mass_order(part), suffix)
         found |= v
         deficits += [
-            low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section) for d in pivots
+            low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section)
+            for d in pivots
+            if not d.is_positive or d.free_symbols  # of others only a run can tell
         ]
     deficit = low.graph.define("deficit", sp.Add(*deficits), section)
     return [found[a] for a in range(low.n)], deficit
@@ -111,9 +116,7 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
     stores = _update(low, solvers, found)
     doc = "One Newton iteration for the increments X_k of the control points."
-    judged = (JUDGE,) if found else ()  # a linear system has nothing to iterate for
-    body = (*low.statements(stores, (Level.ITERATION,)), *judged)
-    return Kernel("newton", doc, lanes(body))
+    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), JUDGE)))
 
 
 def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
@@ -288,7 +291,8 @@ def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
                 stores.append(Store(Row("INCREMENT", (k - 1) * n + a), value))
                 stores.append(Store(Row("PREDICTED", (k - 1) * n + a), value))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))
-    doc = "Begin at (q, p): what depends on q alone, and increments of constant velocity."
+    more = ", and increments of constant velocity" if every else ""
+    doc = f"Begin at (q, p): what depends on q alone{more}."
     return Kernel("start", doc, lanes(low.statements(stores, STATE)))
 
 

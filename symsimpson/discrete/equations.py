@@ -23,6 +23,7 @@ import sympy as sp
 
 from symsimpson.discrete.jet import Jet, derive_jet
 from symsimpson.discrete.reductions import (
+    Composed,
     Coupled,
     Part,
     Separable,
@@ -30,7 +31,9 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
+from symsimpson.errors import SchemeError
 from symsimpson.mechanics.system import MechanicalSystem, Plain
+from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 #: Gives an entry of the jet at a node: ``entry(i, "L_qq", a, b)``.
@@ -45,7 +48,7 @@ class DiscreteEquations:
 
     Rows and columns are blocks of n. ``rows`` lists the control points whose D_k L_d are the
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
-    elimination takes them. ``parts`` are what is solved in a step.
+    elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
     """
 
     system: MechanicalSystem
@@ -62,11 +65,11 @@ class DiscreteEquations:
         """L and its derivatives, each entry by itself; loops over terms do without."""
         return derive_jet(self.plain)
 
-    def joined(self) -> Coupled | Separable:
+    def joined(self) -> Composed | Coupled | Separable:
         """Give all coordinates as one part, as loops take them."""
         alone = self.exploit & {"constant_mass"}
         (part,) = reduce(self.system.structure, self.scheme, alone)
-        assert isinstance(part, (Coupled, Separable))
+        assert isinstance(part, (Composed, Coupled, Separable))
         return part
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
@@ -141,11 +144,35 @@ def discretise(
     DiscreteEquations
         d n equations for d n unknowns, their exact Jacobian and the momenta; and the parts that
         these come down to.
+
+    Raises
+    ------
+    SchemeError
+        If the scheme is explicit, but no step of the system is.
     """
     wanted = read_exploit(exploit)
     structure = system.structure
     plain = structure.plain if wanted else system.plain
+    _check_explicit(system, scheme)
     parts = reduce(structure, scheme, wanted)
-    rows, columns = elimination_order(scheme.degree)
+    explicit = any(isinstance(part, Composed) for part in parts)
+    rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts)
+
+
+def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
+    """Refuse kicks and drifts where M is not constant or forces depend on velocities."""
+    if not isinstance(scheme, Composition):
+        return
+    names, plain = [q.func.__name__ for q in system.coordinates], system.plain
+    for subsystem in system.structure.subsystems:
+        if not subsystem.separable:
+            own = ", ".join(names[i] for i in subsystem.coordinates)
+            moving = bool(plain.mass.free_symbols & set(plain.q))
+            what = "mass matrix depends on positions" if moving else "force depends on velocities"
+            raise SchemeError(
+                f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
+                f"depend on positions alone, but the {what} in {own}.\n"
+                "Choose a scheme of the family, as 'simpson' or 'gauss8'."
+            )

@@ -14,6 +14,7 @@ solved one by one:
   the nodes. That the velocities of y are such a polynomial, sum_i C_ri v_y(q_i) = 0, is a linear,
   symmetric and positive definite system for the multipliers lambda (s - d of them for each
   coordinate; Simpson has one, a Gauss scheme of full degree none).
+- :class:`Composed` (constant M, forces of q alone, an explicit scheme): kicks and drifts.
 - :class:`Linear` (forces linear in q): the step is a product of shears
   p += kick(q), q += drift(p), ..., exact for whatever rounding leaves of their coefficients.
 """
@@ -30,11 +31,12 @@ from symsimpson.discrete.factors import Factors, factorise
 from symsimpson.errors import GenerationError
 from symsimpson.mechanics.structure import Structure, Subsystem
 from symsimpson.mechanics.system import Plain
+from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = [
-    "EXPLOITABLE", "Coupled", "Linear", "Part", "Routh", "Separable", "elimination_order",
-    "read_exploit", "reduce",
+    "EXPLOITABLE", "Composed", "Coupled", "Linear", "Part", "Routh", "Separable",
+    "elimination_order", "read_exploit", "reduce",
 ]  # fmt: skip
 
 Table = tuple[tuple[sp.Expr, ...], ...]
@@ -95,7 +97,16 @@ class Linear:
     shears: tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...]
 
 
-Part = Coupled | Separable | Routh | Linear
+@dataclass(frozen=True)
+class Composed:
+    """Coordinates moved by kicks p += h b_k L_q(q), and drifts q += h a_k M^-1 p between them."""
+
+    coordinates: tuple[int, ...]
+    kicks: tuple[sp.Expr, ...]
+    drifts: tuple[sp.Expr, ...]
+
+
+Part = Coupled | Separable | Routh | Linear | Composed
 
 
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
@@ -151,6 +162,8 @@ def _joined(subsystems: Sequence[Subsystem]) -> Subsystem:
 
 def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset[str]) -> Part:
     coordinates = subsystem.coordinates
+    if isinstance(scheme, Composition):
+        return Composed(coordinates, scheme.kicks, scheme.drifts)
     if subsystem.linear and "linear" in exploit and scheme.exact:
         shears = shear_factors(scheme)
         if shears is not None:

@@ -185,6 +185,7 @@ class Digits(Numbers):
             "njit": lambda **options: lambda function: function,
             "types": _Anything(),
             "call": self._call,
+            "AT_ONCE": 1,  # balls of python-flint grow in a call
             "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
             "np": SimpleNamespace(
                 inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros

@@ -66,6 +66,11 @@ def evaluate_equations(
     """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
     facts, n, numbers = stepper._facts, stepper.n, stepper._numbers
     d = facts.degree
+    if "equations" not in facts.functions:
+        raise InputError(
+            f"{stepper.scheme} is explicit: a step has no equations to evaluate.\n"
+            "Ask a stepper of another scheme, as 'simpson'."
+        )
     with numbers.working():
         q = read_vector("q0", q0, stepper.coordinates, numbers)
         p = read_vector("p0", p0, stepper.coordinates, numbers)

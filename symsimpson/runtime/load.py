@@ -26,6 +26,7 @@ INTERFACE = 6
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
 
 _NEWTON = ("prepare", "start", "newton", "advance")
+_EXPLICIT = ("prepare", "start", "advance")
 _STAGES = ("prepare", "start_stages", "iterate", "advance_stages")
 
 
@@ -185,7 +186,9 @@ class Kernels:
 
     @cached_property
     def newton(self) -> NDArray[np.int64]:
-        """Addresses of prepare, start, newton and advance."""
+        """Addresses of prepare, start, newton and advance; 0 for newton where nothing is solved."""
+        if not self._facts.newton_unknowns:
+            return np.insert(self._addresses(self._text, "step", _EXPLICIT), 2, 0)
         return self._watched(self._addresses(self._text, "step", _NEWTON))
 
     def _watched(self, kernels: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -41,6 +41,8 @@ SIGNATURES |= {
         types.float64[:, :], types.int64, WORKSPACE,
     ),
 }  # fmt: skip
+#: Steps that a kernel takes in one call.
+AT_ONCE = 1 << 62
 
 
 @njit(**INLINE)
@@ -66,7 +68,7 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
     single = 0
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
-        count = 1 if single > 0 else count
+        count = 1 if single > 0 else min(count, AT_ONCE)
         alive = 0
         for lane in range(lanes):
             keep(W, position, state_end, lane, before)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 
+import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
 from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto
 
-__all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin", "read_scheme"]
+__all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin"]
 
 Table = tuple[tuple[sp.Expr, ...], ...]
 _QUADRATURES = {"gauss": gauss, "lobatto": lobatto}
@@ -75,6 +77,65 @@ class Scheme:
     def order(self) -> int:
         """Order of consistency: min(2d, order of the quadrature)."""
         return min(2 * self.degree, self.quadrature.order)
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether a linear oscillator is stable at any step.
+
+        Gauss methods turn its phase, whatever the step.
+        """
+        return self.quadrature.kind == "gauss" and self.degree == self.stages
+
+    @property
+    def formula(self) -> Sequence[str]:
+        """The discrete Lagrangian, in lines."""
+        kind = self.quadrature.kind.capitalize()
+        return (
+            "    L_d(X_0, ..., X_d) = h sum_i b_i L(sum_k A_ik X_k, 1/h sum_k B_ik X_k),",
+            f"    d = {self.degree}, X_0 = q0, X_d = q1, {kind} quadrature, {self.stages} nodes,",
+            "    p0 = -D_0 L_d,  D_k L_d = 0 for 0 < k < d,  p1 = D_d L_d",
+        )
+
+    @property
+    def legend(self) -> str:
+        """What the tables are."""
+        return "nodes, weights b_i, A_ik = l_k(c_i), B_ik = l_k'(c_i), and the predictor"
+
+    @property
+    def references(self) -> Sequence[str]:
+        """Where it comes from, in lines."""
+        return (
+            "J. E. Marsden and M. West, Acta Numerica 10 (2001); S. Ober-Bloebaum, IMA J.",
+            "Numer. Anal. 37 (2017).",
+        )
+
+    @property
+    def tables(self) -> Mapping[str, tuple[sp.Expr, ...] | Table]:
+        """The tables, as modules state them; none where they are no exact numbers."""
+        if not self.exact:
+            return {}
+        return {
+            "POINTS": self.points,
+            "WEIGHTS": self.quadrature.weights,
+            "END_SLOPE": self.end_slope,
+            "START_SLOPE": self.correction,
+            "BASIS": self.A,
+            "BASIS_SLOPE": self.B,
+            "EXTRAPOLATION": self.extrapolation,
+        }
+
+    def oscillator(self, x: float) -> NDArray[np.float64]:
+        """Give the matrix of a step of q'' = -q with h = x."""
+        A, B = (np.array(table, dtype=np.float64) for table in (self.A, self.B))
+        b = np.array(self.quadrature.weights, dtype=np.float64)
+        # D_k L_d = sum_m K_km X_m with X the control points themselves
+        K = B.T @ (b[:, None] * B) / x - x * A.T @ (b[:, None] * A)
+        ends, inner = np.ix_([0, -1], [0, -1]), slice(1, -1)
+        if self.degree > 1:
+            solved = np.linalg.solve(K[inner, inner], K[inner][:, [0, -1]])
+            K = K[ends] - K[[0, -1]][:, inner] @ solved
+        a, d, c = K[0, 0], K[1, 1], K[0, 1]  # p0 = -(a q0 + c q1), p1 = c q0 + d q1
+        return np.array([[-a / c, -1 / c], [c - a * d / c, -d / c]])
 
     @cached_property
     def points(self) -> tuple[sp.Expr, ...]:
@@ -211,30 +272,3 @@ def _name(quadrature: str, nodes: int, degree: int) -> str:
 MIDPOINT = galerkin("gauss", 1, 1)
 #: Order 4: Simpson's rule, parabolic path.
 SIMPSON = galerkin("lobatto", 3, 2)
-
-
-def read_scheme(scheme: str | Scheme) -> Scheme:
-    """Find a scheme by its name.
-
-    Raises
-    ------
-    SchemeError
-        If no scheme has this name.
-    """
-    if isinstance(scheme, Scheme):
-        return scheme
-    named = {s.name: s for s in (MIDPOINT, SIMPSON)}
-    if isinstance(scheme, str):
-        if scheme in named:
-            return named[scheme]
-        if found := re.fullmatch(r"(gauss|lobatto)([1-9][0-9]?)", scheme):
-            kind, order = found[1], int(found[2])
-            if order % 2 == 0:
-                nodes = order // 2 + (kind == "lobatto")
-                return galerkin(kind, nodes, nodes - (kind == "lobatto"))
-        if found := re.fullmatch(r"(gauss|lobatto)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
-            return galerkin(found[1], int(found[2]), int(found[3]))
-    raise SchemeError(
-        f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "
-        "(the family by its even order), or make one with symsimpson.galerkin."
-    )

@@ -15,7 +15,7 @@ from symsimpson.codegen import kernels
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
-from symsimpson.schemes.scheme import read_scheme
+from symsimpson.schemes.named import read_scheme
 
 SYSTEMS = [
     ss.systems.lagrange_top(),

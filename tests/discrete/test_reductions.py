@@ -6,7 +6,7 @@ import sympy as sp
 import symsimpson as ss
 from symsimpson.discrete.factors import factorise
 from symsimpson.discrete.reductions import annihilating, reduce, shear_factors
-from symsimpson.schemes.scheme import read_scheme
+from symsimpson.schemes.named import read_scheme
 
 SCHEMES = ["simpson", "midpoint", "gauss4", "lobatto6", "lobatto2", "lobatto_3_3"]
 

@@ -13,7 +13,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.runtime.digits import read_precision
+from symsimpson.runtime.digits import Digits, read_precision
 
 
 @pytest.fixture(params=["mpmath", "arb"])
@@ -139,3 +139,13 @@ def test_interrupt_keeps_whole_steps():
     assert partial.steps > 0
     assert (partial.q == again.q).all()
     assert (partial.p == again.p).all()
+
+
+@pytest.mark.parametrize("scheme", ["suzuki4", "lobatto2"])
+def test_many_explicit_steps_at_once(scheme, arithmetic, monkeypatch):
+    """In one call of a kernel, balls would grow until their midpoints mean nothing."""
+    monkeypatch.setattr(Digits, "stretch", 1000)
+    system = ss.systems.pendulum()
+    given = {**system.reference_state, "h": 0.03125, "steps": 400, "every": None}
+    run = ss.compile(system, scheme, precision=40, arithmetic=arithmetic).integrate(**given)
+    assert abs(run.q[0, 0] - ss.compile(system, scheme).integrate(**given).q[0, 0]) < 1e-11

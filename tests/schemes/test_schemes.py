@@ -8,8 +8,8 @@ import symsimpson as ss
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import elimination_order
+from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.quadrature import gauss, lobatto
-from symsimpson.schemes.scheme import read_scheme
 
 FAMILY = [("gauss", s, s) for s in range(1, 6)] + [("lobatto", s, s - 1) for s in range(2, 7)]
 FAMILY += [

@@ -13,7 +13,7 @@ from symsimpson.codegen.pipeline import source
 from symsimpson.reference import canonical
 from symsimpson.runtime.digits import MOST_BY_STAGES
 from symsimpson.runtime.machine import Run
-from symsimpson.schemes.scheme import read_scheme
+from symsimpson.schemes.named import read_scheme
 
 PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()
 

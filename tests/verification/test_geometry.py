@@ -5,8 +5,10 @@ import pytest
 from workspace import begin, state, take_step
 
 import symsimpson as ss
+from symsimpson.analysis.precise import Precise
 from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.schemes.named import named_schemes
 
 PENDULUM = ss.systems.double_pendulum()
 TOP = ss.systems.lagrange_top()
@@ -31,6 +33,45 @@ def tangent(module, q, p, parameters, h, steps):
             take_step(module, W, h, iterations=9)
         columns.append(np.imag(state(module, W)) / 1e-30)
     return np.array(columns).T
+
+
+x, y = ss.coordinates("x y")
+#: Constant M, forces of positions alone, a rotational symmetry: every scheme takes it.
+CENTRAL = ss.MechanicalSystem(
+    "central_force", coordinates=[x, y], kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=(x**2 + y**2) / 2 + (x**2 + y**2) ** 2 / 4, parameters={},
+)  # fmt: skip
+EVERY = [scheme.name for scheme in named_schemes(16)] + ["lobatto_3_3", "lobatto_4_4", "gauss_4_3"]
+
+
+@pytest.mark.parametrize("scheme", EVERY)
+def test_every_scheme_is_symplectic_reversible_and_keeps_momenta(scheme):
+    """In 50 digits, at a large step; each scheme that gets a name comes here by itself."""
+    precise = Precise(ss.compile(CENTRAL, scheme), {}, 50)
+    z, h = np.array([0.8, -0.3, 0.4, 0.9]), 0.25
+    D = precise.tangent(z, h)
+    J = np.kron([[0, 1], [-1, 0]], np.eye(2, dtype=int)).astype(object)
+    assert max(map(abs, (D.T @ J @ D - J).ravel())) < 1e-28
+    there = precise.run(z, h, 10)
+    momentum = there.q[:, 0] * there.p[:, 1] - there.q[:, 1] * there.p[:, 0]
+    assert max(abs(momentum - momentum[0])) < 1e-46
+    back = precise.flow(np.concatenate([there.q[-1], there.p[-1]]), -h, 10)
+    assert max(map(abs, back - z)) < 1e-44
+
+
+@pytest.mark.parametrize("scheme", EVERY)
+def test_every_scheme_compiled(scheme):
+    """The compiled steps are those in many digits, and as reversible as rounding allows."""
+    stepper = ss.compile(CENTRAL, scheme)
+    q0, p0, h = [0.8, -0.3], [0.4, 0.9], 0.0625
+    there = stepper.integrate(q0, p0=p0, h=h, steps=200)
+    momentum = there.q[:, 0] * there.p[:, 1] - there.q[:, 1] * there.p[:, 0]
+    assert np.abs(momentum - momentum[0]).max() < 2e-14
+    back = stepper.integrate(there.q[-1], p0=there.p[-1], h=-h, steps=200, every=None)
+    assert np.abs(back.q[0] - q0).max() < 2e-13
+    many = ss.compile(CENTRAL, scheme, precision=66, arithmetic="arb")
+    exact = many.integrate(q0, p0=p0, h=h, steps=20, every=None)
+    assert np.abs((exact.q[0] - there.q[20]).astype(float)).max() < 2e-15
 
 
 @pytest.mark.parametrize("scheme", ["simpson", "midpoint", "gauss4", "lobatto6"])

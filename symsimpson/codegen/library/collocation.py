@@ -20,7 +20,7 @@ def on_grid(units):
     return (units * 2**52 + 10**DIGITS // 2) // 10**DIGITS / 2**52
 
 
-def legendre(degree, x):
+def legendre_p(degree, x):
     """The Legendre polynomial P at x, of the degree and of the one below."""
     one = 10**DIGITS
     before, now = 0, one
@@ -56,19 +56,20 @@ def quadrature(kind, nodes):
     """Nodes and weights on [0, 1]."""
     one = 10**DIGITS
     if kind == "gauss":
-        found = zeros(lambda k, x: legendre(k, x)[0], nodes)
+        found = zeros(lambda k, x: legendre_p(k, x)[0], nodes)
         # 2/((1 - x^2) P'^2) with (x^2 - 1) P' = n (x P - P_below)
         weights = [
-            (one**2 - x * x) * one // (nodes * legendre(nodes, x)[1]) ** 2 for x in found
+            (one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in found
         ]  # fmt: skip
     else:
         # (x^2 - 1) P' where P' is zero
         found = zeros(
-            lambda k, x: legendre(k + 1, x)[1] * one - x * legendre(k + 1, x)[0], nodes - 2
+            lambda k, x: legendre_p(k + 1, x)[1] * one - x * legendre_p(k + 1, x)[0],
+            nodes - 2,
         )
         found = [-one, *found, one]
         weights = [
-            one**3 // (nodes * (nodes - 1) * legendre(nodes - 1, x)[0] ** 2) for x in found
+            one**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in found
         ]  # fmt: skip
     return [(x + one) // 2 for x in found], weights
 
@@ -146,7 +147,7 @@ def stage_tables(kind, nodes):
     for i in range(nodes):
         inner = [basis(c, c[i] * x // one) for x in c]
         following = basis(c, one + c[i])
-        smooth = [legendre(k, 2 * c[i] + one)[0] for k in range(max(1, nodes - 2))]
+        smooth = [legendre_p(k, 2 * c[i] + one)[0] for k in range(max(1, nodes - 2))]
         for j in range(nodes):
             total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
             share = c[i] * total // b[j]
@@ -154,7 +155,7 @@ def stage_tables(kind, nodes):
             forces[i, j] = real(1) - velocities[j, i]
             ahead[j, i] = number(b[i] * following[j] // b[j])
             terms = [
-                (2 * k + 1) * value * legendre(k, 2 * c[j] - one)[0] // one
+                (2 * k + 1) * value * legendre_p(k, 2 * c[j] - one)[0] // one
                 for k, value in enumerate(smooth)
             ]
             ahead[nodes + j, i] = number(b[i] * sum(terms) // one)

@@ -1,0 +1,94 @@
+"""Explicit schemes: kicks and drifts as straight lines."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Composed
+
+__all__ = ["ComposedSolver"]
+
+
+class ComposedSolver:
+    """Adds up the kicks and the drifts of a step, beginning with what rounding has left before.
+
+    A shear by a function of the exact value is symplectic, rounded or not. The force at the last
+    kick is that at the first one of the next step.
+    """
+
+    unknowns: tuple[tuple[int, int], ...] = ()
+    carried: tuple[tuple[int, int], ...] = ()
+
+    def __init__(self, low: Lowering, part: Composed) -> None:
+        self._low, self.coordinates = low, part.coordinates
+        self._kicks = self._shares("KICKS", part.kicks)
+        self._drifts = self._shares("DRIFTS", part.drifts)
+        self._forced = [a for a in part.coordinates if low.equations.jet.L_q[a] != 0]
+        self._impulse: dict[int, sp.Expr] = {}
+
+    def _shares(self, table: str, values: Sequence[sp.Expr]) -> list[sp.Expr]:
+        """Give h times the entries of a table of the module, equal ones by the same name."""
+        first = [sp.Symbol(f"{table}[{values.index(value)}]", real=True) for value in values]
+        graph = self._low.graph
+        return [self._low.equations.h * graph.declare(name, Level.RUN) for name in first]
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give nothing to solve."""
+        return [], []
+
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give nothing: no increment is left over."""
+        return {}
+
+    def increments(self) -> Mapping[int, sp.Expr]:
+        """Give q1 - q0, after all kicks but the last."""
+        low, names, n = self._low, self._low.names.coordinates, self._low.n
+        define = low.graph.define
+        moved: dict[int, sp.Expr] = {a: low.q_low[a] for a in self.coordinates}
+        self._impulse = {a: low.p_low[a] for a in self._forced}
+        point = low.start_point()
+        for k, (kick, drift) in enumerate(zip(self._kicks[:-1], self._drifts, strict=True)):
+            section = f"kick and drift {k}"
+            if k > 0:
+                q = list(low.q)
+                for a in self.coordinates:
+                    q[a] = define(f"{names[a]}_{k}", low.q[a] + moved[a], section)
+                point = Point(str(k), tuple(q))
+            self._kick(kick, point, section, f"dp_{{}}_{k + 1}")
+            momentum = [low.p[a] + self._impulse.get(a, low.p_low[a]) for a in range(n)]
+            for a, v in zip(self.coordinates, self._velocity(momentum, section), strict=True):
+                value = moved[a] + drift * v
+                moved[a] = define(f"dq_{names[a]}_{k + 1}", value, section)
+        # which the sum that closes the step adds anew
+        return {a: value - low.q_low[a] for a, value in moved.items()}
+
+    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
+        """Give p1 - p0, the last kick included."""
+        self._kick(self._kicks[-1], end, "last kick", "dp_{}_end")
+        return {a: value - self._low.p_low[a] for a, value in self._impulse.items()}
+
+    def _kick(self, share: sp.Expr, point: Point, section: str, wish: str) -> None:
+        low = self._low
+        for a in self._forced:
+            force = low.template.entry(point, section, "L_q", a)
+            value = self._impulse[a] + share * force
+            name = wish.format(low.names.coordinates[a])
+            self._impulse[a] = low.graph.define(name, value, section)
+
+    def _velocity(self, momentum: Sequence[sp.Expr], section: str) -> list[sp.Expr]:
+        """Solve M v = p with the constant M."""
+        low, group = self._low, self.coordinates
+        mass = [
+            [low.template.entry(low.start_point(), "mass", "M", a, b) for b in group] for a in group
+        ]
+        right = [momentum[a] for a in group]
+        wishes = [f"v_{low.names.coordinates[a]}" for a in group]
+        return solve_symmetric(low.graph, mass, right, wishes, section)[0]

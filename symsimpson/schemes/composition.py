@@ -1,0 +1,209 @@
+"""Explicit schemes: compositions of kicks and drifts, for constant M and forces of q alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from itertools import accumulate, pairwise
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from symsimpson.errors import SchemeError
+from symsimpson.schemes.quadrature import Quadrature
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["COMPOSITIONS", "Composition", "composition"]
+
+Coefficients = tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]
+
+
+@dataclass(frozen=True, repr=False)
+class Composition(Scheme):
+    r"""A symmetric product of kicks p += h b_k L_q(q) and drifts q += h a_k M^-1 p.
+
+    It is variational, too: along a path of straight lines through X_0 = q0, X_1, ..., X_m = q1
+    that take the shares a_k of the step,
+
+    .. math:: L_d = h \sum_{k=1}^m a_k T\Bigl(\frac{X_k - X_{k-1}}{a_k h}\Bigr)
+        - h \sum_{k=0}^m b_k V(X_k).
+
+    Attributes
+    ----------
+    name : str
+    quadrature : Quadrature
+        Times c_k = a_1 + ... + a_k of the kicks, and their weights b_k.
+    degree : int
+        1.
+    drifts : tuple of sympy numbers
+        The shares a_k.
+    source : str
+        Where the coefficients come from.
+
+    References
+    ----------
+    .. [1] E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), sections II.4,
+       V.3 and VI.6.2.
+    """
+
+    drifts: tuple[sp.Expr, ...] = field(repr=False)
+    source: str = field(repr=False)
+
+    @property
+    def kicks(self) -> tuple[sp.Expr, ...]:
+        """The weights b_k."""
+        return self.quadrature.weights
+
+    @property
+    def order(self) -> int:
+        """Order of consistency."""
+        return self.quadrature.order
+
+    @property
+    def unbounded(self) -> bool:
+        """Whether a linear oscillator is stable at any step: it is not."""
+        return False
+
+    @property
+    def formula(self) -> Sequence[str]:
+        """The discrete Lagrangian, in lines."""
+        m = len(self.drifts)
+        return (
+            "    L_d(X_0, ..., X_m) = h sum_k a_k T((X_k - X_k-1)/(h a_k)) - h sum_k b_k V(X_k),",
+            f"    m = {m}, X_0 = q0, X_m = q1: {m + 1} kicks p += h b_k L_q(X_k), and between them",
+            f"    {m} drifts X_k = X_k-1 + h a_k M^-1 p",
+        )
+
+    @property
+    def legend(self) -> str:
+        """What the tables are."""
+        return "weights b_k of the kicks, shares a_k of the drifts"
+
+    @property
+    def references(self) -> Sequence[str]:
+        """Where it comes from, in lines."""
+        return (f"{self.source}.",)
+
+    @cached_property
+    def tables(self) -> Mapping[str, tuple[sp.Expr, ...]]:
+        """The coefficients, as modules state them."""
+        return {"KICKS": self.kicks, "DRIFTS": self.drifts}
+
+    def oscillator(self, x: float) -> NDArray[np.float64]:
+        """Give the matrix of a step of q'' = -q with h = x."""
+        matrix = np.eye(2)
+        for k, kick in enumerate(self.kicks):
+            matrix = np.array([[1.0, 0.0], [-x * float(kick), 1.0]]) @ matrix
+            if k < len(self.drifts):
+                matrix = np.array([[1.0, x * float(self.drifts[k])], [0.0, 1.0]]) @ matrix
+        return matrix
+
+    def __repr__(self) -> str:
+        return f"Composition({self.name!r}: {len(self.drifts)} drifts, order {self.order})"
+
+
+def composition(name: str) -> Composition:
+    """Give an explicit scheme by its name.
+
+    For systems with constant M whose forces depend on positions alone. Coefficients are published
+    with 15 digits by Blanes and Moan, and with 26 by Kahan and Li; beyond, errors end there.
+
+    Parameters
+    ----------
+    name : {"suzuki4", "blanes_moan4", "blanes_moan6", "kahan_li6", "kahan_li8"}
+        The number is the order; order 2 is "lobatto2".
+
+    Returns
+    -------
+    Composition
+
+    Raises
+    ------
+    SchemeError
+        If there is none of this name.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.composition("kahan_li8")
+    Composition('kahan_li8': 17 drifts, order 8)
+    """
+    if name not in COMPOSITIONS:
+        choices = ", ".join(repr(choice) for choice in COMPOSITIONS)
+        raise SchemeError(f"there is no composition {name!r}.\nChoose one of {choices}.")
+    return _composition(name)
+
+
+@cache
+def _composition(name: str) -> Composition:
+    order, source, make = COMPOSITIONS[name]
+    kicks, drifts = make()
+    times = tuple(accumulate(drifts, initial=sp.S.Zero))
+    return Composition(name, Quadrature("composition", times, kicks, order), 1, drifts, source)
+
+
+def _palindrome(text: str, middle: int) -> tuple[sp.Expr, ...]:
+    """Read decimal numbers; one or two numbers follow that bring the sum to 1, then they mirror."""
+    half = [sp.Rational(number) for number in text.split()]
+    return (*half, *[(1 - 2 * sp.Add(*half)) / middle] * middle, *reversed(half))
+
+
+def _of_verlet(steps: Sequence[sp.Expr]) -> Coefficients:
+    """Compose steps of Stoermer and Verlet."""
+    kicks = [(a + b) / 2 for a, b in pairwise((sp.S.Zero, *steps, sp.S.Zero))]
+    return tuple(kicks), tuple(steps)
+
+
+def _suzuki4() -> Coefficients:
+    outer = sp.radsimp(1 / (4 - sp.cbrt(4)))
+    return _of_verlet((outer, outer, 1 - 4 * outer, outer, outer))
+
+
+def _kahan_li6() -> Coefficients:
+    steps = """
+        0.39216144400731413927925056  0.33259913678935943859974864
+        -0.70624617255763935980996482 0.08221359629355080023149045
+        """
+    return _of_verlet(_palindrome(steps, 1))
+
+
+def _kahan_li8() -> Coefficients:
+    steps = """
+        0.13020248308889008087881763  0.56116298177510838456196441
+        -0.38947496264484728640807860 0.15884190655515560089621075
+        -0.39590389413323757733623154 0.18453964097831570709183254
+        0.25837438768632204729397911  0.29501172360931029887096624
+        """
+    return _of_verlet(_palindrome(steps, 1))
+
+
+def _blanes_moan4() -> Coefficients:
+    kicks = "0.0829844064174052 0.396309801498368 -0.0390563049223486"
+    drifts = "0.245298957184271 0.604872665711080"
+    return _palindrome(kicks, 1), _palindrome(drifts, 2)
+
+
+def _blanes_moan6() -> Coefficients:
+    kicks = """
+        0.0414649985182624 0.198128671918067 -0.0400061921041533 0.0752539843015807
+        -0.0115113874206879
+        """
+    drifts = """
+        0.123229775946271 0.290553797799558 -0.127049212625417 -0.246331761062075
+        0.357208872795928
+        """
+    return _palindrome(kicks, 2), _palindrome(drifts, 1)
+
+
+_KAHAN_LI = "W. Kahan, R.-C. Li, Mathematics of Computation 66 (1997) 1089-1099"
+_BLANES_MOAN = "S. Blanes, P. C. Moan, J. Comput. Appl. Math. 142 (2002) 313-330"
+#: Order, source and coefficients; those of Blanes and Moan are of type Runge-Kutta-Nystroem.
+COMPOSITIONS: dict[str, tuple[int, str, Callable[[], Coefficients]]] = {
+    "suzuki4": (4, "M. Suzuki, Physics Letters A 146 (1990) 319-323", _suzuki4),
+    "blanes_moan4": (4, f"{_BLANES_MOAN}, SRKN6b", _blanes_moan4),
+    "blanes_moan6": (6, f"{_BLANES_MOAN}, SRKN11b", _blanes_moan6),
+    "kahan_li6": (6, f"{_KAHAN_LI}, s9odr6a", _kahan_li6),
+    "kahan_li8": (8, f"{_KAHAN_LI}, s17odr8a", _kahan_li8),
+}

@@ -1,0 +1,50 @@
+"""Schemes by their names."""
+
+from __future__ import annotations
+
+import re
+
+from symsimpson.errors import SchemeError
+from symsimpson.schemes.composition import COMPOSITIONS, composition
+from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
+
+__all__ = ["named_schemes", "read_scheme"]
+
+
+def read_scheme(scheme: str | Scheme) -> Scheme:
+    """Find a scheme by its name.
+
+    Raises
+    ------
+    SchemeError
+        If no scheme has this name.
+    """
+    if isinstance(scheme, Scheme):
+        return scheme
+    named = {s.name: s for s in (MIDPOINT, SIMPSON)}
+    if isinstance(scheme, str):
+        if scheme in named:
+            return named[scheme]
+        if scheme in COMPOSITIONS:
+            return composition(scheme)
+        if found := re.fullmatch(r"(gauss|lobatto)([1-9][0-9]?)", scheme):
+            kind, order = found[1], int(found[2])
+            if order % 2 == 0:
+                nodes = order // 2 + (kind == "lobatto")
+                return galerkin(kind, nodes, nodes - (kind == "lobatto"))
+        if found := re.fullmatch(r"(gauss|lobatto)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
+            return galerkin(found[1], int(found[2]), int(found[3]))
+    raise SchemeError(
+        f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "
+        "(the family by its even order), an explicit one as 'kahan_li8' (symsimpson.composition), "
+        "or make one with symsimpson.galerkin."
+    )
+
+
+def named_schemes(order: int) -> tuple[Scheme, ...]:
+    """Give every scheme with a name of its own, up to an order."""
+    family = [MIDPOINT, SIMPSON]
+    for nodes in range(2, order // 2 + 2):
+        family += [galerkin("gauss", nodes, nodes), galerkin("lobatto", nodes, nodes - 1)]
+    found = [*family, *map(composition, COMPOSITIONS)]
+    return tuple(dict.fromkeys(scheme for scheme in found if scheme.order <= order))
