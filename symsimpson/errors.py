@@ -19,6 +19,7 @@ __all__ = [
     "Interrupted",
     "ModelError",
     "SchemeError",
+    "StabilityWarning",
     "StaleKernelError",
     "StorageError",
     "SymsimpsonError",
@@ -43,6 +44,10 @@ class GenerationError(SymsimpsonError):
 
 class StaleKernelError(SymsimpsonError):
     """A generated file belongs to another version of the kernel interface, or was edited."""
+
+
+class StabilityWarning(UserWarning):
+    """A step is so large that oscillations may grow without bound."""
 
 
 class InputError(SymsimpsonError, ValueError):

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.analysis.pilot import choose_state, choose_step
+from symsimpson.analysis.pilot import any_step, choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
 from symsimpson.api import compile as compile_system
 from symsimpson.errors import InputError
@@ -23,8 +23,9 @@ from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["Choice", "choose"]
 
-#: Schemes that are tried, from low to high order.
+#: Schemes that are tried, from low to high order; and where explicit steps are possible.
 CANDIDATES = ("simpson", "gauss8", "gauss12", "gauss16")
+WITH_EXPLICIT = ("simpson", "blanes_moan4", "blanes_moan6", "gauss12", "gauss16")
 #: A pilot run is at most so many of the steps long with which Simpson's scheme follows the motion.
 PILOT = 1000
 #: What is measured may be wrong by so much: steps are chosen for the error divided by this.
@@ -70,6 +71,7 @@ class _Found:
     growth: float
 
 
+@any_step()
 def choose(
     system: MechanicalSystem,
     q0: ArrayLike,
@@ -80,7 +82,7 @@ def choose(
     error: float,
     on: Literal["state", "energy"] = "state",
     parameters: Mapping[Any, Any] | None = None,
-    schemes: Sequence[str | Scheme] = CANDIDATES,
+    schemes: Sequence[str | Scheme] | None = None,
 ) -> Choice:
     """Choose scheme and step for a wanted error; both stay fixed then.
 
@@ -102,8 +104,9 @@ def choose(
         momentum; or of the energy at any time, relative to the first.
     parameters : mapping, optional
         As for :meth:`Stepper.integrate`.
-    schemes : sequence of str or Scheme
-        What to choose from.
+    schemes : sequence of str or Scheme, optional
+        What to choose from; schemes of orders 4 to 16, explicit ones among them where M is
+        constant and forces depend on positions alone.
 
     Returns
     -------
@@ -133,8 +136,11 @@ def choose(
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
     h0 = choose_step(first, q, p, values, 64)
     pilot = min(float(t_end), PILOT * h0)
-    frequency = largest_frequency(system, q, values)
+    frequency = largest_frequency(system, q, values.values())
     problem = _Problem(q, p, values, pilot, float(t_end), float(error), on, h0, frequency)
+    if schemes is None:
+        explicit = all(part.separable for part in system.structure.subsystems)
+        schemes = WITH_EXPLICIT if explicit else CANDIDATES
     found = [one for scheme in schemes if (one := problem.solve(compile_system(system, scheme)))]
     if not found:
         raise InputError(
@@ -179,6 +185,8 @@ class _Problem:
             wanted = self._wanted(growth)
             change = (max(error, FLOOR) / wanted) ** (1 / stepper.order)
             if error <= wanted:
+                if best is not None and seconds > best.seconds:
+                    return best  # fewer steps that are solved with more effort
                 best = _Found(stepper, steps, error, seconds, growth)
                 fewer = max(least, math.ceil(steps * max(1.05 * change, 0.5)))
                 if fewer > 0.85 * steps:

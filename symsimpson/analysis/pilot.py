@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.errors import ConvergenceError, InputError, StabilityWarning
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["choose_state", "choose_step"]
+__all__ = ["any_step", "choose_state", "choose_step"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
@@ -26,6 +28,14 @@ CLOSE = 0.05
 TRIES = 30
 #: More iterations a step than this, and it is too large.
 NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 9.0
+
+
+@contextmanager
+def any_step() -> Iterator[None]:
+    """Let steps that are too large be tried without a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StabilityWarning)
+        yield
 
 
 def choose_state(
@@ -61,6 +71,7 @@ def choose_state(
     )
 
 
+@any_step()
 def choose_step(
     stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int
 ) -> float:

@@ -16,7 +16,7 @@ from symsimpson.runtime.trajectory import Trajectory
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["begin_run", "raise_failure", "trajectory_of"]
+__all__ = ["begin_run", "look_at_step", "raise_failure", "trajectory_of"]
 
 Reals = NDArray[Any]
 
@@ -43,6 +43,16 @@ def begin_run(
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+
+
+def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
+    """Look once whether a step is within the limit of linear stability, and warn of it if not."""
+    key = (run.h, values.tobytes())
+    if stepper._declared is not None and key not in stepper._looked_at:
+        stepper._looked_at.add(key)
+        from symsimpson.analysis.stability.frequency import warn_of_step  # loads SymPy
+
+        warn_of_step(stepper, stepper._declared, run.rows("POSITION", stepper.n), values, run.h)
 
 
 def trajectory_of(

@@ -18,7 +18,7 @@ from symsimpson.runtime.inputs import (
 from symsimpson.runtime.load import Facts, read_facts
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import FLOAT64, Numbers
-from symsimpson.runtime.single import begin_run, raise_failure, trajectory_of
+from symsimpson.runtime.single import begin_run, look_at_step, raise_failure, trajectory_of
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -48,6 +48,8 @@ class Stepper:
         What to compute with; double precision unless given.
     reference_state : mapping, optional
         A state to start from: q0, and v0 or p0.
+    declared : MechanicalSystem, optional
+        What the module was generated from; by it steps that are too large are warned of.
 
     Attributes
     ----------
@@ -65,6 +67,7 @@ class Stepper:
         defaults: Mapping[str, float] | None = None,
         numbers: Numbers = FLOAT64,
         reference_state: Mapping[str, Any] | None = None,
+        declared: Any = None,
     ) -> None:
         facts = read_facts(source, where)
         self.source = source
@@ -74,6 +77,8 @@ class Stepper:
         self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
         self.coordinates, self.parameters = facts.coordinates, facts.parameters
         self.invariants, self.reference_state = facts.invariants, reference_state
+        self._declared = declared
+        self._looked_at: set[tuple[float, bytes]] = set()
         self._aliases = {name: i for i, name in enumerate(facts.parameters)}
         self._defaults = numbers.read(facts.defaults)
         if defaults is not None:
@@ -138,6 +143,11 @@ class Stepper:
         Interrupted
             At Ctrl-C; it carries the trajectory up to there.
 
+        Warns
+        -----
+        StabilityWarning
+            If h is beyond the limit of linear stability at the start.
+
         Examples
         --------
         >>> import symsimpson as ss
@@ -153,6 +163,8 @@ class Stepper:
             h, count, t0 = read_steps(h, t_end, steps, t0, self._numbers)
             run = self._new_run(values, h, t0, count, read_every(every))
             begin_run(self, run, q0, v0, p0)
+            if count:
+                look_at_step(self, run, values)
             interrupted = False
             try:
                 run.advance(count)

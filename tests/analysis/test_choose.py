@@ -1,5 +1,7 @@
 """Schemes and steps for a wanted error: it is reached, and what is said is true."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -41,8 +43,7 @@ def test_longer_runs_take_smaller_steps():
 
 def test_the_fastest_oscillation_bounds_the_step():
     spring = ss.systems.harmonic_oscillator()
-    given = {"m": 1.0, "k": 400.0}
-    assert largest_frequency(spring, np.array([0.3]), given) == pytest.approx(20.0)
+    assert largest_frequency(spring, [0.3], [1.0, 400.0]) == pytest.approx(20.0)
     assert largest_stable("simpson") == pytest.approx(8**0.5)
     assert largest_stable("midpoint") == largest_stable("gauss16") == np.inf
     stiff = ss.systems.elastic_pendulum()
@@ -71,3 +72,40 @@ def test_wrong_input(given, message):
     asked = {**STATE, "t_end": 2.0, "error": 1e-5, "schemes": ["simpson"]} | given
     with pytest.raises(ss.InputError, match=message):
         ss.choose(PENDULUM, **asked)
+
+
+def test_explicit_schemes_are_tried_where_there_are_such_steps():
+    henon = ss.systems.henon_heiles()
+    choice = ss.choose(henon, **henon.reference_state, t_end=50, error=1e-4)
+    assert "blanes_moan" in f"{choice.stepper.scheme} {choice.reason}"
+    run = choice.stepper.integrate(**henon.reference_state, h=choice.h, t_end=50, every=None)
+    fine = ss.compile(henon, "gauss16").integrate(
+        **henon.reference_state, h=0.05, t_end=50, every=None
+    )
+    assert np.abs(run.q - fine.q).max() < 1e-4
+
+
+def test_a_step_beyond_linear_stability_is_warned_of():
+    """Once for a step and its parameters, with the step to take; gaps are beyond, too."""
+    spring = ss.systems.harmonic_oscillator()
+    start = {"q0": [1.0], "p0": [0.0], "steps": 10, "every": None}
+    stepper = ss.compile(spring, "simpson")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stepper.integrate(**start, h=2.8)
+        stepper.integrate(**start, h=0.28, parameters={"k": 100.0})
+        ss.compile(spring, "gauss4").integrate(**start, h=9.0)
+        stepper.integrate([1.0], p0=[0.0], h=3.0, steps=0)
+    with pytest.warns(
+        ss.StabilityWarning, match=r"h=-2.9 .* h omega is 2.9, .*\nTake h below 2.83"
+    ):
+        stepper.integrate(**start, h=-2.9)
+    with pytest.warns(ss.StabilityWarning, match="omega=10; h omega is 3.7"):
+        stepper.integrate(**start, h=0.37, parameters={"k": 100.0})
+    with pytest.warns(ss.StabilityWarning, match="from 2 on"):
+        ss.compile(ss.systems.henon_heiles(), "lobatto2").integrate(
+            [0.1, 0.1], p0=[0, 0], h=2.0, steps=2, on_failure="return"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stepper.integrate(**start, h=-2.9)

@@ -189,6 +189,7 @@ def test_steps_in_one_call_are_steps_one_by_one(every):
     assert (other.q == (stored.q[-1:] if every is None else stored.q[::every])).all()
 
 
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
 @pytest.mark.parametrize("every", [1, 10, None])
 def test_overflow_stops_before_the_step(every):
     """Beyond its stability limit a linear system grows: the last finite state is kept."""

@@ -3,45 +3,59 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from functools import cache
+import warnings
+from collections.abc import Callable, Iterable
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy as sp
-from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
+from symsimpson.errors import StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 
-__all__ = ["largest_frequency", "largest_stable"]
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["largest_frequency", "largest_stable", "warn_of_step"]
 
 #: Limits beyond this are as good as none.
 LARGEST = 12.0
+#: The Hessian of larger systems takes too long for a warning.
+MOST_COORDINATES = 12
+#: Smaller steps than this, times the frequency, are stable with every scheme.
+ALWAYS_STABLE = 1.5
 
 
 def largest_frequency(
-    system: MechanicalSystem, q: NDArray[np.float64], parameters: Mapping[str, float]
+    system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float]
 ) -> float:
     """Give the largest omega of K x = omega^2 M x, K the Hessian of V at q; 0 if none is positive.
 
     Parameters
     ----------
     system : MechanicalSystem
-    q : ndarray, shape (n,)
-    parameters : mapping from str to float
-        Values of all parameters, by name.
+    q : iterable of float, n of them
+    parameters : iterable of float
+        Values of all parameters, in the order of the system.
     """
-    plain = system.plain
-    known = dict(zip(plain.parameters, parameters.values(), strict=True))
-    known |= dict(zip(plain.q, map(float, q), strict=True))
-
-    def numbers(matrix: sp.MatrixBase) -> NDArray[np.float64]:
-        return np.array(matrix.xreplace(known).evalf().tolist(), dtype=np.float64)
-
-    stiffness = numbers(sp.hessian(plain.potential, plain.q))
-    squares = np.linalg.eigvals(np.linalg.solve(numbers(plain.mass), stiffness)).real
+    stiffness, mass = map(np.array, _matrices(system)(*q, *parameters))
+    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     return math.sqrt(max(0.0, float(squares.max())))
+
+
+@lru_cache(maxsize=64)
+def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
+    """Give a function of q and the parameters for (K, M)."""
+    plain = system.plain
+    stiffness = sp.hessian(plain.potential, plain.q)
+    arguments = [*plain.q, *plain.parameters]
+    function: Callable[..., Any] = sp.lambdify(
+        arguments, [stiffness.tolist(), plain.mass.tolist()], modules="math", cse=True
+    )
+    return function
 
 
 @cache
@@ -51,3 +65,32 @@ def largest_stable(scheme: str) -> float:
         return math.inf
     edges = theory_limits(scheme, LARGEST)
     return edges[0] if edges else math.inf
+
+
+def warn_of_step(
+    stepper: Stepper,
+    system: MechanicalSystem,
+    q: Iterable[float],
+    values: Iterable[float],
+    h: float,
+) -> None:
+    """Warn of a step beyond the linear-stability limit at the start."""
+    if system.n > MOST_COORDINATES:
+        return
+    try:
+        omega = largest_frequency(system, q, values)
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return
+    if abs(h) * omega < ALWAYS_STABLE:
+        return
+    limit = largest_stable(stepper.scheme)
+    if abs(h) * omega > limit:
+        warnings.warn(
+            f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear stability. "
+            f"The fastest oscillation at the start has omega={omega:.4g}; h omega is "
+            f"{abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
+            f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which no "
+            "step makes grow.",
+            StabilityWarning,
+            stacklevel=4,
+        )

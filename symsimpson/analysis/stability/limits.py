@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.analysis.pilot import any_step
 from symsimpson.api import compile as compile_system
 from symsimpson.mechanics.catalogue import harmonic_oscillator
 from symsimpson.runtime.stepper import Stepper
@@ -23,6 +24,7 @@ STEPS = 4000
 FAR = 1e6
 
 
+@any_step()
 def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
     """Find where the linear oscillator turns unstable or stable again, as h omega grows.
 
