@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.bench.problem import Problem
 
 __all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "numbers_of_steps"]
@@ -18,6 +19,8 @@ Floats = NDArray[np.float64]
 #: Tolerances from coarse to fine.
 TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
 COARSE = TOLERANCES[::2]
+#: Steps begin at this, times the fastest oscillation at the start.
+COARSEST = 8.0
 
 
 @dataclass(frozen=True)
@@ -49,5 +52,8 @@ class Contender:
 
 
 def numbers_of_steps(problem: Problem) -> list[int]:
-    """Give numbers of steps from coarse to fine."""
-    return [round(max(4, round(problem.t_end / 2)) * 2 ** (k / 4)) for k in range(80)]
+    """Give numbers of steps from coarse to fine; not so coarse that an oscillation is left out."""
+    values = problem.system.parameters.values()
+    turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
+    least = max(4, round(problem.t_end / 2), round(turns))
+    return [round(least * 2 ** (k / 4)) for k in range(80)]

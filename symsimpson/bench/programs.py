@@ -7,9 +7,12 @@ starts.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import reduce
+from operator import mul
 from typing import Any
 
 import numpy as np
+import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.api import compile as compile_system
@@ -141,9 +144,20 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
         for symbol, variable, unit in zip(equations.unknowns, variables, units, strict=True)
     }
     known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
+
+    def written(value: sp.Expr) -> Any:
+        # its powers above the second divide by their base, which may be zero
+        for power in sorted(value.atoms(sp.Pow), key=sp.count_ops):
+            if power not in named and power.exp.is_Integer and power.exp > 2:
+                base = hy.from_sympy(power.base.xreplace(named), known)
+                named[power] = sp.Dummy()
+                known[named[power]] = reduce(mul, [base] * int(power.exp))
+        return hy.from_sympy(value.xreplace(named), known)
+
+    named: dict[sp.Basic, sp.Basic] = {}
     for symbol, value in equations.definitions:
-        known[symbol] = hy.from_sympy(value, known)
-    rates = [hy.from_sympy(rate, known) for rate in equations.rates]
+        known[symbol] = written(value)
+    rates = [written(rate) for rate in equations.rates]
     rates = [rate if unit == 1.0 else rate / unit for rate, unit in zip(rates, units, strict=True)]
     return list(zip(variables, rates, strict=True))
 

@@ -14,7 +14,7 @@ from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
 
 
-@pytest.fixture(scope="module", params=["double_pendulum", "lagrange_top"])
+@pytest.fixture(scope="module", params=["double_pendulum", "lagrange_top", "fermi_pasta_ulam"])
 def problem(request):
     return make_problem(ss.systems.CATALOGUE[request.param](), None, 1.0)
 
