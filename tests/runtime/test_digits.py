@@ -116,6 +116,7 @@ def test_without_flint_arb_names_the_extra(monkeypatch):
         read_precision(64, "arb")
 
 
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
 def test_a_step_too_large_fails_as_in_double_precision(arithmetic):
     system = ss.systems.double_pendulum()
     kinds = [
