@@ -15,7 +15,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from symsimpson.api import compile, generate, load
+    from symsimpson.api import compile, generate, load, resume
     from symsimpson.bench.work_precision import work_precision
     from symsimpson.errors import (
         ConvergenceError,
@@ -48,6 +48,7 @@ _HOME = {
     "Choice": "analysis.choose",
     "choose": "analysis.choose",
     "load": "api",
+    "resume": "api",
     "ConvergenceError": "errors",
     "GenerationError": "errors",
     "InputError": "errors",
@@ -103,6 +104,7 @@ __all__ = [
     "generate",
     "load",
     "momenta",
+    "resume",
     "systems",
     "work_precision",
 ]

@@ -10,12 +10,14 @@ from typing import Literal
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import GenerationError
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.runtime.checkpoint import read_record
 from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.stepper import Stepper
+from symsimpson.runtime.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["compile", "generate", "load"]
+__all__ = ["compile", "generate", "load", "resume"]
 
 
 def compile(
@@ -149,6 +151,57 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
     return Stepper(text, os.fspath(path))
+
+
+def resume(
+    path: str | os.PathLike[str],
+    *,
+    checkpoint_every: int | None = None,
+    progress: bool | None = None,
+    on_failure: Literal["raise", "return"] = "raise",
+) -> Trajectory:
+    """Go on with a run from its checkpoint, to the same bits as if nothing had ended it.
+
+    Parameters
+    ----------
+    path : path
+        The file that ``integrate(..., checkpoint=path)`` wrote. The module in it is executed: load
+        only files that you trust.
+    checkpoint_every, progress, on_failure
+        As for :meth:`Stepper.integrate`.
+
+    Returns
+    -------
+    Trajectory
+        Of the whole run, from its beginning.
+
+    Raises
+    ------
+    StorageError
+        If there is no whole checkpoint.
+    StaleKernelError
+        If it is of another kernel interface.
+    ConvergenceError, Interrupted
+        As :meth:`Stepper.integrate`.
+
+    Examples
+    --------
+    >>> import tempfile, symsimpson as ss
+    >>> file = tempfile.mkdtemp() + "/run.ckpt"
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> run = stepper.integrate([1.0], v0=[0.0], h=0.05, t_end=10, checkpoint=file)
+    >>> again = ss.resume(file)
+    >>> bool((again.q == run.q).all())
+    True
+    """
+    asked = read_record(Path(path), quiet=True).question
+    stepper = Stepper(asked["source"], os.fspath(path))
+    parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
+    return stepper.integrate(
+        asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],
+        parameters=parameters, every=asked["every"] or None, checkpoint=path,
+        checkpoint_every=checkpoint_every, progress=progress, on_failure=on_failure,
+    )  # fmt: skip
 
 
 def _check_system(system: object) -> None:

@@ -27,7 +27,7 @@ __all__ = ["work_precision"]
 LEAST_SECONDS = 1e-3
 #: A choice that takes longer than this once is not made finer.
 MOST_SECONDS = 2.0
-MOST_SLOW = 3
+MOST_SLOW, LEAP = 3, 3
 #: Errors are not followed below this: it is rounding.
 FLOOR = 3e-14
 
@@ -149,16 +149,18 @@ def _once(contender: Contender, choice: float, problem: Problem) -> _Entry | Non
 def _sweep(contender: Contender, problem: Problem, finest: float) -> list[_Entry]:
     """Run choices from coarse to fine until the error is small enough or falls no longer."""
     found: list[_Entry] = []
-    slow = 0
-    for choice in contender.choices:
-        entry = _once(contender, choice, problem)
+    slow = place = 0
+    while place < len(contender.choices):
+        entry = _once(contender, contender.choices[place], problem)
+        place += 1
         if entry is None:
             continue
         if entry.error < 1:
             found.append(entry)
         best = min((e.error for e in found), default=1.0)
-        slow += entry.times[0] > MOST_SECONDS
-        # a coarse run may go astray and take long
+        if entry.times[0] > MOST_SECONDS:
+            slow += 1
+            place += 0 if found else LEAP  # a coarse run may go astray and take long
         if best < max(FLOOR, finest / 4) or (slow and found) or slow > MOST_SLOW:
             break
         if len(found) > 12 and best == min(e.error for e in found[:-8]):

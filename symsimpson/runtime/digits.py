@@ -6,13 +6,11 @@ code; only the thresholds that name a rounding error are other ones.
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from fractions import Fraction
 from functools import cache, cached_property
-from types import FrameType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import mpmath
@@ -26,6 +24,7 @@ from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.load import Facts
 from symsimpson.runtime.machine import driver_text
 from symsimpson.runtime.numbers import Numbers
+from symsimpson.runtime.signals import undisturbed
 
 __all__ = ["read_precision"]
 
@@ -196,21 +195,9 @@ class Digits(Numbers):
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         kernel(h, t, W)
 
-    @contextmanager
-    def _shielded(self) -> Iterator[None]:
-        heard: list[tuple[int, FrameType | None]] = []
-        before = signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, before)
-        if heard and callable(before):
-            before(*heard[0])
-
     def undisturbed(self) -> AbstractContextManager[None]:
         """Put off Ctrl-C to the end of a step, which would be lost half done."""
-        main = threading.current_thread() is threading.main_thread()
-        return self._shielded() if main else nullcontext()
+        return undisturbed()
 
 
 class Arb(Digits):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "read_array",
+    "read_count",
     "read_every",
     "read_given",
     "read_number",
@@ -86,7 +87,7 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
             "Pass t_end=10.0 or steps=1000."
         )
     if steps is not None:
-        return h, _count("steps", steps, least=0), t0
+        return h, read_count("steps", steps, least=0), t0
     end = read_number("t_end", t_end, numbers)
     exact = float((end - t0) / h)
     if exact < 0:
@@ -108,10 +109,11 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
 
 def read_every(every: Any) -> int:
     """Read the stride of storage; None, for the last state only, becomes 0."""
-    return 0 if every is None else _count("every", every, least=1)
+    return 0 if every is None else read_count("every", every, least=1)
 
 
-def _count(name: str, value: Any, least: int) -> int:
+def read_count(name: str, value: Any, least: int) -> int:
+    """Read a whole number."""
     number = whole_number(value)
     if number is None:
         raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.")

@@ -84,7 +84,9 @@ class Run:
         self._column[first : first + parameters.size] = parameters
         self.q, self.p = numbers.zeros((2, stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
-        self._progress = np.zeros(2, dtype=np.int64)
+        #: Steps before those whose states stand in the arrays; and what was done since.
+        self.first, self._progress = 0, np.zeros(2, dtype=np.int64)
+        self.listener: Callable[[int], None] | None = None
         self._ladder = kernels.ladder if ladder is None else ladder
         self._rung, self._rung_until = 0, -1
         self._stretch = numbers.stretch
@@ -120,12 +122,12 @@ class Run:
     @property
     def step(self) -> int:
         """Number of steps done."""
-        return self._progress.item(0)
+        return self.first + self._progress.item(0)
 
     @property
     def status(self) -> Status:
         """The state of the run."""
-        return Status.SUCCESS if self._alive() else Status(int(self._column[self._status]))
+        return Status.SUCCESS if self.alive else Status(int(self._column[self._status]))
 
     @property
     def last_correction(self) -> float:
@@ -137,12 +139,14 @@ class Run:
         """Newton iterations since the last stored state."""
         return int(self.value("ITERATIONS"))
 
-    def _alive(self) -> bool:
+    @property
+    def alive(self) -> bool:
+        """Whether no step has failed."""
         return bool(self._column[self._status] == 0)
 
     def advance(self, stop: int) -> None:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
-        while self.step < stop and self._alive():
+        while self.step < stop and self.alive:
             until = min(stop, self.step + self._stretch)
             if self._rung:
                 until = min(until, self._rung_until)
@@ -150,9 +154,11 @@ class Run:
             with self._undisturbed():
                 self._stretch_until(self._kernels(), until)
             spent = time.perf_counter() - start
+            if self.listener is not None:
+                self.listener(self.step - before)
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            hopeful = not self._alive() and self.status is not Status.COORDINATE_SINGULARITY
+            hopeful = not self.alive and self.status is not Status.COORDINATE_SINGULARITY
             if hopeful and self._rung + 1 < len(self._ladder):
                 self._rung_until = self.step + FALLBACK_STRETCH
                 self._climb(self._rung + 1)
@@ -181,22 +187,41 @@ class Run:
     def _stretch_until(self, kernels: Any, stop: int) -> None:
         """Run compiled, mending the steps at which the loop stops."""
         at, W = self.facts.places, self.W
+        t0, stop = self.t0 + self.h * self.first, stop - self.first
         if self.facts.newton_unknowns == 0:
             self._driver("march")(
-                kernels, self.h, self.t0, W, at, self._progress, stop, self.every, self.q, self.p,
+                kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
                 self.iterations,
             )  # fmt: skip
             return
         run = self._driver("run")
         while True:
             run(
-                kernels, self.h, self.t0, W, at, self._progress, stop, self.every,
+                kernels, self.h, t0, W, at, self._progress, stop, self.every,
                 self.q, self.p, self.iterations,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:
                 return
             self._driver("mend")(kernels, self.h, self._time(), W, at, event)
-            if not self._alive():
+            if not self.alive:
                 self._progress[1] = 0
                 return
+
+    def forget(self) -> int:
+        """Keep only the last stored state in the arrays; gives the number of those forgotten."""
+        kept = self._progress.item(0) // self.every if self.every else 0
+        if kept:
+            self.first += kept * self.every
+            self._progress[0] -= kept * self.every
+            self.q[0], self.p[0] = self.q[kept], self.p[kept]
+        return kept
+
+    def position(self) -> list[int]:
+        """Give what tells, beside the workspace, where the run is."""
+        return [self.first, self._progress.item(0), self._rung, self._rung_until]
+
+    def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
+        """Go on where another run was."""
+        self.first, self._progress[0], self._rung, self._rung_until = position
+        self._column[:] = workspace

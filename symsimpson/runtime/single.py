@@ -2,23 +2,127 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, Interrupted
-from symsimpson.runtime.inputs import read_given, read_vector, refused_start
+from symsimpson.errors import ConvergenceError, InputError, Interrupted
+from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
+from symsimpson.runtime.inputs import (
+    read_count,
+    read_every,
+    read_given,
+    read_steps,
+    read_vector,
+    refused_start,
+)
 from symsimpson.runtime.machine import Run
+from symsimpson.runtime.progress import Watcher
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["begin_run", "look_at_step", "raise_failure", "trajectory_of"]
+__all__ = ["integrate"]
 
 Reals = NDArray[Any]
+
+#: So many steps are done before anybody looks for a bar.
+BRIEF = 10_000
+
+
+def integrate(
+    stepper: Stepper,
+    q0: ArrayLike,
+    v0: ArrayLike | None,
+    p0: ArrayLike | None,
+    times: tuple[Any, Any, Any, Any],
+    parameters: Mapping[Any, Any] | None,
+    every: int | None,
+    checkpoint: str | os.PathLike[str] | None,
+    checkpoint_every: int | None,
+    progress: bool | None,
+    on_failure: str,
+) -> Trajectory:
+    """Check what is asked for, run, and give what it has come to; ``times`` is h, t_end, steps, t0.
+
+    Raises
+    ------
+    InputError, StorageError, ConvergenceError, Interrupted
+    """
+    if on_failure not in ("raise", "return"):
+        raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
+    numbers = stepper._numbers
+    with numbers.working():
+        values = stepper._values(parameters)
+        h, count, t0 = read_steps(*times, numbers)
+        stride = read_every(every)
+        stored = count // stride + 1 if stride else 1
+        if checkpoint is not None:
+            stored = buffered(stride, stored, stepper.n)
+        run = new_run(stepper, values, h, t0, stride, stored)
+        begin_run(stepper, run, q0, v0, p0)
+        if count:
+            look_at_step(stepper, run, values)
+        keeper = None
+        if checkpoint is not None:
+            keeper = _checkpoint(checkpoint, checkpoint_every, stepper, run, count, values)
+        if progress or (progress is None and count > BRIEF):
+            run.listener = Watcher(count, progress)
+        interrupted = False
+        try:
+            (keeper or run).advance(count)
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            if isinstance(run.listener, Watcher):
+                run.listener.close()
+        status = Status.INTERRUPTED if interrupted else run.status
+        trajectory = trajectory_of(stepper, run, count, status, values, keeper)
+        if status is not Status.SUCCESS and on_failure == "raise":
+            raise_failure(run, trajectory)
+    return trajectory
+
+
+def _checkpoint(
+    path: str | os.PathLike[str],
+    every: int | None,
+    stepper: Stepper,
+    run: Run,
+    count: int,
+    values: Reals,
+) -> Checkpoint:
+    if run.W.dtype != np.float64:
+        raise InputError(
+            "a run with many digits cannot be kept in a checkpoint.\n"
+            "Leave checkpoint out, or compile without precision."
+        )
+    steps = None if every is None else read_count("checkpoint_every", every, least=1)
+    return Checkpoint(path, question_of(stepper, run, count, values), run, steps)
+
+
+def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, stored: int) -> Run:
+    """Make a run that has room for so many states.
+
+    Raises
+    ------
+    InputError
+        If they do not fit into memory.
+    """
+    try:
+        return Run(
+            stepper._facts, stepper._kernels, stepper._numbers, values, h, t0, stride, stored
+        )
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{stored} stored states of {2 * stepper.n} numbers do not fit into memory.\n"
+            "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
+            "checkpoint='run.ckpt'."
+        ) from None
 
 
 def begin_run(
@@ -56,14 +160,22 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
 
 
 def trajectory_of(
-    stepper: Stepper, run: Run, count: int, status: Status, values: Reals
+    stepper: Stepper,
+    run: Run,
+    count: int,
+    status: Status,
+    values: Reals,
+    keeper: Checkpoint | None = None,
 ) -> Trajectory:
     """Give what a run of so many steps has come to."""
     done = run.step
     if run.every:
         kept = done // run.every + 1
         t = run.t0 + stepper._numbers.counted(0, done + 1, run.every) * run.h
-        q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
+        if keeper is not None:
+            q, p, iterations = keeper.states()
+        else:
+            q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
     else:
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
         q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))

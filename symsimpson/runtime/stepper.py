@@ -10,16 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.evaluate import evaluate_energy, evaluate_equations
-from symsimpson.runtime.inputs import (
-    read_every,
-    read_parameters,
-    read_steps,
-)
+from symsimpson.runtime.inputs import read_parameters
 from symsimpson.runtime.load import Facts, read_facts
-from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import FLOAT64, Numbers
-from symsimpson.runtime.single import begin_run, look_at_step, raise_failure, trajectory_of
-from symsimpson.runtime.status import Status
+from symsimpson.runtime.single import integrate
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -105,6 +99,9 @@ class Stepper:
         t0: Any = 0.0,
         parameters: Parameters | None = None,
         every: int | None = 1,
+        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_every: int | None = None,
+        progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Trajectory:
         """Integrate the equations of motion with a fixed step.
@@ -127,6 +124,14 @@ class Stepper:
             Values by symbol or by name, in place of the defaults.
         every : int or None
             Store each so-many-th state; None stores only the last.
+        checkpoint : path, optional
+            A file that keeps the run, so that it can go on after whatever ends it, with the same
+            bits: by the same call, or :func:`symsimpson.resume`. Stored states go to a file beside
+            it, not into memory.
+        checkpoint_every : int, optional
+            Steps between checkpoints; about ten seconds unless given.
+        progress : bool, optional
+            Whether to show a bar (needs tqdm); None shows one after two seconds.
         on_failure : {"raise", "return"}
             Whether a failed step or Ctrl-C raises, or ends the trajectory with its status.
 
@@ -137,7 +142,10 @@ class Stepper:
         Raises
         ------
         InputError
-            If the input makes no sense, or M(q0) is not positive definite.
+            If the input makes no sense, or M(q0) is not positive definite, or ``checkpoint`` holds
+            another run.
+        StorageError
+            If the checkpoint cannot be read or written.
         ConvergenceError
             If a step failed; it carries the trajectory up to there.
         Interrupted
@@ -156,35 +164,10 @@ class Stepper:
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        if on_failure not in ("raise", "return"):
-            raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
-        with self._numbers.working():
-            values = self._values(parameters)
-            h, count, t0 = read_steps(h, t_end, steps, t0, self._numbers)
-            run = self._new_run(values, h, t0, count, read_every(every))
-            begin_run(self, run, q0, v0, p0)
-            if count:
-                look_at_step(self, run, values)
-            interrupted = False
-            try:
-                run.advance(count)
-            except KeyboardInterrupt:
-                interrupted = True
-            status = Status.INTERRUPTED if interrupted else run.status
-            trajectory = trajectory_of(self, run, count, status, values)
-            if status is not Status.SUCCESS and on_failure == "raise":
-                raise_failure(run, trajectory)
-        return trajectory
-
-    def _new_run(self, values: Reals, h: Any, t0: Any, count: int, stride: int) -> Run:
-        stored = count // stride + 1 if stride else 1
-        try:
-            return Run(self._facts, self._kernels, self._numbers, values, h, t0, stride, stored)
-        except (MemoryError, ValueError):
-            raise InputError(
-                f"{stored} stored states of {2 * self.n} numbers do not fit into memory.\n"
-                "Store fewer: every=1000, or every=None for the last state only."
-            ) from None
+        return integrate(
+            self, q0, v0, p0, (h, t_end, steps, t0), parameters, every, checkpoint,
+            checkpoint_every, progress, on_failure,
+        )  # fmt: skip
 
     def ensemble(
         self,
