@@ -13,6 +13,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.checkpoint import read_record
 from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.stepper import Stepper
+from symsimpson.runtime.structure import check_structure
 from symsimpson.runtime.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
@@ -134,7 +135,8 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     Parameters
     ----------
     path : path
-        A file that :func:`generate` wrote. It is executed: load only files that you trust.
+        A file that :func:`generate` wrote. It is executed, after its digest and its structure
+        were checked: load only files that you trust.
 
     Raises
     ------
@@ -150,6 +152,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
+    check_structure(text, os.fspath(path))
     return Stepper(text, os.fspath(path))
 
 
@@ -165,8 +168,8 @@ def resume(
     Parameters
     ----------
     path : path
-        The file that ``integrate(..., checkpoint=path)`` wrote. The module in it is executed: load
-        only files that you trust.
+        The file that ``integrate(..., checkpoint=path)`` wrote. The module in it is executed,
+        after its digest and its structure were checked: resume only files that you trust.
     checkpoint_every, progress, on_failure
         As for :meth:`Stepper.integrate`.
 
@@ -195,6 +198,7 @@ def resume(
     True
     """
     asked = read_record(Path(path), quiet=True).question
+    check_structure(asked["source"], os.fspath(path))
     stepper = Stepper(asked["source"], os.fspath(path))
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(

@@ -1,0 +1,139 @@
+"""Whether a module is built as generated ones are, decided from its syntax tree alone.
+
+A digest tells damage from intact files, but anybody can compute one. Before a module from a file
+is executed, its tree is held against a list of what generated modules are made of: numbers, names
+bound in it, arithmetic, loops, calls of its own functions and of a few of Python's. Nothing on the
+list reaches files, other modules or attributes of objects.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from symsimpson.errors import StaleKernelError
+
+__all__ = ["check_structure"]
+
+_MATH = frozenset(
+    ["sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
+     "acosh", "atanh", "exp", "log", "sqrt", "pi"]
+)  # fmt: skip
+#: Names that may be imported, and from where.
+IMPORTS = {"math": _MATH, "numba": frozenset(["carray", "njit"]), "numpy": frozenset(["array"])}
+#: Functions of Python that may be called.
+BUILTINS = frozenset(
+    ["abs", "enumerate", "float", "int", "len", "max", "min", "range", "sum", "tuple", "zip"]
+)
+#: What the compiler is told; another value might have Python run the kernels.
+SETTINGS = {
+    "SIGNATURE": "void(float64, float64, CPointer(float64))",
+    "OPTIONS": {"fastmath": {"contract", "nsz"}, "error_model": "numpy"},
+}
+NODES = (
+    ast.Module, ast.ImportFrom, ast.alias, ast.FunctionDef, ast.arguments, ast.arg, ast.Return,
+    ast.Assign, ast.AugAssign, ast.Expr, ast.For, ast.While, ast.If, ast.IfExp, ast.Lambda,
+    ast.Call, ast.keyword, ast.Starred, ast.Subscript, ast.Slice, ast.Name, ast.Constant,
+    ast.Tuple, ast.List, ast.Set, ast.Dict, ast.ListComp, ast.GeneratorExp, ast.comprehension,
+    ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.operator, ast.unaryop, ast.boolop,
+    ast.cmpop, ast.expr_context,
+)  # fmt: skip
+#: Statements outside of functions.
+TOP = (ast.ImportFrom, ast.Assign, ast.FunctionDef)
+
+
+def check_structure(text: str, where: str) -> None:
+    """Refuse a module that holds anything but what generated modules are made of.
+
+    Parameters
+    ----------
+    text : str
+        The module; it is not executed.
+    where : str
+        Names it in the message.
+
+    Raises
+    ------
+    StaleKernelError
+        With the line and what stands there.
+    """
+    try:
+        tree = ast.parse(text)
+        found = next(_strange(tree), None)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise StaleKernelError(
+            f"{where}: this is no module that symsimpson generated: {type(error).__name__}.\n"
+            "It was not executed. Generate one with symsimpson.generate(system, scheme)."
+        ) from None
+    if found is not None:
+        node, what = found
+        raise StaleKernelError(
+            f"{where}, line {getattr(node, 'lineno', 1)}: {what}, which no generated module has.\n"
+            "It was not executed. Find out where the file comes from, and generate it anew."
+        )
+
+
+def _strange(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
+    """Find what does not belong into a generated module."""
+    body = tree.body[1:] if ast.get_docstring(tree, clean=False) is not None else tree.body
+    for statement in body:
+        if not isinstance(statement, TOP):
+            yield statement, f"a statement of type {type(statement).__name__}"
+    functions = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    arguments = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+    called = BUILTINS | {"carray", "njit", "array", "real", "compiled"} | _MATH
+    called = called | functions | arguments
+    named = called | set(_bound(tree))
+    settings = dict(SETTINGS)
+    for node in ast.walk(tree):
+        match node:
+            case ast.ImportFrom(module=module, names=names, level=level):
+                allowed = IMPORTS.get(module or "", frozenset())
+                if level or not all(n.name in allowed and n.asname is None for n in names):
+                    yield node, f"an import of {module}"
+            case ast.Call(func=ast.Attribute(value=ast.Name(), attr="append")):
+                continue  # to a list of its own
+            case ast.Attribute(attr="append", value=ast.Name()):
+                continue
+            case ast.Call(func=ast.Name(id=name)):
+                if name not in called:
+                    yield node, f"a call of {name[:40]}"
+            case ast.Call():
+                yield node, "a call of an expression"
+            case ast.Name(id=name):
+                if (name.startswith("_") and name != "_") or name not in named:
+                    yield node, f"the name {name[:40]}"
+            case ast.FunctionDef(decorator_list=decorators, name=name):
+                plain = all(isinstance(d, ast.Name) and d.id == "compiled" for d in decorators)
+                if not plain or name in BUILTINS | {"carray", "njit", "array"}:
+                    yield node, f"a function {name[:40]} of another kind"
+            case ast.Assign(targets=[ast.Name(id=name)], value=value) if name in SETTINGS:
+                if name not in settings or _literal(value) != settings.pop(name):
+                    yield node, f"another {name}"
+            case ast.Constant(value=value):
+                if not isinstance(value, (int, float, str, type(None))):
+                    yield node, f"a constant of type {type(value).__name__}"
+            case _ if not isinstance(node, NODES):
+                yield node, f"a syntax of type {type(node).__name__}"
+    for name in settings:
+        yield tree, f"no {name}"
+
+
+def _literal(node: ast.expr) -> object:
+    try:
+        return ast.literal_eval(node)
+    except (ValueError, TypeError):
+        return None
+
+
+def _bound(tree: ast.Module) -> Iterator[str]:
+    """Give all names that a module binds."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.alias):
+            yield node.name
