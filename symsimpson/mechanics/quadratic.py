@@ -80,7 +80,7 @@ def check_mass_matrix(
     parameters: Sequence[sp.Symbol],
     back: Mapping[sp.Basic, sp.Basic],
 ) -> None:
-    """Refuse a mass matrix that is singular for all q.
+    """Refuse a mass matrix that is singular for all q, or negative for some velocity.
 
     A zero row is a missing mass. A determinant that vanishes at several random points to 60
     digits vanishes identically.
@@ -101,6 +101,15 @@ def check_mass_matrix(
                 "zero row.",
                 f"A variational step needs an invertible mass matrix. Give {name} a mass "
                 f"(T += m*{velocity}**2/2) or remove {name} from the coordinates.",
+            )
+    for i in range(mass.rows):
+        if sp.expand(mass[i, i]).is_negative:
+            raise fail(
+                system,
+                f"the kinetic energy is negative for every {spell(back[v[i]])}: M is not positive "
+                "definite.",
+                "Masses are positive. Look at the sign of that term in T, or at the sign that a "
+                "symbol was declared with.",
             )
     if all(_regular(mass, block, parameters) for block in blocks):
         return

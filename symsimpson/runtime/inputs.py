@@ -57,9 +57,12 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
     """Read one finite real number."""
     if numbers.is_one(value):
         return value
-    array = read_array(name, value, numbers)
-    if array.shape != () or not numbers.all_finite(array):
-        raise InputError(f"{name} is {value!r}, not a finite real number.\nPass a number.")
+    try:
+        array = numbers.read(value)
+    except (TypeError, ValueError, OverflowError):
+        array = None
+    if array is None or array.shape != () or not numbers.all_finite(array):
+        raise InputError(f"{name} is {_short(value)}, not a finite real number.\nPass a number.")
     return array.item()
 
 

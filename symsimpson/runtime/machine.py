@@ -127,7 +127,29 @@ class Run:
     @property
     def status(self) -> Status:
         """The state of the run."""
-        return Status.SUCCESS if self.alive else Status(int(self._column[self._status]))
+        if self.alive:
+            return Status.SUCCESS
+        status = Status(int(self._column[self._status]))
+        if status is Status.NOT_CONVERGED and self._diverged():
+            return Status.DIVERGED
+        if status is Status.NOT_FINITE and self._singular():
+            return Status.SINGULAR_JACOBIAN
+        return status
+
+    def _diverged(self) -> bool:
+        """Tell whether the increments became ten times what was predicted, and seen before."""
+        n, d = self.facts.n, self.facts.degree
+        predicted = self.rows("PREDICTED", d * n).reshape(d, n)
+        expected = max((self.rows("METRIC", n) * predicted**2).sum(), self.value("SCALE"))
+        return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
+
+    def _singular(self) -> bool:
+        """Tell whether elimination with pivoting, the last resort, met a pivot of zero."""
+        if self._ladder[self._rung] != "robust":
+            return False
+        at = self.facts.layout
+        places = np.arange(self.facts.newton_unknowns) * (at["SOLVE_STRIDE"] + 1)
+        return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
     @property
     def last_correction(self) -> float:

@@ -17,6 +17,8 @@ class Status(IntEnum):
     STEP_TOO_LARGE = 4
     BAD_INPUT = 5
     COORDINATE_SINGULARITY = 6
+    DIVERGED = 7
+    SINGULAR_JACOBIAN = 8
 
     @property
     def message(self) -> str:
@@ -30,6 +32,14 @@ _MESSAGES = {
     Status.NOT_CONVERGED: (
         "Newton's method did not converge. The step is too large for this motion, or the mass "
         "matrix is nearly singular there: try a smaller h."
+    ),
+    Status.DIVERGED: (
+        "Newton's method diverged: the increments grew to many times what was expected. The step "
+        "is far too large for this motion: try a smaller h."
+    ),
+    Status.SINGULAR_JACOBIAN: (
+        "The equations of the step do not determine it: their Jacobian is singular, as for a step "
+        "at which the force just balances the inertia. Try another h."
     ),
     Status.NOT_FINITE: (
         "A NaN or an infinity came up. The motion left the domain of T or V, reached a singular "

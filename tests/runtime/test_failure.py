@@ -1,11 +1,14 @@
 """Runs that go wrong: never a hang, never a success, nothing lost."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import symsimpson as ss
 from symsimpson.runtime.machine import Run, driver
 from symsimpson.runtime.numbers import FLOAT64
+from symsimpson.runtime.single import begin_run, new_run
 
 PENDULUM = ss.systems.double_pendulum()
 SHORT = {"l1": 0.25, "l2": 0.25}
@@ -150,3 +153,62 @@ def test_stopping_leaves_no_trace_where_steps_are_mended(monkeypatch):
     assert len(mended) >= 4
     assert (runs[0].W == runs[1].W).all()
     assert (runs[0].q == runs[1].q).all()
+
+
+def test_a_singular_jacobian_has_its_status():
+    """At rest on a hill, with h^2 K = -4 M: the midpoint step is any step."""
+    stepper = ss.compile(one_dimensional("hill", lambda x: x**4 - 2 * x**2), "midpoint")
+    run = stepper.integrate([0.0], v0=[0.0], h=1.0, steps=3, on_failure="return")
+    assert run.status is ss.Status.SINGULAR_JACOBIAN
+    assert "Try another h" in run.message
+    assert stepper.integrate([0.0], v0=[0.0], h=0.9, steps=3).status == 0
+
+
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
+def test_divergence_has_its_status():
+    stepper = ss.compile(PENDULUM)
+    run = stepper.integrate([1.0, 2.0], v0=[0.0, 3.0], h=3.0, steps=5, on_failure="return")
+    assert run.status is ss.Status.DIVERGED
+    with pytest.raises(ss.ConvergenceError, match="diverged"):
+        stepper.integrate([1.0, 2.0], v0=[0.0, 3.0], h=3.0, steps=5)
+
+
+def test_every_status_is_told():
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    for status in ss.Status:
+        assert status.message.endswith((".", "kept."))
+        assert f"| `{status.name}` |" in readme
+
+
+BLOCKS = ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
+          "PREVIOUS", "SOLVED", "VELOCITY", "PARAMETER", "HOISTED", "METRIC", "SCALE",
+          "NODE_L_Q", "RESIDUAL", "JACOBIAN", "STAGE_V", "STAGE_F")  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", ["midpoint", "simpson", "gauss8"])
+def test_injected_nan_and_infinity(scheme):
+    """210 of them, into what a run has computed: it fails, or goes on as before."""
+    stepper = ss.compile(PENDULUM, scheme)
+    values, start = stepper._values(None), PENDULUM.reference_state
+    whole = stepper.integrate(**start, h=0.01, steps=60, every=None)
+    random = np.random.default_rng(7)
+    failed = 0
+    for trial in range(70):
+        run = new_run(stepper, values, 0.01, 0.0, 0, 1)
+        begin_run(stepper, run, **{"v0": None, "p0": None} | start)
+        run.advance(20)
+        block = BLOCKS[trial % len(BLOCKS)]
+        if block not in stepper._facts.layout:
+            block = "POSITION"
+        row = stepper._facts.layout[block] + int(random.integers(2))
+        run.W[row, 0] = (np.nan, np.inf, -np.inf)[trial % 3]
+        run.advance(60)
+        if run.alive:
+            assert run.step == 60
+            gap = np.abs(run.rows("POSITION", 2) - whole.q[0]).max()
+            assert gap < 1e-13, (block, row, gap)  # it was not used, or only as a guess
+        else:
+            failed += 1
+            assert run.status is not ss.Status.SUCCESS
+            assert run.step < 60
+    assert failed > 10

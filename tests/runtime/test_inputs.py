@@ -26,7 +26,7 @@ WRONG = {
     "none": ({"q0": None}, "q0 is None, not real numbers|q0 has shape"),
     "zero step": ({"h": 0.0}, "the step h is 0"),
     "nan step": ({"h": float("nan")}, "h is nan, not a finite real number"),
-    "text step": ({"h": "0.1"}, "h is .*not real numbers"),
+    "text step": ({"h": "0.1"}, "h is .*not a finite real number"),
     "part of a step": (
         {"steps": None, "t_end": 0.35},
         r"not a whole number of steps.*\n.*Use h=0\.1",

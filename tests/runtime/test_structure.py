@@ -18,7 +18,7 @@ TOUCH = "open('CANARY', 'w')"
 TOP = [
     TOUCH, "import os", "import os as range", "from os import system", "from math import *",
     "from numba import jit", "from numpy import load", "from . import math", "import math",
-    "from numpy import array as real", f"X = {TOUCH}", 
+    "from numpy import array as real", f"X = {TOUCH}",
     "X = [open('CANARY', 'w') for _ in range(1)]",
     f"X = (lambda: {TOUCH})()", "X = __import__('os').system('touch CANARY')", "X = __builtins__",
     "X = ().__class__.__base__.__subclasses__()", "X = real.__globals__", "X = eval('1')",

@@ -1,0 +1,163 @@
+"""Nonsense at every public function: a typed error that says what and what to do, at once."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+PENDULUM = ss.systems.double_pendulum()
+x, y = ss.coordinates("x y")
+m = sp.Symbol("m", positive=True)
+FREE = x.diff() ** 2 / 2
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(PENDULUM, "midpoint")
+
+
+RUN = {"q0": [0.5, 0.2], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
+INTEGRATE = {
+    "empty": {"q0": []}, "too many": {"q0": [1, 2, 3]}, "nested": {"q0": [[[0.5]], [[0.2]]]},
+    "set": {"q0": {0.5, 0.2}}, "dict": {"q0": {"q1": 0.5}}, "string": {"q0": "0.5 0.2"},
+    "bytes": {"q0": b"01"}, "function": {"q0": len}, "object": {"q0": object()},
+    "symbol": {"q0": [m, 0.2]}, "huge integer": {"q0": [10**400, 0.2]},
+    "none inside": {"q0": [None, 0.2]}, "minus infinity": {"q0": [-np.inf, 0.2]},
+    "velocities": {"v0": [1.0], "p0": None}, "nan velocity": {"v0": [np.nan, 0], "p0": None},
+    "times": {"q0": np.array(["2020-01-01", "2020-01-02"], dtype="datetime64[D]")},
+    "list of steps": {"h": [0.1]}, "complex step": {"h": 0.1j}, "no step": {"h": None},
+    "infinite step": {"h": np.inf}, "symbolic step": {"h": m}, "huge step": {"h": 10**400},
+    "text count": {"steps": "3"}, "infinite count": {"steps": np.inf}, "nan end": {
+        "steps": None, "t_end": np.nan}, "text end": {"steps": None, "t_end": "now"},
+    "infinite end": {"steps": None, "t_end": np.inf}, "nan start": {"t0": np.nan},
+    "text start": {"t0": "0"}, "negative stride": {"every": -1}, "real stride": {"every": 1.5},
+    "text stride": {"every": "all"}, "huge stride": {"every": 2**60},
+    "parameter of text": {"parameters": {"m1": "heavy"}},
+    "parameter of a list": {"parameters": {"m1": [1.0, 2.0]}},
+    "zero parameter": {"parameters": {"m1": 0.0}}, "infinite": {"parameters": {"m1": np.inf}},
+    "complex parameter": {"parameters": {"m1": 1j}}, "parameters": {"parameters": "m1=2"},
+    "number as name": {"parameters": {1: 2.0}}, "symbol of another": {"parameters": {m: 2.0}},
+    "every checkpoint": {"checkpoint": "never", "checkpoint_every": 0},
+    "part of a checkpoint": {"checkpoint": "never", "checkpoint_every": 2.5},
+    "outcome": {"on_failure": None},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", INTEGRATE.values(), ids=INTEGRATE)
+def test_integrate(stepper, changes, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ss.InputError) as caught:
+        stepper.integrate(**(RUN | changes))
+    said = str(caught.value)
+    name = "q0" if "q0" in changes else next(iter(changes))
+    said_of = {"steps": "t_end"}.get(name, name) if changes.get("steps", 0) is None else name
+    assert said_of.split("_")[0].rstrip("s") in said or "step" in said
+    assert "\n" in said
+    assert "numba" not in said.lower()
+    assert not list(tmp_path.iterdir())
+
+
+MANY = {"q0": [[0.5, 0.2], [0.1, 0.3]], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
+ENSEMBLE = {
+    "shape": {"q0": [[0.5], [0.2]]}, "members": {"p0": np.zeros((3, 2))}, "nan": {
+        "q0": [[0.5, np.nan], [0.1, 0.2]]}, "empty": {"q0": np.zeros((0, 2))},
+    "cube": {"q0": np.zeros((2, 2, 2))}, "text": {"q0": [["a", "b"]]},
+    "parameters": {"parameters": {"m1": [1.0, 2.0, 3.0]}},
+    "sign": {"parameters": {"m1": [1.0, -1.0]}}, "unknown": {"parameters": {"z": 1.0}},
+    "step": {"h": 0.0}, "count": {"steps": -1}, "both": {"t_end": 1.0}, "stride": {"every": 0},
+    "threads": {"threads": 0}, "part of a thread": {"threads": 1.5},
+    "kind": {"reduce": {"a": ("median", "q1")}}, "expression": {"reduce": {"a": ("min", "q9")}},
+    "pair": {"reduce": {"a": "min"}}, "syntax": {"reduce": {"a": ("min", "q1 +")}},
+    "call": {"reduce": {"a": ("min", "__import__('os')")}}, "outcome": {"on_failure": 1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", ENSEMBLE.values(), ids=ENSEMBLE)
+def test_ensemble(stepper, changes):
+    with pytest.raises(ss.InputError) as caught:
+        stepper.ensemble(**(MANY | changes))
+    assert "\n" in str(caught.value)
+    assert "numba" not in str(caught.value).lower()
+
+
+def declare(**changes):
+    given = {"coordinates": [x], "kinetic": FREE, "potential": x**2, "parameters": {}} | changes
+    return ss.MechanicalSystem("wrong", **given)
+
+
+DECLARED = {
+    "no coordinates": {"coordinates": []}, "twice": {"coordinates": [x, x]},
+    "a symbol": {"coordinates": [m]}, "a string": {"coordinates": "x"},
+    "no mass": {"coordinates": [x, y]}, "negative mass": {"kinetic": -FREE},
+    "velocities cubed": {"kinetic": x.diff() ** 3}, "undeclared": {"potential": m * x},
+    "accelerations": {"potential": x.diff(ss.coordinates("z")[0].args[0], 2)},
+    "velocity in V": {"potential": x.diff() * x}, "time": {"potential": x.args[0] * x},
+    "complex": {"potential": sp.I * x}, "another coordinate": {"potential": y**2},
+    "infinite": {"potential": sp.oo}, "nan": {"potential": sp.nan},
+    "no value": {"parameters": {m: None}}, "text value": {"parameters": {m: "1"}},
+    "nan value": {"parameters": {m: np.nan}}, "wrong sign": {"parameters": {m: -1.0}},
+    "parameter of text": {"parameters": {"m": 1.0}}, "a list": {"parameters": [m]},
+    "no expression": {"potential": "x**2"}, "a matrix": {"potential": sp.eye(2)},
+    "a relation": {"potential": x > 0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", DECLARED.values(), ids=DECLARED)
+def test_declarations(changes):
+    with pytest.raises(ss.ModelError) as caught:
+        declare(**changes)
+    assert "\n" in str(caught.value)
+
+
+START = PENDULUM.reference_state
+OTHERS = {
+    "scheme": (lambda: ss.compile(PENDULUM, "rk4"), ss.SchemeError, "no scheme 'rk4'"),
+    "no scheme": (lambda: ss.compile(PENDULUM, None), ss.SchemeError, "no scheme None"),
+    "odd order": (lambda: ss.compile(PENDULUM, "gauss5"), ss.SchemeError, "no scheme"),
+    "no order": (lambda: ss.compile(PENDULUM, "gauss0"), ss.SchemeError, "no scheme"),
+    "explicit": (lambda: ss.compile(PENDULUM, "kahan_li8"), ss.SchemeError, "explicit"),
+    "no system": (lambda: ss.compile("pendulum"), ss.GenerationError, "not a MechanicalSystem"),
+    "exploit": (lambda: ss.compile(PENDULUM, exploit="luck"), ss.GenerationError, "luck"),
+    "digits": (lambda: ss.compile(PENDULUM, precision=3), ss.InputError, "precision is 3"),
+    "part of digits": (lambda: ss.compile(PENDULUM, precision=30.5), ss.InputError, "30.5"),
+    "arithmetic": (lambda: ss.compile(PENDULUM, precision=30, arithmetic="exact"), ss.InputError,
+                   "arithmetic is 'exact'"),
+    "nodes": (lambda: ss.galerkin("gauss", 0, 1), ss.SchemeError, "at least 1"),
+    "many nodes": (lambda: ss.galerkin("gauss", 40, 2), ss.SchemeError, "at most 16"),
+    "degree": (lambda: ss.galerkin("gauss", 2, 3), ss.SchemeError, "not determined"),
+    "no degree": (lambda: ss.galerkin("gauss", 2, 0), ss.SchemeError, "at least 1"),
+    "quadrature": (lambda: ss.galerkin("radau", 2, 2), ss.SchemeError, "no quadrature 'radau'"),
+    "composition": (lambda: ss.composition("yoshida4"), ss.SchemeError, "no composition"),
+    "file": (lambda: ss.load("/missing.py"), ss.GenerationError, "cannot be read"),
+    "folder": (lambda: ss.load("/"), ss.GenerationError, "cannot be read"),
+    "place": (lambda: ss.generate(PENDULUM, "midpoint", "/proc/nowhere"), ss.GenerationError,
+              "cannot be written"),
+    "checkpoint": (lambda: ss.resume("/missing"), ss.StorageError, "no whole checkpoint"),
+    "wanted error": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=0), ss.InputError,
+                     "error is 0"),
+    "time": (lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3), ss.InputError,
+             "t_end is inf"),
+    "on": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=1e-3, on="phase"), ss.InputError,
+           "on is 'phase'"),
+    "levels": (lambda: ss.work_precision(PENDULUM, errors=[]), ss.InputError, "errors are"),
+    "peer": (lambda: ss.work_precision(PENDULUM, peers=["matlab"], t_end=0.1), ss.InputError,
+             "no peer 'matlab'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "kind", "message"), OTHERS.values(), ids=OTHERS)
+def test_other_functions(call, kind, message):
+    with pytest.raises(kind, match=message) as caught:
+        call()
+    assert "\n" in str(caught.value)
+
+
+def test_arrays_of_any_layout_are_taken(stepper):
+    """Read-only, strided and reversed ones, and a large ensemble of no steps."""
+    q0 = np.array([0.2, 0.5])[::-1]
+    q0.flags.writeable = False
+    big = np.asfortranarray(np.random.default_rng(1).uniform(-1, 1, (20_000, 2)))
+    found = stepper.ensemble(big, p0=[0, 0], h=0.1, steps=1, progress=False)
+    assert found.q.shape == (20_000, 2)
+    assert stepper.integrate(q0, p0=np.zeros(4)[::2], h=0.1, steps=1).status == 0
