@@ -11,7 +11,11 @@ import symsimpson as ss
 
 def random_system(seed):
     """A system with 1 to 4 coordinates; every third one has gyroscopic terms."""
-    pick = random.Random(seed)
+    return drawn_system(random.Random(seed), f"random_{seed}", gyroscopic=seed % 3 == 0)
+
+
+def drawn_system(pick, name, *, gyroscopic=False):
+    """The same from any source of random choices."""
     n = pick.randint(1, 4)
     q = ss.coordinates(" ".join(f"q{i}" for i in range(n)))
     v = [x.diff() for x in q]
@@ -32,10 +36,10 @@ def random_system(seed):
     for _ in range(pick.randint(0, 2)):
         kinetic += sum(u * term() / 3 for u in pick.sample(v, pick.randint(1, n))) ** 2
     potential = sum((term() for _ in range(pick.randint(1, 4))), sp.S.Zero)
-    gyroscopic = sum((u * term() / 5 for u in v), sp.S.Zero) if seed % 3 == 0 else sp.S.Zero
+    linear = sum((u * term() / 5 for u in v), sp.S.Zero) if gyroscopic else sp.S.Zero
     return ss.MechanicalSystem(
-        f"random_{seed}", coordinates=q, kinetic=kinetic, potential=potential,
-        gyroscopic=gyroscopic, parameters={m: 1.25, k: 0.5, w: 1.5},
+        name, coordinates=q, kinetic=kinetic, potential=potential,
+        gyroscopic=linear, parameters={m: 1.25, k: 0.5, w: 1.5},
     )  # fmt: skip
 
 

@@ -1,0 +1,82 @@
+"""Random systems, states and input; the smallest that fails is shown."""
+
+import ast
+
+import numpy as np
+import sympy as sp
+from hypothesis import HealthCheck, given, settings
+from strategies import names, runs, states, systems
+from sympy.physics.mechanics import dynamicsymbols
+from workspace import begin, state, take_step
+
+import symsimpson as ss
+from symsimpson.binding import bind_complex, bind_float
+from symsimpson.codegen.pipeline import source
+from symsimpson.runtime.structure import check_structure
+
+#: The same examples each time; without a clock, which other work on the machine would trip.
+BUDGET = {"derandomize": True, "deadline": None, "suppress_health_check": list(HealthCheck)}
+PENDULUM = ss.systems.double_pendulum()
+STEPPERS = [ss.compile(PENDULUM, scheme) for scheme in ("simpson", "midpoint", "gauss8")]
+
+
+@settings(max_examples=400, **BUDGET)
+@given(runs(2))
+def test_any_input_is_run_or_refused(asked):
+    """Finite states and a status, or a typed error with its remedy; nothing else."""
+    for stepper in STEPPERS:
+        try:
+            run = stepper.integrate(**asked, on_failure="return")
+        except (ss.InputError, ss.StabilityWarning):
+            continue
+        assert np.isfinite(run.q).all()
+        assert np.isfinite(run.p).all()
+        assert isinstance(run.status, ss.Status)
+        assert (run.status is ss.Status.SUCCESS) == (run.steps == asked["steps"])
+
+
+@settings(max_examples=12, **BUDGET)
+@given(systems(), states(4))
+def test_any_system_makes_a_symplectic_step(system, numbers):
+    """The derivative of a step by a complex step, for whatever structure is found."""
+    text = source(system, "simpson")
+    check_structure(text, "drawn")
+    n, h = system.n, 0.03125
+    values = list(system.parameters.values())
+    q = [x % 1.0 if np.isfinite(x) else 0.3 for x in numbers[:n]]
+    p = [0.25 * (k + 1) for k in range(n)]
+    plain = bind_float(text)
+    W = begin(plain, q, p, values, h)
+    take_step(plain, W, h, iterations=8)
+    module = bind_complex(text)
+    columns = []
+    for k in range(2 * n):
+        z = np.array([*q, *p], dtype=complex)
+        z[k] += 1e-30j
+        moved = begin(module, z[:n], z[n:], values, h, dtype=complex)
+        take_step(module, moved, h, iterations=8)
+        columns.append(np.imag(state(module, moved)) / 1e-30)
+    assert np.abs(np.real(state(module, moved)) - state(plain, W)).max() < 1e-11
+    D = np.array(columns).T
+    J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    assert np.abs(D.T @ J @ D - J).max() < 1e-12 * max(1.0, np.abs(D).max() ** 2)
+
+
+@settings(max_examples=60, **BUDGET)
+@given(names.filter(lambda name: "\0" not in name), names)  # SymPy refuses it as a function
+def test_any_name_is_text(first, second):
+    """Whatever symbols are called, the module is one of ours, and its parameters identifiers."""
+    q = sp.Function(first)(dynamicsymbols._t)
+    mass = sp.Symbol(second, positive=True)
+    try:
+        system = ss.MechanicalSystem(
+            "named", coordinates=[q], kinetic=mass * q.diff() ** 2 / 2, potential=sp.cos(q),
+            parameters={mass: 1.0},
+        )  # fmt: skip
+    except ss.ModelError:
+        return
+    text = source(system, "midpoint")
+    check_structure(text, "named")
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Assign) and node.targets[0].id in ("PARAMETERS", "COORDINATES"):
+            assert all(name.isidentifier() for name in ast.literal_eval(node.value))
