@@ -5,10 +5,11 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from symsimpson.errors import GenerationError
-from symsimpson.runtime.cache import cache_folder
+from symsimpson.runtime.cache import _intact, cache_folder
 
 CODE = """
 import json, sys, time
@@ -129,3 +130,22 @@ def test_a_folder_open_to_others_is_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(link))
     with pytest.raises(GenerationError, match="not private"):
         cache_folder()
+
+
+def test_every_damage_is_seen(warm):
+    """200 bits flipped and files cut short, anywhere in the cache."""
+    folder, _ = warm
+    random = np.random.default_rng(11)
+    whole = [entry for entry in sorted(folder.iterdir()) if _intact(entry)]
+    files = [path for entry in whole for path in sorted(entry.rglob("*"))
+             if path.is_file() and path.suffix != ".pyc"]  # fmt: skip
+    for trial in range(200):
+        path = files[int(random.integers(len(files)))]
+        entry, data = folder / path.relative_to(folder).parts[0], path.read_bytes()
+        where = int(random.integers(len(data)))
+        damaged = bytearray(data)
+        damaged[where] ^= 1 << int(random.integers(8))
+        path.write_bytes(data[:where] if trial % 4 == 0 else damaged)
+        assert not _intact(entry), path
+        path.write_bytes(data)
+        assert _intact(entry)
