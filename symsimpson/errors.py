@@ -55,7 +55,17 @@ class InputError(SymsimpsonError, ValueError):
 
 
 class StorageError(SymsimpsonError):
-    """A store could not be read or written, or a task for it could not be done elsewhere."""
+    """A file could not be read or written, or a task for a store could not be done elsewhere.
+
+    Attributes
+    ----------
+    trajectory : Trajectory or None
+        What a run had computed when its checkpoint could not be written.
+    """
+
+    def __init__(self, message: str, *, trajectory: Trajectory | None = None) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
 
 
 class ConvergenceError(SymsimpsonError):

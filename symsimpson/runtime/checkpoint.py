@@ -89,9 +89,10 @@ class Checkpoint:
             if exists(self.path):
                 self._go_on(width)
             else:
-                self._states = open(self._beside("states"), "wb+")  # noqa: SIM115  open for long
-                self._append(1)
-                self._save()
+                self._beside("states").write_bytes(b"")
+                with undisturbed():
+                    self._append(self._rows_of(slice(0, 1)))
+                    self._save()
         except OSError as error:
             raise StorageError(
                 f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.\n"
@@ -114,14 +115,15 @@ class Checkpoint:
         except KeyboardInterrupt:
             self._keep()
             raise
-        finally:
-            self._states.close()
 
     def states(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Give q, p and iterations of the stored states, which stay on disk."""
         n = self._run.facts.n
         shape = (self._rows, 2 * n + 1)
         rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
+        unwritten = self._since()
+        if len(unwritten):
+            rows = np.vstack([rows, unwritten])
         return rows[:, :n], rows[:, n : 2 * n], rows[:, 2 * n].astype(np.int64)
 
     def _beside(self, suffix: str) -> Path:
@@ -130,33 +132,39 @@ class Checkpoint:
     def _keep(self) -> None:
         try:
             with undisturbed():
-                self._append(0)
+                self._append(self._since())
                 self._save()
         except OSError as error:
             raise StorageError(
                 f"{self.path}: the checkpoint cannot be written: {error.strerror or error}.\n"
-                "The one before is good: make room and go on with symsimpson.resume."
+                "The one before is good: make room and go on with symsimpson.resume. What was "
+                "computed is in this error's .trajectory."
             ) from error
 
-    def _append(self, first: int) -> None:
-        """Append the states stored since; ``first`` is 1 for the initial state."""
+    def _since(self) -> Floats:
+        """Give the states stored since the last checkpoint, one row each."""
         run = self._run
-        if not run.every:
-            return
-        if first:
-            rows, iterations = slice(0, 1), run.iterations[:1, 0]
-        else:
-            last = (run.step - run.first) // run.every
-            rows, iterations = slice(1, last + 1), run.iterations[1 : last + 1, 0]
-        block = np.column_stack([run.q[rows, :, 0], run.p[rows, :, 0], iterations])
-        data = np.ascontiguousarray(block, dtype="<f8").tobytes()
-        self._states.seek(self._rows * block.shape[1] * 8)
-        self._states.write(data)
-        self._states.flush()
-        os.fsync(self._states.fileno())
-        self._digest.update(data)
-        self._rows += len(block)
-        run.forget()
+        last = (run.step - run.first) // run.every if run.every else 0
+        return self._rows_of(slice(1, last + 1))
+
+    def _rows_of(self, places: slice) -> Floats:
+        q, p, iterations = self._run.q, self._run.p, self._run.iterations
+        rows: Floats = np.column_stack([q[places, :, 0], p[places, :, 0], iterations[places, 0]])
+        return rows
+
+    def _append(self, rows: Floats) -> None:
+        """Append states to their file."""
+        if self._run.every:
+            data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
+            with open(self._beside("states"), "rb+") as file:
+                file.truncate(self._rows * rows.shape[1] * 8)
+                file.seek(0, os.SEEK_END)
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            self._digest.update(data)
+            self._rows += len(rows)
+            self._run.forget()
 
     def _save(self) -> None:
         """Write a new file under another name, then give it the name: one or the other is there."""
@@ -189,13 +197,12 @@ class Checkpoint:
         run = self._run
         run.put_back(record.position, record.workspace)
         self._rows = record.stored
-        self._states = open(self._beside("states"), "rb+")  # noqa: SIM115  open for long
-        self._digest = digest_of_states(self._states, record.stored * width * 8)
-        self._states.truncate()  # what came after that checkpoint is computed again
-        if run.every:
-            self._states.seek(-width * 8, os.SEEK_END)
-            last = np.frombuffer(self._states.read(), dtype="<f8")
-            run.q[0, :, 0], run.p[0, :, 0] = last[: width // 2], last[width // 2 : -1]
+        with open(self._beside("states"), "rb") as file:
+            self._digest = digest_of_states(file, record.stored * width * 8)
+            if run.every:
+                file.seek((record.stored - 1) * width * 8)
+                last = np.frombuffer(file.read(width * 8), dtype="<f8")
+                run.q[0, :, 0], run.p[0, :, 0] = last[: width // 2], last[width // 2 : -1]
 
 
 def exists(path: Path) -> bool:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, Interrupted
+from symsimpson.errors import ConvergenceError, InputError, Interrupted, StorageError
 from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
 from symsimpson.runtime.inputs import (
     read_count,
@@ -73,16 +73,21 @@ def integrate(
             keeper = _checkpoint(checkpoint, checkpoint_every, stepper, run, count, values)
         if progress or (progress is None and count > BRIEF):
             run.listener = Watcher(count, progress)
-        interrupted = False
+        ended, problem = None, None
         try:
             (keeper or run).advance(count)
         except KeyboardInterrupt:
-            interrupted = True
+            ended = Status.INTERRUPTED
+        except StorageError as error:
+            ended, problem = Status.FILE_ERROR, error
         finally:
             if isinstance(run.listener, Watcher):
                 run.listener.close()
-        status = Status.INTERRUPTED if interrupted else run.status
+        status = run.status if ended is None else ended
         trajectory = trajectory_of(stepper, run, count, status, values, keeper)
+        if problem is not None and on_failure == "raise":
+            problem.trajectory = trajectory
+            raise problem
         if status is not Status.SUCCESS and on_failure == "raise":
             raise_failure(run, trajectory)
     return trajectory
@@ -187,6 +192,8 @@ def trajectory_of(
             f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
             f"h={h:g} was not taken. {message}"
         )
+        if keeper is not None and status is Status.INTERRUPTED:
+            message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
     result = stepper._numbers.result
     t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(

@@ -19,6 +19,7 @@ class Status(IntEnum):
     COORDINATE_SINGULARITY = 6
     DIVERGED = 7
     SINGULAR_JACOBIAN = 8
+    FILE_ERROR = 9
 
     @property
     def message(self) -> str:
@@ -53,6 +54,10 @@ _MESSAGES = {
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
         "faster than the step resolves: its direction behind that point would be lost. Try a "
         "smaller h there, or coordinates that are regular at this point."
+    ),
+    Status.FILE_ERROR: (
+        "The checkpoint could not be written; what was computed is kept. Make room, or choose "
+        "another file."
     ),
     Status.BAD_INPUT: (
         "The run could not begin: the mass matrix is not positive definite there, or the velocity "

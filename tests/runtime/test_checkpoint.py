@@ -87,6 +87,7 @@ def test_the_same_call_goes_on(path, ended, monkeypatch):
     part = stepper.integrate(**given, checkpoint=path, on_failure="return")
     assert part.status is ss.Status.INTERRUPTED
     assert part.steps == 150 == len(part) - 1
+    assert "Go on with symsimpson.resume" in part.message
     monkeypatch.undo()
     run = stepper.integrate(**given, checkpoint=path)
     assert same(run, stepper.integrate(**given))
@@ -212,6 +213,31 @@ def test_a_folder_that_cannot_be_written(tmp_path):
     with pytest.raises(ss.StorageError, match="cannot be written"):
         ss.compile(system).integrate(**system.reference_state, h=H, steps=10,
                                      checkpoint=tmp_path / "missing" / "run.ckpt")  # fmt: skip
+
+
+def test_a_full_disk_loses_nothing(path, monkeypatch):
+    """The states that could not be written are in the error; the checkpoint before is good."""
+    system, count = SYSTEMS["double_pendulum"], []
+    stepper = ss.compile(system)
+    given = {**system.reference_state, "h": H, "steps": STEPS}
+    whole = stepper.integrate(**given)
+    fsync = os.fsync
+
+    def full(handle):
+        count.append(handle)
+        if len(count) > 8:
+            raise OSError(28, "No space left on device")
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ss.StorageError, match="No space left") as caught:
+        stepper.integrate(**given, checkpoint=path, checkpoint_every=50)
+    part = caught.value.trajectory
+    assert part.status is ss.Status.FILE_ERROR
+    assert 50 < part.steps < STEPS
+    assert (part.q == whole.q[: part.steps + 1]).all()
+    monkeypatch.undo()
+    assert same(ss.resume(path), whole)
 
 
 def test_memory_does_not_grow(path, monkeypatch):
