@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
+from symsimpson.codegen.coupled import Explicit
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
@@ -15,15 +16,12 @@ from symsimpson.discrete.reductions import Composed
 __all__ = ["ComposedSolver"]
 
 
-class ComposedSolver:
+class ComposedSolver(Explicit):
     """Adds up the kicks and the drifts of a step, beginning with what rounding has left before.
 
     A shear by a function of the exact value is symplectic, rounded or not. The force at the last
     kick is that at the first one of the next step.
     """
-
-    unknowns: tuple[tuple[int, int], ...] = ()
-    carried: tuple[tuple[int, int], ...] = ()
 
     def __init__(self, low: Lowering, part: Composed) -> None:
         self._low, self.coordinates = low, part.coordinates
@@ -37,16 +35,6 @@ class ComposedSolver:
         first = [sp.Symbol(f"{table}[{values.index(value)}]", real=True) for value in values]
         graph = self._low.graph
         return [self._low.equations.h * graph.declare(name, Level.RUN) for name in first]
-
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give nothing to solve."""
-        return [], []
-
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give nothing: no increment is left over."""
-        return {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0, after all kicks but the last."""

@@ -11,7 +11,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Coupled
 
-__all__ = ["CoupledSolver", "Solver", "node_point"]
+__all__ = ["CoupledSolver", "Explicit", "Solver", "node_point"]
 
 #: Stands where a point must not be asked for a coordinate of another part.
 NOTHING = sp.Symbol("nothing", real=True)
@@ -52,6 +52,23 @@ class Solver(Protocol):
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
         """Give p1 - p0 at the solution, where it is not zero; ``end`` is q1."""
         ...
+
+
+class Explicit:
+    """What parts have in common whose steps need no equations to be solved."""
+
+    unknowns: tuple[tuple[int, int], ...] = ()
+    carried: tuple[tuple[int, int], ...] = ()
+
+    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
+        """Give nothing to solve."""
+        return [], []
+
+    def carry(
+        self, changes: Mapping[tuple[int, int], sp.Expr]
+    ) -> Mapping[tuple[int, int], sp.Expr]:
+        """Give nothing: no increment is left over."""
+        return {}
 
 
 def node_point(

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
+from symsimpson.codegen.coupled import Explicit
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -16,15 +17,12 @@ __all__ = ["LinearSolver"]
 Vector = dict[int, sp.Expr]
 
 
-class LinearSolver:
+class LinearSolver(Explicit):
     """Kicks p += c(q) and drifts q += D p, symmetric to the last bit, so that a step is symplectic.
 
     Only entries on and below the diagonal of a matrix are computed; those above are the same
     numbers. Rounded coefficients then give another symplectic step, not a step that drifts.
     """
-
-    unknowns: tuple[tuple[int, int], ...] = ()
-    carried: tuple[tuple[int, int], ...] = ()
 
     def __init__(self, low: Lowering, part: Linear) -> None:
         self._low, self.coordinates = low, part.coordinates
@@ -42,16 +40,6 @@ class LinearSolver:
         self._K = {(a, b): constant(-jet.L_qq[a, b]) for a in group for b in group}
         self._f = {a: constant(jet.L_q[a]) for a in group}
         self._impulse: Vector = {}
-
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give nothing to solve."""
-        return [], []
-
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give nothing: no increment is left over."""
-        return {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 after all shears but the last."""

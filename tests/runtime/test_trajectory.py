@@ -1,0 +1,79 @@
+"""What people expect of a result: names, SciPy's y, tables."""
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+
+TOP, PENDULUM = ss.systems.lagrange_top(), ss.systems.double_pendulum()
+
+
+@pytest.fixture(scope="module")
+def run():
+    return ss.compile(PENDULUM).integrate([0.7, 1.0], v0=[1.0, -2.0], h=0.01, steps=50, every=5)
+
+
+def test_names(run):
+    assert (run["q1"] == run.q[:, 0]).all()
+    assert (run["p_q2"] == run.p[:, 1]).all()
+    assert (run["t"] == run.t).all()
+    assert (run["energy"] == run.energy).all()
+    assert run["v_q2"][0] == pytest.approx(-2.0)
+    with pytest.raises(KeyError, match=r"there is no 'q3'\. There are q1, q2, p_q1"):
+        run["q3"]
+
+
+def test_invariants_have_names():
+    top = ss.systems.heavy_top()
+    run = ss.compile(top).integrate(**top.reference_state, h=0.01, steps=5)
+    assert list(run.invariants) == ["angular momentum z"]
+    for name in run.invariants:
+        assert (run[name] == run.invariants[name]).all()
+
+
+@pytest.mark.parametrize("scheme", ["simpson", "gauss8", "kahan_li8"])
+@pytest.mark.parametrize("system", [PENDULUM, TOP, ss.systems.fermi_pasta_ulam()])
+def test_velocities(system, scheme):
+    """They are those whose momenta are the run's, by the mass matrix."""
+    try:
+        stepper = ss.compile(system, scheme)
+    except ss.SchemeError:
+        pytest.skip("not explicit")
+    run = stepper.integrate(**system.reference_state, h=0.001, steps=20)
+    values = dict(zip(system.plain.parameters, run.parameters.values(), strict=True))
+    for k in (0, 10, 20):
+        at = dict(zip(system.plain.q, run.q[k], strict=True)) | values
+        mass = np.array(system.plain.mass.xreplace(at).tolist(), dtype=float)
+        np.testing.assert_allclose(mass @ run.v[k], run.p[k], rtol=1e-12, atol=1e-15)
+
+
+def test_as_scipy_gives_it(run):
+    assert run.y.shape == (4, 11)
+    assert (run.q == run.y[:2].T).all()
+    assert run.success
+    assert run.status == 0
+
+
+def test_many_digits_have_velocities():
+    run = ss.compile(PENDULUM, precision=30).integrate([1, 2], v0=["0.5", 0], h="0.01", steps=1)
+    assert abs(run.v[0, 0] - 0.5) < 1e-28
+
+
+def test_tables(run):
+    pytest.importorskip("pandas")
+    pytest.importorskip("xarray")
+    frame = run.to_pandas()
+    assert list(frame.columns) == ["q1", "q2", "p_q1", "p_q2", "energy"]
+    assert frame.index.name == "t"
+    assert (frame["q2"].to_numpy() == run.q[:, 1]).all()
+    data = run.to_xarray()
+    assert dict(data.sizes) == {"time": 11, "coord": 2}
+    assert (data.sel(coord="q1").v.to_numpy() == run.v[:, 0]).all()
+    assert data.attrs["system"] == "double_pendulum"
+    assert data.attrs["parameter g"] == 9.81
+
+
+def test_a_missing_library_is_named(run, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    with pytest.raises(ss.InputError, match=r"pip install 'symsimpson\[data\]'"):
+        run.to_pandas()
