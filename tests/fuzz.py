@@ -1,9 +1,9 @@
 """A long campaign: python tests/fuzz.py --systems 10000. Each system is held against mpmath."""
 
 import argparse
+import multiprocessing
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -27,10 +27,9 @@ def main():
     parser.add_argument("--processes", type=int, default=None)
     options = parser.parse_args()
     seeds, wrong, begun = range(options.first, options.first + options.systems), 0, time.time()
-    with ProcessPoolExecutor(options.processes, max_tasks_per_child=200) as pool:
-        tasks = [pool.submit(check, seed) for seed in seeds]
-        for done, task in enumerate(as_completed(tasks), 1):
-            seed, problem = task.result()
+    # SymPy remembers much: processes are replaced now and then
+    with multiprocessing.Pool(options.processes, maxtasksperchild=100) as pool:
+        for done, (seed, problem) in enumerate(pool.imap_unordered(check, seeds), 1):
             if problem:
                 wrong += 1
                 print(f"seed {seed}: {problem[:300]}", flush=True)
