@@ -152,8 +152,9 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
+    stepper = Stepper(text, os.fspath(path))  # compares the digest, executes nothing
     check_structure(text, os.fspath(path))
-    return Stepper(text, os.fspath(path))
+    return stepper
 
 
 def resume(
@@ -198,8 +199,8 @@ def resume(
     True
     """
     asked = read_record(Path(path), quiet=True).question
-    check_structure(asked["source"], os.fspath(path))
     stepper = Stepper(asked["source"], os.fspath(path))
+    check_structure(asked["source"], os.fspath(path))
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(
         asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],
