@@ -26,7 +26,7 @@ PENDULUM = ss.systems.double_pendulum()
     ("name", "scheme"),
     [("lagrange_top", "midpoint"), ("lagrange_top", "simpson"),
      ("harmonic_oscillator", "midpoint"), ("henon_heiles", "gauss4"), ("kepler", "lobatto6"),
-     ("n_pendulum", "midpoint")],
+     ("n_pendulum", "midpoint"), ("double_pendulum", "gauss16")],
 )  # fmt: skip
 def test_what_is_right_passes(name, scheme):
     certificate = ss.compile(ss.systems.CATALOGUE[name](), scheme).certify()
