@@ -10,10 +10,10 @@ from typing import Literal
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import GenerationError
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.checkpoint import read_record
+from symsimpson.runtime.checkpoint import read_question
 from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.stepper import Stepper
-from symsimpson.runtime.structure import check_structure
+from symsimpson.runtime.structure import read_stepper
 from symsimpson.runtime.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
@@ -152,9 +152,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
-    stepper = Stepper(text, os.fspath(path))  # compares the digest, executes nothing
-    check_structure(text, os.fspath(path))
-    return stepper
+    return read_stepper(text, os.fspath(path))
 
 
 def resume(
@@ -198,9 +196,8 @@ def resume(
     >>> bool((again.q == run.q).all())
     True
     """
-    asked = read_record(Path(path), quiet=True).question
-    stepper = Stepper(asked["source"], os.fspath(path))
-    check_structure(asked["source"], os.fspath(path))
+    asked = read_question(Path(path))
+    stepper = read_stepper(asked["source"], os.fspath(path))
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(
         asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],

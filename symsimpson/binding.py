@@ -16,9 +16,18 @@ from typing import Any
 import mpmath
 import numpy as np
 
-__all__ = ["bind", "bind_arb", "bind_complex", "bind_float", "bind_mpmath", "plain_arithmetic"]
+__all__ = [
+    "MATH",
+    "bind",
+    "bind_arb",
+    "bind_complex",
+    "bind_float",
+    "bind_mpmath",
+    "plain_arithmetic",
+]
 
-_MATH = (
+#: Functions of one number that modules may call, in every arithmetic.
+MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
     "exp", "log", "sqrt",
 )  # fmt: skip
@@ -68,7 +77,7 @@ def plain_arithmetic(
 
     With a number of digits the kernels judge their iterations, by thresholds for so many.
     """
-    named = dict.fromkeys([*_MATH, "atan2"], functions) if callable(functions) else functions
+    named = dict.fromkeys([*MATH, "atan2"], functions) if callable(functions) else functions
 
     def nothing(W: Any, lane: int) -> None:
         """Leave it to the caller when to stop."""
@@ -95,20 +104,20 @@ def plain_arithmetic(
 
 def bind_float(source: str) -> SimpleNamespace:
     """Bind to Python floats: the same operations as compiled, without a compiler."""
-    functions = {name: getattr(math, name) for name in [*_MATH, "atan2"]}
+    functions = {name: getattr(math, name) for name in [*MATH, "atan2"]}
     return bind(source, plain_arithmetic(functions, float))
 
 
 def bind_complex(source: str) -> SimpleNamespace:
     """Bind to complex numbers, for derivatives by a complex step."""
-    functions: dict[str, Any] = {name: getattr(cmath, name) for name in _MATH}
+    functions: dict[str, Any] = {name: getattr(cmath, name) for name in MATH}
     functions["sincos"] = lambda x: (cmath.sin(x), cmath.cos(x))
     return bind(source, plain_arithmetic(functions, float))
 
 
 def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False) -> SimpleNamespace:
     """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
-    names = [*_MATH, "atan2", "pi"]
+    names = [*MATH, "atan2", "pi"]
     functions: dict[str, Any] = {name: getattr(context, name) for name in names}
     functions["pi"] = +context.pi
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
@@ -124,7 +133,7 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     def method(name: str) -> Callable[[Any], Any]:
         return lambda x: getattr(arb(x), name)()
 
-    functions: dict[str, Any] = {name: method(name) for name in _MATH}
+    functions: dict[str, Any] = {name: method(name) for name in MATH}
     functions["pi"] = arb.pi()
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")

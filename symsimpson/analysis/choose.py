@@ -139,8 +139,7 @@ def choose(
     frequency = largest_frequency(system, q, values.values())
     problem = _Problem(q, p, values, pilot, float(t_end), float(error), on, h0, frequency)
     if schemes is None:
-        explicit = all(part.separable for part in system.structure.subsystems)
-        schemes = WITH_EXPLICIT if explicit else CANDIDATES
+        schemes = WITH_EXPLICIT if system.structure.separable else CANDIDATES
     found = [one for scheme in schemes if (one := problem.solve(compile_system(system, scheme)))]
     if not found:
         raise InputError(

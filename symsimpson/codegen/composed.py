@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import Explicit
+from symsimpson.codegen.coupled import Explicit, constant_mass_velocity
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Composed
@@ -38,8 +37,7 @@ class ComposedSolver(Explicit):
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0, after all kicks but the last."""
-        low, names, n = self._low, self._low.names.coordinates, self._low.n
-        define = low.graph.define
+        low, names, define = self._low, self._low.names.coordinates, self._low.graph.define
         moved: dict[int, sp.Expr] = {a: low.q_low[a] for a in self.coordinates}
         self._impulse = {a: low.p_low[a] for a in self._forced}
         point = low.start_point()
@@ -51,8 +49,9 @@ class ComposedSolver(Explicit):
                     q[a] = define(f"{names[a]}_{k}", low.q[a] + moved[a], section)
                 point = Point(str(k), tuple(q))
             self._kick(kick, point, section, f"dp_{{}}_{k + 1}")
-            momentum = [low.p[a] + self._impulse.get(a, low.p_low[a]) for a in range(n)]
-            for a, v in zip(self.coordinates, self._velocity(momentum, section), strict=True):
+            momentum = [low.p[a] + self._impulse.get(a, low.p_low[a]) for a in self.coordinates]
+            velocity = constant_mass_velocity(low, self.coordinates, momentum, "v", section)
+            for a, v in zip(self.coordinates, velocity, strict=True):
                 value = moved[a] + drift * v
                 moved[a] = define(f"dq_{names[a]}_{k + 1}", value, section)
         # which the sum that closes the step adds anew
@@ -70,13 +69,3 @@ class ComposedSolver(Explicit):
             value = self._impulse[a] + share * force
             name = wish.format(low.names.coordinates[a])
             self._impulse[a] = low.graph.define(name, value, section)
-
-    def _velocity(self, momentum: Sequence[sp.Expr], section: str) -> list[sp.Expr]:
-        """Solve M v = p with the constant M."""
-        low, group = self._low, self.coordinates
-        mass = [
-            [low.template.entry(low.start_point(), "mass", "M", a, b) for b in group] for a in group
-        ]
-        right = [momentum[a] for a in group]
-        wishes = [f"v_{low.names.coordinates[a]}" for a in group]
-        return solve_symmetric(low.graph, mass, right, wishes, section)[0]

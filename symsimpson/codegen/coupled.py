@@ -7,11 +7,12 @@ from typing import Protocol
 
 import sympy as sp
 
+from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Coupled
 
-__all__ = ["CoupledSolver", "Explicit", "Solver", "node_point"]
+__all__ = ["CoupledSolver", "Explicit", "Solver", "constant_mass_velocity", "node_point"]
 
 #: Stands where a point must not be asked for a coordinate of another part.
 NOTHING = sp.Symbol("nothing", real=True)
@@ -69,6 +70,16 @@ class Explicit:
     ) -> Mapping[tuple[int, int], sp.Expr]:
         """Give nothing: no increment is left over."""
         return {}
+
+
+def constant_mass_velocity(
+    low: Lowering, group: Sequence[int], momentum: Sequence[sp.Expr], wish: str, section: str
+) -> list[sp.Expr]:
+    """Solve M v = p for coordinates whose M is constant; velocities are named after the wish."""
+    start = low.start_point()
+    mass = [[low.template.entry(start, "mass", "M", a, b) for b in group] for a in group]
+    wishes = [f"{wish}_{low.names.coordinates[a]}" for a in group]
+    return solve_symmetric(low.graph, mass, momentum, wishes, section)[0]
 
 
 def node_point(

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import node_point
-from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.coupled import constant_mass_velocity, node_point
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Separable
@@ -134,7 +133,7 @@ class SeparableSolver:
             terms = [h * self._force_factor(test, i) * force(i, points[i], a) for i in used]
             name = f"impulse_{low.names.coordinates[a]}"
             impulses.append(low.graph.define(name, sp.Add(test[0] * low.p[a], *terms), section))
-        velocity = self._velocity(impulses)
+        velocity = constant_mass_velocity(low, group, impulses, "dv", section)
         scale = sp.radsimp(-1 / scheme.stiffness[last][d])
         found: dict[tuple[int, int], sp.Expr] = {}
         for number, a in enumerate(group):
@@ -161,10 +160,3 @@ class SeparableSolver:
 
     def _mass(self, a: int, b: int) -> sp.Expr:
         return self._low.template.entry(self._low.start_point(), "mass", "M", a, b)
-
-    def _velocity(self, momentum: list[sp.Expr]) -> list[sp.Expr]:
-        """Solve M v = p with the constant M."""
-        group = self.coordinates
-        mass = [[self._mass(a, b) for b in group] for a in group]
-        wishes = [f"dv_{self._low.names.coordinates[a]}" for a in group]
-        return solve_symmetric(self._low.graph, mass, momentum, wishes, "end of the path")[0]

@@ -13,9 +13,10 @@ import json
 import os
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.machine import Run
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Checkpoint", "Record", "buffered", "question_of", "read_record"]
+__all__ = ["Checkpoint", "buffered", "question_of", "read_question"]
 
 #: The first line of a file: what it is, its version and the digest of what follows.
 MAGIC, VERSION = "symsimpson checkpoint", 1
@@ -38,6 +39,7 @@ SECONDS = 10.0
 BUFFER = 2**24
 
 Floats = NDArray[np.float64]
+Content = TypeVar("Content")
 
 
 def buffered(every: int, stored: int, n: int) -> int:
@@ -57,13 +59,14 @@ def question_of(stepper: Stepper, run: Run, count: int, values: Floats) -> dict[
 
 @dataclass(frozen=True)
 class Record:
-    """What a checkpoint says."""
+    """What a checkpoint says, the digest of its states so far, and the last of them."""
 
     question: dict[str, Any]
     position: list[int]
     workspace: Floats
     stored: int
-    states_digest: str
+    digest: Any
+    last: Floats
 
 
 class Checkpoint:
@@ -84,10 +87,9 @@ class Checkpoint:
     ) -> None:
         self.path, self._question, self._run, self._every = Path(path), question, run, every
         self._rows, self._digest = 0, hashlib.sha256()
-        width = 2 * run.facts.n + 1
         try:
             if exists(self.path):
-                self._go_on(width)
+                self._go_on()
             else:
                 self._beside("states").write_bytes(b"")
                 with undisturbed():
@@ -186,7 +188,7 @@ class Checkpoint:
         os.replace(new, self.path)
         _sync(self.path.parent)
 
-    def _go_on(self, width: int) -> None:
+    def _go_on(self) -> None:
         """Put the run where the file says, if it is of the same question."""
         record = read_record(self.path)
         if record.question != self._question:
@@ -196,13 +198,10 @@ class Checkpoint:
             )
         run = self._run
         run.put_back(record.position, record.workspace)
-        self._rows = record.stored
-        with open(self._beside("states"), "rb") as file:
-            self._digest = digest_of_states(file, record.stored * width * 8)
-            if run.every:
-                file.seek((record.stored - 1) * width * 8)
-                last = np.frombuffer(file.read(width * 8), dtype="<f8")
-                run.q[0, :, 0], run.p[0, :, 0] = last[: width // 2], last[width // 2 : -1]
+        self._rows, self._digest = record.stored, record.digest
+        if run.every:
+            n = run.facts.n
+            run.q[0, :, 0], run.p[0, :, 0] = record.last[:n], record.last[n : 2 * n]
 
 
 def exists(path: Path) -> bool:
@@ -210,7 +209,7 @@ def exists(path: Path) -> bool:
     return path.exists() or path.with_name(f"{path.name}.previous").exists()
 
 
-def digest_of_states(file: Any, size: int) -> Any:
+def _digest_of(file: Any, size: int) -> Any:
     """Read so many bytes and give their digest so far."""
     found = hashlib.sha256()
     while size > 0:
@@ -222,7 +221,19 @@ def digest_of_states(file: Any, size: int) -> Any:
     return found
 
 
-def read_record(path: Path, *, quiet: bool = False) -> Record:
+def read_question(path: Path) -> dict[str, Any]:
+    """Read what a run was asked for; its states are not looked at.
+
+    Raises
+    ------
+    StorageError
+        If there is no whole file.
+    """
+    question: dict[str, Any] = _first_whole(path, _said)[0]["question"]
+    return question
+
+
+def read_record(path: Path) -> Record:
     """Read a checkpoint, or with a warning the one before it where it is damaged.
 
     Raises
@@ -230,28 +241,32 @@ def read_record(path: Path, *, quiet: bool = False) -> Record:
     StorageError
         If there is none, or neither is whole.
     """
-    problems = []
+    record, problems = _first_whole(path, _read)
+    if problems:
+        warnings.warn(
+            f"{path}: the last checkpoint is damaged ({problems[0]}); the one before is used.",
+            RuntimeWarning,
+            stacklevel=6,
+        )
+    return record
+
+
+def _first_whole(path: Path, read: Callable[[Path, Path], Content]) -> tuple[Content, list[str]]:
+    """Give what the first whole file says, and what is wrong with those before it."""
+    problems: list[str] = []
     for place in (path, path.with_name(f"{path.name}.previous")):
         try:
-            record = _read(place, path.with_name(f"{path.name}.states"))
+            return read(place, path.with_name(f"{path.name}.states")), problems
         except (OSError, ValueError, KeyError, TypeError) as error:
             problems.append(f"{place.name}: {getattr(error, 'strerror', None) or error}")
-            continue
-        if problems and not quiet:
-            warnings.warn(
-                f"{path}: the last checkpoint is damaged ({problems[0]}); the one before is used.",
-                RuntimeWarning,
-                stacklevel=6,
-            )
-        return record
     raise StorageError(
         f"{path}: there is no whole checkpoint ({'; '.join(problems)}).\n"
         "Nothing can be resumed from it. Begin the run anew, with another file."
     )
 
 
-def _read(path: Path, states: Path) -> Record:
-    """Read one file; raises ValueError if anything about it is not as it was written."""
+def _said(path: Path, states: Path) -> dict[str, Any]:
+    """Read one file; raises ValueError if it is not as it was written."""
     head, _, body = path.read_text(encoding="utf-8").partition("\n")
     if head != f"{MAGIC} {VERSION} {digest(body)}":
         if not head.startswith(f"{MAGIC} "):
@@ -259,15 +274,24 @@ def _read(path: Path, states: Path) -> Record:
         if not head.startswith(f"{MAGIC} {VERSION} "):
             raise ValueError("it is of another version")
         raise ValueError("it does not match its digest")
-    said = json.loads(body)
+    said: dict[str, Any] = json.loads(body)
+    return said
+
+
+def _read(path: Path, states: Path) -> Record:
+    """Read one file and the states that it counts."""
+    said = _said(path, states)
     workspace = np.frombuffer(base64.b64decode(said["workspace"]), dtype="<f8")
-    width = 2 * len(said["question"]["q0"]) + 1
+    width = 8 * (2 * len(said["question"]["q0"]) + 1)
+    size = said["stored"] * width
     with open(states, "rb") as file:
-        found = digest_of_states(file, said["stored"] * width * 8)
-        whole = file.tell() == said["stored"] * width * 8
+        found = _digest_of(file, size)
+        whole = file.tell() == size
+        file.seek(max(0, size - width))
+        last = np.frombuffer(file.read(width), dtype="<f8")
     if not whole or found.hexdigest() != said["states"]:
         raise ValueError("the states beside it are damaged")
-    return Record(said["question"], said["position"], workspace, said["stored"], said["states"])
+    return Record(said["question"], said["position"], workspace, said["stored"], found, last)
 
 
 def _sync(folder: Path) -> None:

@@ -21,7 +21,7 @@ from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
 from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.store import Store, members_of, said, write_chunk
-from symsimpson.runtime.structure import check_structure
+from symsimpson.runtime.structure import read_stepper
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -154,7 +154,4 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
 
 @lru_cache(maxsize=16)
 def _stepper(source: str) -> Stepper:
-    from symsimpson.runtime.stepper import Stepper
-
-    check_structure(source, "the module in a store")
-    return Stepper(source, "the module in a store")
+    return read_stepper(source, "the module in a store")

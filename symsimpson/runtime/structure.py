@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
+from symsimpson.binding import MATH
 from symsimpson.errors import StaleKernelError
 
-__all__ = ["check_structure"]
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
 
-_MATH = frozenset(
-    ["sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh",
-     "acosh", "atanh", "exp", "log", "sqrt", "pi"]
-)  # fmt: skip
+__all__ = ["check_structure", "read_stepper"]
+
+_MATH = frozenset([*MATH, "atan2", "pi"])
 #: Names that may be imported, and from where.
 IMPORTS = {"math": _MATH, "numba": frozenset(["carray", "njit"]), "numpy": frozenset(["array"])}
 #: Functions of Python that may be called.
@@ -40,6 +42,21 @@ NODES = (
 )  # fmt: skip
 #: Statements outside of functions.
 TOP = (ast.ImportFrom, ast.Assign, ast.FunctionDef)
+
+
+def read_stepper(text: str, where: str) -> Stepper:
+    """Make a stepper of a module that comes from a file, once digest and structure are checked.
+
+    Raises
+    ------
+    StaleKernelError
+        If it is not a module that this version generated.
+    """
+    from symsimpson.runtime.stepper import Stepper
+
+    stepper = Stepper(text, where)  # compares the digest, executes nothing
+    check_structure(text, where)
+    return stepper
 
 
 def check_structure(text: str, where: str) -> None:

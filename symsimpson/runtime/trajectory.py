@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.runtime.extras import data_library
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -142,7 +141,7 @@ class Trajectory:
         InputError
             If pandas is not installed.
         """
-        pandas = _library("pandas", "to_pandas")
+        pandas = data_library("pandas", "to_pandas")
         names = self._stepper.coordinates
         columns = {name: self[name] for name in (*names, *(f"p_{q}" for q in names), "energy")}
         frame = pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
@@ -157,7 +156,7 @@ class Trajectory:
         InputError
             If xarray is not installed.
         """
-        xarray = _library("xarray", "to_xarray")
+        xarray = data_library("xarray", "to_xarray")
         variables: dict[str, Any] = {
             name: (("time", "coord"), getattr(self, name)) for name in "qpv"
         }
@@ -195,14 +194,3 @@ class Trajectory:
             f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of "
             f"h={float(self.h):g}, {self.t.size} states stored, {self.status.name})"
         )
-
-
-def _library(name: str, use: str) -> Any:
-    """Import a library that only some need."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise InputError(
-            f"{use} needs {name}, which is not installed.\n"
-            "Install it with pip install 'symsimpson[data]'."
-        ) from None

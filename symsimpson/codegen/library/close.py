@@ -61,6 +61,16 @@ def end_path(W, h, lane):
 
 
 @compiled
+def add_exactly(W, row, low, increment, lane):
+    """Add to a number; what rounding loses goes to its low part."""
+    old = W[row, lane]
+    new = old + increment
+    taken = new - old
+    W[row, lane] = new
+    W[low, lane] = (old - (new - taken)) + (increment - taken)
+
+
+@compiled
 def close_step(W, lane):
     """Add the increments to q and p, with what rounding lost carried along."""
     for row in range(4 * DIMENSION):
@@ -74,15 +84,7 @@ def close_step(W, lane):
             surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
             surprise_squared += W[METRIC + a, lane] * surprise**2
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
-        old = W[POSITION + a, lane]
-        new = old + increment
-        taken = new - old
-        W[POSITION + a, lane] = new
-        W[POSITION_LOW + a, lane] = (old - (new - taken)) + (increment - taken)
+        add_exactly(W, POSITION + a, POSITION_LOW + a, increment, lane)
         increment = W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane]
-        old = W[MOMENTUM + a, lane]
-        new = old + increment
-        taken = new - old
-        W[MOMENTUM + a, lane] = new
-        W[MOMENTUM_LOW + a, lane] = (old - (new - taken)) + (increment - taken)
+        add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, increment, lane)
     W[SURPRISE_SQUARED, lane] = surprise_squared

@@ -6,6 +6,7 @@ from typing import Any
 compiled: Callable[[Any], Any]
 real: Callable[[Any], Any]
 solve_mass: Callable[..., Any]
+add_exactly: Callable[..., Any]
 
 DIMENSION: int
 POSITION: int
@@ -21,16 +22,6 @@ NODE_L_Q: int
 COORDINATE: tuple[int, ...]
 KICKS: tuple[float, ...]
 DRIFTS: tuple[float, ...]
-
-
-@compiled
-def add_exactly(W, row, low, change, lane):
-    """Add what has changed to a number; what rounding loses goes to its low part."""
-    old = W[row, lane]
-    new = old + W[change, lane]
-    taken = new - old
-    W[row, lane] = new
-    W[low, lane] = (old - (new - taken)) + (W[change, lane] - taken)
 
 
 @compiled
@@ -66,5 +57,5 @@ def kick(W, h, number, lane):
 def close_composed(W, lane):
     """Close the step; the last force was that at its end."""
     for a in range(DIMENSION):
-        add_exactly(W, POSITION + a, POSITION_LOW + a, INCREMENT + a, lane)
-        add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, RESIDUAL + a, lane)
+        add_exactly(W, POSITION + a, POSITION_LOW + a, W[INCREMENT + a, lane], lane)
+        add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, W[RESIDUAL + a, lane], lane)
