@@ -32,7 +32,10 @@ if TYPE_CHECKING:
     from symsimpson.mechanics import catalogue as systems
     from symsimpson.mechanics.coordinates import coordinates, momenta
     from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.runtime.archive import open_trajectory
     from symsimpson.runtime.ensemble import Ensemble
+    from symsimpson.runtime.events import Events
+    from symsimpson.runtime.states import States
     from symsimpson.runtime.status import Status
     from symsimpson.runtime.stepper import Stepper
     from symsimpson.runtime.trajectory import Trajectory
@@ -66,6 +69,9 @@ _HOME = {
     "Status": "runtime.status",
     "Stepper": "runtime.stepper",
     "Trajectory": "runtime.trajectory",
+    "States": "runtime.states",
+    "Events": "runtime.events",
+    "open_trajectory": "runtime.archive",
     "Composition": "schemes.composition",
     "composition": "schemes.composition",
     "MIDPOINT": "schemes.scheme",
@@ -82,6 +88,7 @@ __all__ = [
     "Composition",
     "ConvergenceError",
     "Ensemble",
+    "Events",
     "GenerationError",
     "InputError",
     "Interrupted",
@@ -91,6 +98,7 @@ __all__ = [
     "SchemeError",
     "StabilityWarning",
     "StaleKernelError",
+    "States",
     "Status",
     "Stepper",
     "StorageError",
@@ -104,6 +112,7 @@ __all__ = [
     "generate",
     "load",
     "momenta",
+    "open_trajectory",
     "resume",
     "systems",
     "work_precision",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from symsimpson.runtime.ensemble import Ensemble
+    from symsimpson.runtime.events import Events
     from symsimpson.runtime.status import Status
     from symsimpson.runtime.trajectory import Trajectory
 
@@ -74,7 +75,7 @@ class ConvergenceError(SymsimpsonError):
     Attributes
     ----------
     trajectory : Trajectory
-        All stored states before the failure.
+        All stored states before the failure; of a section, the events before it.
     step : int
         Number of the step that failed, counted from 0.
     time : float
@@ -89,7 +90,7 @@ class ConvergenceError(SymsimpsonError):
         self,
         message: str,
         *,
-        trajectory: Trajectory,
+        trajectory: Trajectory | Events,
         step: int,
         time: float,
         residual: float,
@@ -104,8 +105,11 @@ class ConvergenceError(SymsimpsonError):
 
 
 class Interrupted(SymsimpsonError, KeyboardInterrupt):
-    """Ctrl-C stopped a run; ``trajectory`` (an Ensemble, for many) holds what was computed."""
+    """Ctrl-C stopped a run; ``trajectory`` holds what was computed.
 
-    def __init__(self, message: str, *, trajectory: Trajectory | Ensemble) -> None:
+    For many trajectories that is an Ensemble, for a section the Events.
+    """
+
+    def __init__(self, message: str, *, trajectory: Trajectory | Ensemble | Events) -> None:
         super().__init__(message)
         self.trajectory = trajectory

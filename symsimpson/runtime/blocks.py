@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.ensemble import Ensemble
+from symsimpson.runtime.evaluate import watch
 from symsimpson.runtime.load import Facts, Kernels
 from symsimpson.runtime.machine import driver
-from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_states
+from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_values
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -232,7 +233,8 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
             return
         q, p = run.q, run.p
         if task.reductions:
-            values = reduce_states(task.reductions, run, task.parameters[member])
+            seen = watch(stepper, task.reductions, run.t, run.q, run.p, task.parameters[member])
+            values = reduce_values(task.reductions, run.t, seen)
             results.seen[member, : 2 * len(values) : 2] = values
             q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
         results.q[member, : len(q)], results.p[member, : len(p)] = q, p

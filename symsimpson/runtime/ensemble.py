@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.extras import data_library
+from symsimpson.runtime.extras import library
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ class Ensemble:
         InputError
             If xarray is not installed.
         """
-        xarray = data_library("xarray", "to_xarray")
+        xarray = library("xarray", "to_xarray", "data")
         reduced, parameters = names_in_dataset(self.reduced, self.parameters)
         coordinates = {parameters[name]: values for name, values in self.parameters.items()}
         if self.store is not None:

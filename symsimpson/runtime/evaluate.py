@@ -1,44 +1,79 @@
-"""Evaluate what a module can compute besides steps: equations, energy, invariants."""
+"""Evaluate what can be computed at states: equations, energy, invariants, expressions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, read_number, read_vector
-from symsimpson.runtime.load import equations_of
+from symsimpson.runtime.load import Kernels, equations_of
 from symsimpson.runtime.machine import Run
+from symsimpson.runtime.observe import Observed, observing_kernel
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.evaluator import Evaluator
 
-__all__ = ["evaluate", "evaluate_energy", "evaluate_equations"]
+__all__ = ["evaluate", "evaluate_energy", "evaluate_equations", "watch"]
 
 Reals = NDArray[Any]
 
 
 def evaluate(
-    stepper: Stepper, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
+    stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
 ) -> Reals:
     """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-    facts, numbers, kernels = stepper._facts, stepper._numbers, stepper._kernels
-    with numbers.working():
-        W = numbers.zeros((facts.rows, 1))
-        first = facts.layout["PARAMETER"]
-        W[first : first + values.size, 0] = numbers.read(values)
-        out = numbers.zeros((len(q), count))
-        numbers.driver("evaluate")(
-            kernels.address("prepare"), kernels.address(kernel), numbers.read(1.0).item(), W,
-            facts.places, numbers.read(q), numbers.read(p), facts.layout[block], out,
-        )  # fmt: skip
-        return numbers.result(out)
+    facts, kernels = stepper._facts, stepper._kernels
+    wanted = (facts.rows, facts.layout[block], count)
+    with stepper._numbers.working():
+        t = stepper._numbers.zeros(len(q))
+        return _evaluated(stepper, wanted, 0, kernels.address(kernel), t, q, p, values)
+
+
+def watch(
+    stepper: Evaluator, found: Sequence[Observed], t: Reals, q: Reals, p: Reals, values: Reals
+) -> Reals:
+    """Evaluate expressions at many states; shape (len(q), len(found)).
+
+    Raises
+    ------
+    InputError
+        If the stepper has many digits.
+    """
+    facts, kernels = stepper._facts, stepper._kernels
+    if not isinstance(kernels, Kernels):
+        raise InputError(
+            "expressions are evaluated in double precision, and this stepper has many digits.\n"
+            "Compile without precision."
+        )
+    kernel = kernels.observing(observing_kernel(facts, found), len(found))
+    energy = kernels.address("energy") if any(one.energy for one in found) else 0
+    wanted = (facts.rows + len(found), facts.rows, len(found))
+    return _evaluated(stepper, wanted, energy, kernel, t, q, p, values)
+
+
+def _evaluated(
+    stepper: Evaluator, wanted: tuple[int, int, int], before: Any, kernel: Any, t: Reals, q: Reals,
+    p: Reals, values: Reals,
+) -> Reals:  # fmt: skip
+    """Evaluate one kernel, or two, in a workspace of so many rows: a block of so many."""
+    facts, numbers = stepper._facts, stepper._numbers
+    rows, block, count = wanted
+    W = numbers.zeros((rows, 1))
+    first = facts.layout["PARAMETER"]
+    W[first : first + values.size, 0] = numbers.read(values)
+    out = numbers.zeros((len(q), count))
+    numbers.driver("evaluate")(
+        stepper._kernels.address("prepare"), before, kernel, numbers.read(1.0).item(), W,
+        facts.places, numbers.read(t), numbers.read(q), numbers.read(p), block, out,
+    )  # fmt: skip
+    return numbers.result(out)
 
 
 def evaluate_energy(
-    stepper: Stepper, q: ArrayLike, p: ArrayLike, parameters: Mapping[Any, Any] | None
+    stepper: Evaluator, q: ArrayLike, p: ArrayLike, parameters: Mapping[Any, Any] | None
 ) -> Reals:
     """Evaluate the Hamiltonian at states of any origin."""
     numbers, n = stepper._numbers, stepper.n
@@ -56,7 +91,7 @@ def evaluate_energy(
 
 
 def evaluate_equations(
-    stepper: Stepper,
+    stepper: Evaluator,
     q0: ArrayLike,
     p0: ArrayLike,
     nodes: ArrayLike,
@@ -87,8 +122,9 @@ def evaluate_equations(
         run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         numbers.driver("evaluate")(
-            kernels.address("prepare"), kernels.address("equations"), h, run.W, facts.places,
-            q[None, :], p[None, :], facts.layout["RESIDUAL"], numbers.zeros((1, 0)),
+            kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, facts.places,
+            numbers.zeros(1), q[None, :], p[None, :], facts.layout["RESIDUAL"],
+            numbers.zeros((1, 0)),
         )  # fmt: skip
         residual, jacobian = map(numbers.result, equations_of(facts, run))
     return residual.ravel(), jacobian.reshape(d * n, d * n)

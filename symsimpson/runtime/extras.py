@@ -7,11 +7,11 @@ from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["data_library"]
+__all__ = ["library"]
 
 
-def data_library(name: str, use: str) -> Any:
-    """Import a library of the extra ``data``.
+def library(name: str, use: str, extra: str) -> Any:
+    """Import a library that comes with an extra of the package.
 
     Raises
     ------
@@ -22,6 +22,6 @@ def data_library(name: str, use: str) -> Any:
         return importlib.import_module(name)
     except ImportError:
         raise InputError(
-            f"{use} needs {name}, which is not installed.\n"
-            "Install it with pip install 'symsimpson[data]'."
+            f"{use} needs {name.partition('.')[0]}, which is not installed.\n"
+            f"Install it with pip install 'symsimpson[{extra}]'."
         ) from None

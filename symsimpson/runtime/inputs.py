@@ -18,6 +18,7 @@ __all__ = [
     "read_array",
     "read_count",
     "read_every",
+    "read_failure",
     "read_given",
     "read_number",
     "read_parameters",
@@ -113,6 +114,12 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
 def read_every(every: Any) -> int:
     """Read the stride of storage; None, for the last state only, becomes 0."""
     return 0 if every is None else read_count("every", every, least=1)
+
+
+def read_failure(on_failure: Any) -> None:
+    """Check what is to be done about a failure."""
+    if on_failure not in ("raise", "return"):
+        raise InputError(f"on_failure is {_short(on_failure)}.\nChoose 'raise' or 'return'.")
 
 
 def read_count(name: str, value: Any, least: int) -> int:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Run", "driver", "driver_text"]
 
 #: The modules that are compiled as one text, in this order.
-PARTS = ("driver", "mend", "march", "sweep")
+PARTS = ("driver", "mend", "march", "sweep", "dense")
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: After a step that only slower and more robust kernels could take, so many more are taken with

@@ -37,8 +37,8 @@ SIGNATURES |= {
         types.int64, STATES, STATES, COUNTS,
     ),
     "evaluate": types.void(
-        types.int64, types.int64, types.float64, WORKSPACE, PLACES, types.float64[:, :],
-        types.float64[:, :], types.int64, WORKSPACE,
+        types.int64, types.int64, types.int64, types.float64, WORKSPACE, PLACES,
+        types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
     ),
 }  # fmt: skip
 #: Steps that a kernel takes in one call.
@@ -104,14 +104,19 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
 
 
 @njit(**OPTIONS)
-def evaluate(prepare, kernel, h, W, at, q, p, block, out):
-    """Evaluate a kernel that maps (q, p) to the rows of a block, for each of many states."""
+def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
+    """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
+
+    Another kernel comes before it, if its address is not 0.
+    """
     n = at[DIMENSION]
     call(prepare, h, 0.0, W)
     for i in range(q.shape[0]):
         for a in range(n):
             W[at[POSITION] + a, 0] = q[i, a]
             W[at[MOMENTUM] + a, 0] = p[i, a]
-        call(kernel, h, 0.0, W)
+        if before != 0:
+            call(before, h, t[i], W)
+        call(kernel, h, t[i], W)
         for k in range(out.shape[1]):
             out[i, k] = W[block + k, 0]

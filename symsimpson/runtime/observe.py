@@ -1,12 +1,12 @@
-"""Quantities that are watched during a run: expressions in, the text of a kernel out."""
+"""Quantities that are watched: expressions in, the text of a kernel out."""
 
 from __future__ import annotations
 
 import ast
-import functools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,15 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.load import Facts
 
-if TYPE_CHECKING:
-    from symsimpson.runtime.trajectory import Trajectory
-
-__all__ = ["KINDS", "Reduction", "observing_kernel", "read_reductions", "reduce_states"]
+__all__ = [
+    "KINDS",
+    "Observed",
+    "Reduction",
+    "observing_kernel",
+    "read_expression",
+    "read_reductions",
+    "reduce_values",
+]
 
 #: Ways to reduce values over the steps of a run, in the order of their numbers.
 KINDS = ("min", "max", "mean", "first")
@@ -31,28 +36,54 @@ _SIGNS: dict[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
 }  # fmt: skip
 LONGEST = 2000
+#: Angles that differ by this are one.
+TURN = 2 * math.pi
 
 
 @dataclass(frozen=True)
-class Reduction:
-    """A quantity, and what of its values is kept.
+class Observed:
+    """A quantity.
 
     Attributes
     ----------
-    name, kind : str
     expression : str
         The quantity as it was asked for.
     text : str
         The quantity as a Python expression in names of the kernel.
     energy : bool
         Whether it contains the energy.
+    wrapped : tuple of int
+        Coordinates that it takes from the turn between -pi and pi.
     """
 
-    name: str
-    kind: str
     expression: str
     text: str
     energy: bool
+    wrapped: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reduction(Observed):
+    """A quantity with a name, and what of its values is kept: one of ``KINDS``."""
+
+    name: str = ""
+    kind: str = KINDS[0]
+
+
+def read_expression(facts: Facts, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
+    """Read an expression, a text or of SymPy; an equation means the difference of its sides.
+
+    Raises
+    ------
+    InputError
+        If it contains something else than arithmetic, functions and the names of coordinates,
+        momenta, parameters, t and energy.
+    """
+    text = str(expression)
+    if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
+        text = f"({expression.lhs}) - ({expression.rhs})"
+    reader = _Reader(facts, "the expression")
+    return Observed(str(expression), reader.read(text), reader.energy, wrapped)
 
 
 def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
@@ -78,17 +109,19 @@ def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Redu
                 f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS)} and an "
                 "expression, such as ('max', 'q1') or ('first', 'q1 - 3')."
             )
-        reader = _Reader(facts, name)
+        reader = _Reader(facts, f"reduce[{name!r}]")
         text = reader.read(str(pair[1]))
-        found.append(Reduction(str(name), pair[0], str(pair[1]), text, reader.energy))
+        found.append(
+            Reduction(str(pair[1]), text, reader.energy, name=str(name), kind=str(pair[0]))
+        )
     return tuple(found)
 
 
 class _Reader:
     """Writes an expression anew from its syntax tree; what is not on the list is refused."""
 
-    def __init__(self, facts: Facts, name: str) -> None:
-        self._name = name
+    def __init__(self, facts: Facts, where: str) -> None:
+        self._where = where
         self.energy = False
         self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
         self._known |= {q: f"q_{i}" for i, q in enumerate(facts.coordinates)}
@@ -110,7 +143,7 @@ class _Reader:
 
     def _refuse(self, why: str) -> InputError:
         return InputError(
-            f"reduce[{self._name!r}]: {why}.\nUse numbers, + - * / **, "
+            f"{self._where}: {why}.\nUse numbers, + - * / **, "
             f"{', '.join(sorted(_FUNCTIONS))}, and the names {', '.join(self._known)}."
         )
 
@@ -144,10 +177,11 @@ class _Reader:
         raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
 
 
-def observing_kernel(facts: Facts, found: Sequence[Reduction]) -> str:
+def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
     """Write a kernel that puts the quantities into the rows behind the workspace's others."""
     lines = [
-        "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
+        "from math import acos, asin, atan, atan2, cos, cosh, exp, floor, log, sin, sinh, sqrt",
+        "from math import tan, tanh",
         "",
         "",
         "def observe(h, t, workspace):",
@@ -160,36 +194,20 @@ def observing_kernel(facts: Facts, found: Sequence[Reduction]) -> str:
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(facts.parameters))]
     rows.append(("energy", "ENERGY"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
+    for a in sorted({a for one in found for a in one.wrapped}):
+        lines.append(f"        q_{a} -= {TURN!r} * floor(q_{a} / {TURN!r} + 0.5)")
     lines += [f"        W[{facts.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"
 
 
-def reduce_states(
-    found: Sequence[Reduction], run: Trajectory, parameters: NDArray[np.float64]
+def reduce_values(
+    found: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[float]:
-    """Reduce quantities over the stored states of a single run."""
-    names: dict[str, Any] = {
-        name: getattr(np, {"asin": "arcsin", "acos": "arccos", "atan": "arctan",
-                           "atan2": "arctan2"}.get(name, name))
-        for name in _FUNCTIONS - {"min", "max"}
-    }  # fmt: skip
-    names |= {
-        "min": lambda *x: functools.reduce(np.minimum, x),
-        "max": lambda *x: functools.reduce(np.maximum, x),
-    }
-    names |= {f"q_{i}": x for i, x in enumerate(run.q.T)}
-    names |= {f"p_{i}": x for i, x in enumerate(run.p.T)}
-    names |= {f"a_{i}": x for i, x in enumerate(parameters)}
-    names |= {"t": run.t, "energy": run.energy, "__builtins__": {}}
-    reduced = []
-    for one in found:
-        value = eval(one.text, names)  # written by the reader above, from its list alone
-        value = np.broadcast_to(value, run.t.shape)
-        if one.kind == "first":
-            reduced.append(_first_crossing(run.t, value))
-        else:
-            reduced.append(float(getattr(value, one.kind)()))
-    return reduced
+    """Reduce values of quantities at the states of a run, shape (len(t), len(found))."""
+    return [
+        _first_crossing(t, value) if one.kind == "first" else float(getattr(value, one.kind)())
+        for one, value in zip(found, values.T, strict=True)
+    ]
 
 
 def _first_crossing(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:

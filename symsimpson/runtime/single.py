@@ -14,6 +14,7 @@ from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
 from symsimpson.runtime.inputs import (
     read_count,
     read_every,
+    read_failure,
     read_given,
     read_steps,
     read_vector,
@@ -25,6 +26,7 @@ from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.events import Events
     from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["integrate"]
@@ -54,8 +56,7 @@ def integrate(
     ------
     InputError, StorageError, ConvergenceError, Interrupted
     """
-    if on_failure not in ("raise", "return"):
-        raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
+    read_failure(on_failure)
     numbers = stepper._numbers
     with numbers.working():
         values = stepper._values(parameters)
@@ -197,13 +198,13 @@ def trajectory_of(
     result = stepper._numbers.result
     t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done, status=status,
-        message=message,
+        t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done,
+        every=run.every or None, status=status, message=message,
         _stepper=stepper, _values=values,
     )  # fmt: skip
 
 
-def raise_failure(run: Run, trajectory: Trajectory) -> None:
+def raise_failure(run: Run, trajectory: Trajectory | Events) -> None:
     """Raise the error of a run that did not reach its end."""
     status = trajectory.status
     if status is Status.INTERRUPTED:

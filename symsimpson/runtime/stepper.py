@@ -6,28 +6,23 @@ import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError, Interrupted
-from symsimpson.runtime.evaluate import evaluate_energy, evaluate_equations
-from symsimpson.runtime.inputs import read_parameters
-from symsimpson.runtime.load import Facts, read_facts
-from symsimpson.runtime.numbers import FLOAT64, Numbers
+from symsimpson.errors import Interrupted
+from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
+from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.single import integrate
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.runtime.ensemble import Ensemble
+    from symsimpson.runtime.events import Events
 
 __all__ = ["Stepper"]
 
-#: float64, or numbers of mpmath in an object array.
-Reals = NDArray[Any]
-Parameters = Mapping[Any, Any]
 
-
-class Stepper:
+class Stepper(Evaluator):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
     Parameters
@@ -52,40 +47,6 @@ class Stepper:
     coordinates, parameters, invariants : tuple of str
     source : str
     """
-
-    def __init__(
-        self,
-        source: str,
-        where: str,
-        *,
-        defaults: Mapping[str, float] | None = None,
-        numbers: Numbers = FLOAT64,
-        reference_state: Mapping[str, Any] | None = None,
-        declared: Any = None,
-    ) -> None:
-        facts = read_facts(source, where)
-        self.source = source
-        self._facts: Facts = facts
-        self._numbers = numbers
-        self._kernels = numbers.kernels(source, facts)
-        self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
-        self.coordinates, self.parameters = facts.coordinates, facts.parameters
-        self.invariants, self.reference_state = facts.invariants, reference_state
-        self._declared = declared
-        self._looked_at: set[tuple[float, bytes]] = set()
-        self._aliases = {name: i for i, name in enumerate(facts.parameters)}
-        self._defaults = numbers.read(facts.defaults)
-        if defaults is not None:
-            self._aliases |= {name: i for i, name in enumerate(defaults)}
-            self._defaults = numbers.read(list(defaults.values()))
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return self._facts.n
-
-    def __repr__(self) -> str:
-        return f"Stepper({self.system}, {self.scheme}, order {self.order})"
 
     def integrate(
         self,
@@ -246,8 +207,7 @@ class Stepper:
         from symsimpson.runtime.dispatch import run_ensemble
         from symsimpson.runtime.members import read_task
 
-        if on_failure not in ("raise", "return"):
-            raise InputError(f"on_failure is {on_failure!r}.\nChoose 'raise' or 'return'.")
+        read_failure(on_failure)
         task = read_task(
             self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress,
             on_disk=store is not None,
@@ -256,6 +216,57 @@ class Stepper:
         if interrupted and on_failure == "raise":
             raise Interrupted(found.message, trajectory=found)
         return found
+
+    def poincare(
+        self,
+        expression: Any,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float,
+        t_end: float | None = None,
+        steps: int | None = None,
+        t0: float = 0.0,
+        direction: int = 0,
+        wrap: Any = (),
+        parameters: Parameters | None = None,
+        progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Events:
+        """Integrate, and keep only the states in which an expression becomes zero.
+
+        Parameters
+        ----------
+        expression, direction, wrap
+            As for :meth:`Trajectory.events`.
+        q0, v0, p0, h, t_end, steps, t0, parameters, progress, on_failure
+            As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
+
+        Returns
+        -------
+        Events
+
+        Raises
+        ------
+        InputError, ConvergenceError, Interrupted
+            As :meth:`integrate`; the ``trajectory`` of the last two are the events so far.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.henon_heiles(), scheme="gauss8")
+        >>> section = stepper.poincare("x", [0, 0.1], v0=[0.4, 0], h=0.25, steps=20_000,
+        ...                            direction=1)
+        >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
+        (True, True)
+        """
+        from symsimpson.runtime.section import poincare
+
+        return poincare(
+            self, expression, (q0, v0, p0), (h, t_end, steps, t0), direction, wrap, parameters,
+            progress, on_failure,
+        )  # fmt: skip
 
     def certify(
         self,
@@ -317,62 +328,3 @@ class Stepper:
         """
         end = self.integrate(q, p0=p, h=h, steps=1, parameters=parameters, every=None)
         return end.q[0], end.p[0]
-
-    def residual(
-        self,
-        q0: ArrayLike,
-        p0: ArrayLike,
-        nodes: ArrayLike,
-        h: float,
-        parameters: Parameters | None = None,
-    ) -> Reals:
-        """Evaluate the discrete Euler-Lagrange equations at given nodes.
-
-        Parameters
-        ----------
-        q0, p0 : array_like, shape (n,)
-        nodes : array_like, shape (d, n)
-            Control points X_1..X_d of the path; the last is q1.
-        h : float
-        parameters : mapping, optional
-
-        Returns
-        -------
-        ndarray, shape (d n,)
-            D_k L_d for k = 1..d-1, then p0 + D_0 L_d.
-        """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters)[0]
-
-    def jacobian(
-        self,
-        q0: ArrayLike,
-        p0: ArrayLike,
-        nodes: ArrayLike,
-        h: float,
-        parameters: Parameters | None = None,
-    ) -> Reals:
-        """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n)."""
-        return evaluate_equations(self, q0, p0, nodes, h, parameters)[1]
-
-    def energy(self, q: ArrayLike, p: ArrayLike, parameters: Parameters | None = None) -> Reals:
-        """Evaluate the Hamiltonian at states of any origin.
-
-        Parameters
-        ----------
-        q, p : array_like, shape (N, n)
-        parameters : mapping, optional
-
-        Returns
-        -------
-        ndarray, shape (N,)
-        """
-        return evaluate_energy(self, q, p, parameters)
-
-    def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
-        return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
-
-    def _values(self, given: Parameters | None) -> Reals:
-        facts = self._facts
-        return read_parameters(
-            self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
-        )

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.runtime.extras import data_library
+from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.events import Events
+    from symsimpson.runtime.interpolate import DenseOutput
 
 __all__ = ["Trajectory"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory:
+class Trajectory(States):
     """States of a run, and how it ended.
 
     Numbers are float64, or numbers of mpmath in arrays of objects where the stepper was compiled
-    with a ``precision``.
+    with a ``precision``. Besides what follows, all that :class:`States` have: ``v``, ``y``,
+    ``energy``, ``invariants``, ``parameters``, quantities by name, slices.
 
     Attributes
     ----------
@@ -38,6 +40,8 @@ class Trajectory:
         The step.
     steps : int
         Steps done.
+    every : int or None
+        Steps from one stored state to the next; None where only the last is stored.
     status : Status
         0 is success.
     message : str
@@ -51,44 +55,17 @@ class Trajectory:
     ((51,), (51,), (2, 51), True)
     """
 
-    t: NDArray[Any]
-    q: NDArray[Any]
-    p: NDArray[Any]
     newton_iterations: NDArray[np.int64]
     h: Any
     steps: int
+    every: int | None
     status: Status
     message: str
-    _stepper: Stepper = field(repr=False)
-    _values: NDArray[Any] = field(repr=False)
-
-    def __init__(self, **fields: Any) -> None:
-        self.__dict__.update(fields)  # a quarter of the time that setting each takes
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """Values of the parameters that the run used, by name."""
-        return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
 
     @property
     def success(self) -> bool:
         """Whether the run reached its end."""
         return self.status is Status.SUCCESS
-
-    @cached_property
-    def v(self) -> NDArray[Any]:
-        """Velocities at the stored states, shape (N + 1, n); computed when first asked for."""
-        return self._evaluated("start", "VELOCITY", self._stepper.n)
-
-    @property
-    def y(self) -> NDArray[Any]:
-        """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N + 1)."""
-        return np.concatenate([self.q, self.p], axis=1).T
-
-    @cached_property
-    def energy(self) -> NDArray[Any]:
-        """H at the stored states, shape (N + 1,); computed when first asked for."""
-        return self._evaluated("energy", "ENERGY", 1)[:, 0]
 
     @cached_property
     def energy_error(self) -> NDArray[Any]:
@@ -98,95 +75,110 @@ class Trajectory:
         return change / start if start > 0 else change
 
     @cached_property
-    def invariants(self) -> dict[str, NDArray[Any]]:
-        """The system's named invariants at the stored states, each of shape (N + 1,)."""
-        names = self._stepper.invariants
-        if not names:
-            return {}
-        found = self._evaluated("invariants", "INVARIANT", len(names))
-        return {name: found[:, i] for i, name in enumerate(names)}
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """Give a quantity at the stored states by its name, shape (N + 1,).
-
-        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
-        "t" and "energy".
-
-        Raises
-        ------
-        KeyError
-            With the names that there are.
-        """
-        coordinates = self._stepper.coordinates
-        if name in coordinates:  # a user's names come first
-            return self.q[:, coordinates.index(name)]
-        for prefix, what in (("p_", "p"), ("v_", "v")):
-            if name.startswith(prefix) and name[2:] in coordinates:
-                return cast(NDArray[Any], getattr(self, what)[:, coordinates.index(name[2:])])
-        if name in self._stepper.invariants:
-            return self.invariants[name]
-        if name in ("t", "energy"):
-            return cast(NDArray[Any], getattr(self, name))
-        every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
-        raise KeyError(
-            f"there is no {name!r}. There are {', '.join([*every, *self._stepper.invariants])}, "
-            "t and energy"
-        )
-
-    def to_pandas(self) -> Any:
-        """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
+    def sol(self) -> DenseOutput:
+        """The states at any time of the run; see :class:`DenseOutput`.
 
         Raises
         ------
         InputError
-            If pandas is not installed.
+            If only the last state is stored.
         """
-        pandas = data_library("pandas", "to_pandas")
-        names = self._stepper.coordinates
-        columns = {name: self[name] for name in (*names, *(f"p_{q}" for q in names), "energy")}
-        frame = pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
-        frame.attrs = self._about()
-        return frame
+        from symsimpson.runtime.interpolate import DenseOutput
 
-    def to_xarray(self) -> Any:
-        """Give an ``xarray.Dataset`` with dimensions time and coord.
+        return DenseOutput(self)
+
+    def at(self, t: ArrayLike) -> States:
+        """Give the states at any times of the run, with the order of the scheme.
+
+        Parameters
+        ----------
+        t : array_like, shape (m,)
+
+        Returns
+        -------
+        States
 
         Raises
         ------
         InputError
-            If xarray is not installed.
+            If a time lies outside of the run, or only the last state is stored.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.at([0.05, 1/3])["theta"].shape
+        (2,)
         """
-        xarray = data_library("xarray", "to_xarray")
-        variables: dict[str, Any] = {
-            name: (("time", "coord"), getattr(self, name)) for name in "qpv"
-        }
-        variables["energy"] = (("time",), self.energy)
-        variables["newton_iterations"] = (("time",), self.newton_iterations)
-        for k, values in enumerate(self.invariants.values()):
-            variables[f"invariant_{k}"] = (("time",), values)
-        names = {"time": self.t, "coord": list(self._stepper.coordinates)}
-        found = xarray.Dataset(variables, names, self._about())
-        for k, name in enumerate(self.invariants):
-            found[f"invariant_{k}"].attrs["long_name"] = name
-        return found
+        times = np.atleast_1d(np.asarray(t))
+        q, p = self.sol.states(times)
+        kind = self.t.dtype
+        return States(
+            t=times.astype(kind), q=q, p=p, _stepper=self._stepper, _values=self._values
+        )  # fmt: skip
+
+    def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
+        """Find where an expression becomes zero, to the rounding of a step.
+
+        Stored states tell in which steps its sign changes; there the zero is located on the dense
+        output. Two zeros between neighbouring stored states are not seen, nor is the first state
+        counted.
+
+        Parameters
+        ----------
+        expression : SymPy expression, equation or str
+            In coordinates, ``p_`` and a coordinate, parameters, ``t`` and ``energy``.
+        direction : {0, 1, -1}
+            Both ways, or only where it goes up, or down, with the run.
+        wrap : True, or names of coordinates
+            Angles of which the turn between -pi and pi is taken, in the expression and in the
+            result; True for all.
+
+        Returns
+        -------
+        Events
+
+        Raises
+        ------
+        InputError
+            If the expression contains something else.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=80)
+        >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
+        (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
+        """
+        from symsimpson.runtime.events import find_events
+
+        return find_events(self, expression, direction, wrap)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the run in a file: netCDF for ``.nc``, a store of Zarr for ``.zarr``.
+
+        It holds what :meth:`to_xarray` gives, and the generated module, so that
+        :func:`symsimpson.open_trajectory` gives back this trajectory.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, a library is missing, or the run has many digits.
+        StorageError
+            If the file cannot be written.
+        """
+        from symsimpson.runtime.archive import save
+
+        save(self, path)
+
+    def _further(self) -> dict[str, Any]:
+        return {"newton_iterations": (("time",), self.newton_iterations)}
 
     def _about(self) -> dict[str, Any]:
-        """Where the numbers come from."""
-        stepper = self._stepper
-        return {
-            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
-            "digest": stepper._facts.digest, "h": float(self.h), "status": self.status.name,
+        return super()._about() | {
+            "h": float(self.h), "steps": self.steps, "status": self.status.name,
             "message": self.message,
-            **{f"parameter {name}": float(value) for name, value in self.parameters.items()},
         }  # fmt: skip
-
-    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
-        from symsimpson.runtime.evaluate import evaluate
-
-        return evaluate(self._stepper, kernel, block, count, self.q, self.p, self._values)
-
-    def __len__(self) -> int:
-        return self.t.size
 
     def __repr__(self) -> str:
         stepper = self._stepper

@@ -1,0 +1,136 @@
+"""States between the steps of a run."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import ConvergenceError, InputError
+from symsimpson.runtime.inputs import read_array
+from symsimpson.runtime.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = ["DenseOutput"]
+
+Reals = NDArray[Any]
+#: A part of a step as small as this is none.
+NOTHING = 1e-14
+#: So many steps are taken before Ctrl-C is heard.
+AT_ONCE = 16384
+
+
+class DenseOutput:
+    """The states of a run at any time of it; made by ``run.sol``.
+
+    Between two steps the scheme itself takes part of a step from the state before. That is
+    continuous, gives stored states as they are, and has the order of the scheme in positions and
+    momenta everywhere. (The polynomial of a Galerkin scheme, which is found on the way, has
+    degree d and therefore at most order d + 1 between its ends: 3 for Simpson's scheme of order 4,
+    9 for 8 Gauss nodes of order 16.) Each such map is symplectic. It costs a step for each time.
+
+    Parameters
+    ----------
+    run : Trajectory
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run.sol(0.25).shape, run.sol([0.25, 0.5, 1.234]).shape
+    ((2,), (2, 3))
+    >>> bool((run.sol(run.t) == run.y).all())
+    True
+    """
+
+    def __init__(self, run: Trajectory) -> None:
+        if run.every is None and run.steps:
+            raise InputError(
+                "a run that keeps its last state alone (every=None) has no states between.\n"
+                "Store states: every=1, or every=100."
+            )
+        self._run = run
+
+    def __call__(self, t: ArrayLike) -> Reals:
+        """Give positions and momenta, shape (2 n,) for a number and (2 n, m) for m of them."""
+        q, p = self.states(t)
+        return np.concatenate([q, p], axis=-1).T
+
+    def states(self, t: ArrayLike) -> tuple[Reals, Reals]:
+        """Give q and p, each of shape (n,) for a number and (m, n) for m of them.
+
+        Raises
+        ------
+        InputError
+            If a time lies outside of the run.
+        ConvergenceError
+            If part of a step cannot be taken where the whole could.
+        """
+        run = self._run
+        numbers = run._stepper._numbers
+        with numbers.working():
+            times = read_array("t", t, numbers)
+        if times.ndim > 1:
+            raise InputError(f"t has shape {times.shape}.\nPass a number, or a list of them.")
+        asked = np.atleast_1d(numbers.result(times))
+        stored = np.asarray(run.t, dtype=float)
+        first, last = stored[0], float(run.t[0] + run.h * run.steps)
+        low, high = min(first, last), max(first, last)
+        slack = 1e-12 * max(abs(low), abs(high), abs(float(run.h)))
+        rough = asked.astype(float)
+        inside = (low - slack <= rough) & (rough <= high + slack)  # NaN is not
+        if not inside.all():
+            raise InputError(
+                f"t = {rough[~inside][0]:g} lies outside of the run, {low:g} <= t <= {high:g}.\n"
+                "Integrate further, or ask for times within."
+            )
+        sign = 1.0 if run.h > 0 else -1.0
+        start = np.searchsorted(sign * stored, sign * rough, side="right") - 1
+        start = np.clip(start, 0, stored.size - 1)
+        q, p, codes = self.after(start, asked - run.t[start])
+        if codes.any():
+            worst = int(np.argmax(codes != 0))
+            raise ConvergenceError(
+                f"{run._stepper.system}: part of a step, to t = {rough[worst]:g}, could not be "
+                f"taken. {Status(int(codes[worst])).message}",
+                trajectory=run, step=int(start[worst]), time=float(rough[worst]), residual=np.nan,
+                status=Status(int(codes[worst])),
+            )  # fmt: skip
+        return (q, p) if times.ndim else (q[0], p[0])
+
+    def after(self, start: NDArray[np.int64], later: Reals) -> tuple[Reals, Reals, Reals]:
+        """Give q, p and a status so much later than stored states, by their numbers."""
+        run, stepper = self._run, self._run._stepper
+        numbers, facts, kernels = stepper._numbers, stepper._facts, stepper._kernels
+        h = run.h
+        whole = np.floor(np.asarray(later / h, dtype=float)).astype(np.int64)
+        whole = np.maximum(whole, 0)
+        rest = later - whole * h
+        none = np.abs(np.asarray(rest / h, dtype=float)) <= NOTHING
+        order = np.lexsort((whole, start))
+        with numbers.working():
+            W = numbers.zeros((facts.rows, 1))
+            first = facts.layout["PARAMETER"]
+            W[first : first + run._values.size, 0] = numbers.read(run._values)
+            t, q, p, step = (numbers.read(x) for x in (run.t, run.q, run.p, h))
+            rest = numbers.read(np.where(none, 0 * rest, rest))
+            states, counts = numbers.zeros((1, facts.n, 1)), np.zeros((1, 1), dtype=np.int64)
+            found_q, found_p = numbers.zeros((2, len(order), facts.n))
+            codes = np.ones(len(order), dtype=np.int64)
+            between = numbers.driver("between")
+            for rung in kernels.ladder:
+                left = order[codes[order] != 0]
+                at_once = max(1, AT_ONCE // (run.every or 1))
+                for some in (left[i : i + at_once] for i in range(0, left.size, at_once)):
+                    q_out, p_out = numbers.zeros((2, some.size + 1, facts.n))
+                    done = np.zeros(some.size, dtype=np.int64)
+                    between(
+                        getattr(kernels, rung), facts.newton_unknowns == 0, step.item(), t, W,
+                        facts.places, np.zeros(2, dtype=np.int64), q, p, start[some], whole[some],
+                        rest[some], states, counts, q_out, p_out, done,
+                    )  # fmt: skip
+                    found_q[some], found_p[some], codes[some] = q_out[:-1], p_out[:-1], done
+            return numbers.result(found_q), numbers.result(found_p), codes

@@ -1,0 +1,176 @@
+"""States at times, and all that follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.extras import library
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["States"]
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class States:
+    """States of one system at some times: part of a run, or places between its steps.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times.
+    q, p : ndarray, shape (N, n)
+        Positions and conjugate momenta.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run[10:20]
+    States(pendulum, simpson: 10 states, 1 <= t <= 1.9)
+    >>> run[10:20]["theta"].shape
+    (10,)
+    """
+
+    t: NDArray[Any]
+    q: NDArray[Any]
+    p: NDArray[Any]
+    _stepper: Stepper = field(repr=False)
+    _values: NDArray[Any] = field(repr=False)
+
+    def __init__(self, **fields: Any) -> None:
+        self.__dict__.update(fields)  # a quarter of the time that setting each takes
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters that the run used, by name."""
+        return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
+
+    @cached_property
+    def v(self) -> NDArray[Any]:
+        """Velocities, shape (N, n); computed when first asked for."""
+        return self._evaluated("start", "VELOCITY", self._stepper.n)
+
+    @property
+    def y(self) -> NDArray[Any]:
+        """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N)."""
+        return np.concatenate([self.q, self.p], axis=1).T
+
+    @cached_property
+    def energy(self) -> NDArray[Any]:
+        """H, shape (N,); computed when first asked for."""
+        return self._evaluated("energy", "ENERGY", 1)[:, 0]
+
+    @cached_property
+    def invariants(self) -> dict[str, NDArray[Any]]:
+        """The system's named invariants, each of shape (N,)."""
+        names = self._stepper.invariants
+        if not names:
+            return {}
+        found = self._evaluated("invariants", "INVARIANT", len(names))
+        return {name: found[:, i] for i, name in enumerate(names)}
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: slice) -> States: ...
+    def __getitem__(self, key: str | slice) -> NDArray[Any] | States:
+        """Give a quantity by its name, shape (N,), or the states of a slice.
+
+        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
+        "t" and "energy".
+
+        Raises
+        ------
+        KeyError
+            With the names that there are.
+        """
+        if isinstance(key, slice):
+            return States(
+                t=self.t[key], q=self.q[key], p=self.p[key], _stepper=self._stepper,
+                _values=self._values,
+            )  # fmt: skip
+        coordinates = self._stepper.coordinates
+        if key in coordinates:  # a user's names come first
+            return self.q[:, coordinates.index(key)]
+        for prefix in "pv":
+            if str(key).startswith(f"{prefix}_") and key[2:] in coordinates:
+                return cast(NDArray[Any], getattr(self, prefix)[:, coordinates.index(key[2:])])
+        if key in self._stepper.invariants:
+            return self.invariants[key]
+        if key in ("t", "energy"):
+            return cast(NDArray[Any], getattr(self, key))
+        every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
+        raise KeyError(
+            f"there is no {key!r}. There are {', '.join([*every, *self._stepper.invariants])}, "
+            "t and energy"
+        )
+
+    def to_pandas(self) -> Any:
+        """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        pandas = library("pandas", "to_pandas", "data")
+        names = self._stepper.coordinates
+        columns = {name: self[name] for name in (*names, *(f"p_{q}" for q in names), "energy")}
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
+        frame.attrs = self._about()
+        return frame
+
+    def to_xarray(self) -> Any:
+        """Give an ``xarray.Dataset`` with dimensions time and coord.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        variables: dict[str, Any] = {
+            name: (("time", "coord"), getattr(self, name), {"long_name": what})
+            for name, what in (("q", "position"), ("p", "conjugate momentum"), ("v", "velocity"))
+        }
+        variables["energy"] = (("time",), self.energy, {"long_name": "energy H"})
+        for k, (name, values) in enumerate(self.invariants.items()):
+            variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
+        variables |= self._further()
+        names = {"time": self.t, "coord": list(self._stepper.coordinates)}
+        return xarray.Dataset(variables, names, self._about())
+
+    def _further(self) -> dict[str, Any]:
+        """Variables of a dataset that not all states have."""
+        return {}
+
+    def _about(self) -> dict[str, Any]:
+        """Where the numbers come from."""
+        stepper = self._stepper
+        return {
+            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+            "digest": stepper._facts.digest,
+            **{f"parameter {name}": float(value) for name, value in self.parameters.items()},
+        }  # fmt: skip
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        from symsimpson.runtime.evaluate import evaluate
+
+        return evaluate(self._stepper, kernel, block, count, self.q, self.p, self._values)
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def __repr__(self) -> str:
+        times = f"{len(self)} states"
+        if len(self):
+            times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
+        return f"{type(self).__name__}({self._stepper.system}, {self._stepper.scheme}: {times})"

@@ -1,0 +1,157 @@
+"""Zeros of expressions, located on the dense output."""
+
+import mpmath
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.runtime import section
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return ss.compile(ss.systems.pendulum(), "gauss16")
+
+
+def swing(stepper, angle=1.0, **options):
+    return stepper.integrate([angle], v0=[0.0], **({"h": 0.05, "steps": 400} | options))
+
+
+def test_zeros_of_a_pendulum_are_those_of_elliptic_functions(pendulum):
+    run = swing(pendulum)
+    quarter = float(mpmath.ellipk(np.sin(0.5) ** 2)) / np.sqrt(9.81 / run.parameters["l"])
+    found = run.events("theta")
+    expected = quarter * np.arange(1, 2 * len(found), 2)
+    assert len(found) == int((20 / quarter + 1) // 2)
+    assert np.abs(found.t - expected).max() < 1e-12
+    assert np.abs(found["theta"]).max() < 1e-14
+    assert (found.direction == np.where(np.arange(len(found)) % 2, 1, -1)).all()
+
+
+def test_direction_and_kinds_of_expression(pendulum):
+    run = swing(pendulum)
+    every = run.events("theta")
+    assert (run.events("theta", direction=1).t == every.t[1::2]).all()
+    assert (run.events("theta", direction=-1).t == every.t[::2]).all()
+    (theta,) = ss.coordinates("theta")
+    assert (run.events(theta).t == every.t).all()
+    assert (run.events(sp.Eq(sp.sin(theta), 0)).t - every.t).max() < 1e-13
+    later = run.events("t - 3.125")
+    assert abs(later.t[0] - 3.125) < 1e-14
+    assert len(later) == 1
+    assert np.abs(run.events("p_theta")["theta"]).min() > 0.999  # the turning points
+
+
+def test_runs_backwards_count_their_own_way(pendulum):
+    run = swing(pendulum, h=-0.05)
+    found = run.events("theta", direction=-1)
+    assert (np.diff(found.t) < 0).all()
+    assert (found["v_theta"] > 0).all()  # theta goes down as the run goes back in time
+
+
+def test_wrapped_angles_are_not_crossed_where_they_jump(pendulum):
+    run = pendulum.integrate([0.1], v0=[9.0], h=0.05, steps=400)  # over the top
+    assert run["theta"][-1] > 20
+    assert len(run.events("theta")) == 0
+    found = run.events("theta", wrap=True)
+    turns = np.floor(run["theta"][-1] / (2 * np.pi))
+    assert len(found) == turns
+    assert np.abs(found["theta"]).max() < 1e-12
+    assert (np.abs(run.events("theta - 1", wrap="theta")["theta"] - 1) < 1e-12).all()
+
+
+def test_poles_are_no_zeros(pendulum):
+    assert len(swing(pendulum).events("1/theta")) == 0
+
+
+def test_the_first_state_is_no_crossing(pendulum):
+    for velocity in (1.0, -1.0):
+        run = pendulum.integrate([0.0], v0=[velocity], h=0.05, steps=30)
+        found = run.events("theta")
+        assert len(found) == 1
+        assert found.t[0] > 0.5
+
+
+def test_sections_do_not_disturb_the_run_and_equal_its_events(monkeypatch):
+    stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
+    given = {"v0": [0.4, 0.0], "h": 0.25, "steps": 2000}
+    run = stepper.integrate([0.0, 0.1], **given)
+    wanted = run.events("x", direction=1)
+    for piece in (8192, 7, 1):
+        monkeypatch.setattr(section, "PIECE", piece)
+        found = stepper.poincare("x", [0.0, 0.1], **given, direction=1)
+        assert (found.t == wanted.t).all()
+        assert (found.y == wanted.y).all()
+    assert found.status is ss.Status.SUCCESS
+    swing = np.abs(run.energy - run.energy[0]).max()
+    assert np.abs(found.energy - run.energy[0]).max() < 2 * swing < 2e-12
+    fine = stepper.integrate([0.0, 0.1], v0=[0.4, 0.0], h=0.125, steps=4000)
+    assert np.abs(fine.events("x", direction=1).y - wanted.y)[:, :50].max() < 1e-7
+
+
+def test_zeros_at_stored_states_are_counted_once(pendulum):
+    """A zero at the end of a piece is that of one piece alone."""
+    run = swing(pendulum, steps=20)
+    for k in range(1, 20):
+        for sign in ("", "-"):
+            shifted = f"{sign}(t - {float(run.t[k])!r})"
+            for piece in (3, 4, 100):
+                with pytest.MonkeyPatch.context() as patch:
+                    patch.setattr(section, "PIECE", piece)
+                    found = pendulum.poincare(shifted, [1.0], v0=[0.0], h=0.05, steps=20)
+                assert found.t.tolist() == [run.t[k]]
+        break
+
+
+def test_energy_in_an_expression(pendulum):
+    run = swing(pendulum)
+    middle = float(run.energy[0])
+    assert len(run.events(f"energy - {middle - 1}")) == 0
+
+
+def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
+    stepper = ss.compile(ss.systems.henon_heiles(), "simpson")
+    calls = []
+
+    def stop(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return original(*arguments, **options)
+
+    original = section.zeros
+    monkeypatch.setattr(section, "zeros", stop)
+    monkeypatch.setattr(section, "PIECE", 500)
+    with pytest.raises(ss.Interrupted, match="not taken") as caught:
+        stepper.poincare("x", [0.0, 0.1], v0=[0.4, 0.0], h=0.1, steps=5000)
+    assert 0 < len(caught.value.trajectory) < 100
+    assert caught.value.trajectory.t[-1] <= 100
+    with pytest.raises(ss.ConvergenceError) as failed:  # beyond the escape energy
+        stepper.poincare("x", [0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=5000)
+    assert isinstance(failed.value.trajectory, ss.Events)
+    kept = stepper.poincare("x", [0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=5000, on_failure="return")
+    assert kept.status is failed.value.status
+
+
+@pytest.mark.parametrize(
+    ("expression", "options", "message"),
+    [
+        ("theta", {"direction": 2}, "direction is 2"),
+        ("theta", {"wrap": "psi"}, "no coordinate"),
+        ("psi", {}, "contains 'psi'"),
+        ("__import__('os').system('true')", {}, "contains"),
+        ("theta.real", {}, "contains"),
+        ("(", {}, "no expression"),
+        ("x" * 3000, {}, "characters"),
+    ],
+)
+def test_bad_questions(pendulum, expression, options, message):
+    with pytest.raises(ss.InputError, match=message):
+        swing(pendulum).events(expression, **options)
+
+
+def test_many_digits_are_refused():
+    run = ss.compile(ss.systems.pendulum(), precision=30).integrate([1.0], v0=[0.0], h=0.1, steps=3)
+    with pytest.raises(ss.InputError, match="many digits"):
+        run.events("theta")
