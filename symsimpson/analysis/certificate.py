@@ -110,6 +110,11 @@ class Certificate:
         """
         return write_text(path, self.to_json(), "certificate")
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import certificate
+
+        return certificate(self)
+
     def __repr__(self) -> str:
         numbers = ("(" + ", ".join(f"{x:.6g}" for x in state) + ")" for state in (self.q0, self.p0))
         q0, p0 = numbers

@@ -56,6 +56,11 @@ class Choice:
     h: float
     reason: str
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import choice
+
+        return choice(self)
+
     def __repr__(self) -> str:
         return "\n".join([f"Choice({self.stepper.scheme}, h={self.h:.6g})", *wrap(self.reason, 96)])
 

@@ -269,9 +269,9 @@ class MechanicalSystem:
         return f"MechanicalSystem({self.name!r}, coordinates=({names}))"
 
     def _repr_latex_(self) -> str:
-        from sympy.physics.vector import vlatex
+        from symsimpson.display.symbolic import system
 
-        return rf"$\displaystyle L = {vlatex(self.lagrangian)}$"
+        return system(self)
 
 
 class _Symbols:

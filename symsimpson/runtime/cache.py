@@ -31,7 +31,7 @@ import numpy as np
 
 from symsimpson.errors import GenerationError
 
-__all__ = ["cache_folder", "compiled"]
+__all__ = ["cache_folder", "compiled", "whereabouts"]
 
 Result = TypeVar("Result")
 
@@ -104,10 +104,23 @@ def compiled(text: str, label: str, use: Callable[[ModuleType], Result]) -> Resu
     object
         What ``use`` gave; the same object for the same text and label in one process.
     """
-    content = hashlib.sha256(f"{_machine()}\n{label}\n{text}".encode()).hexdigest()
+    content = _content(text, label)
     if content not in _results:
         _results[content] = _load_or_build(text, f"{label}_{content[:32]}", use)
     return _results[content]  # type: ignore[return-value]
+
+
+def whereabouts(text: str, label: str) -> str:
+    """Say where the compiled code of a text is: loaded, on disk, or nowhere yet."""
+    content = _content(text, label)
+    if content in _results:
+        return "loaded"
+    on_disk = (cache_folder() / f"{label}_{content[:32]}").is_dir()
+    return "on disk, loaded when first used" if on_disk else "made when first used"
+
+
+def _content(text: str, label: str) -> str:
+    return hashlib.sha256(f"{_machine()}\n{label}\n{text}".encode()).hexdigest()
 
 
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> Result:

@@ -90,6 +90,11 @@ class _Functions:
         self._module = module
         self._staged = facts.by_stages and digits <= MOST_BY_STAGES
 
+    @property
+    def whereabouts(self) -> str:
+        """Where the code of a step is, in words."""
+        return "none: Python, with numbers of many digits"
+
     @cached_property
     def ladder(self) -> Sequence[str]:
         return (*(("stages",) if self._staged else ()), "newton", "robust")

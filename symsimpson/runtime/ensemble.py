@@ -108,6 +108,11 @@ class Ensemble:
     def __len__(self) -> int:
         return self.status.size
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import ensemble
+
+        return ensemble(self)
+
     def __repr__(self) -> str:
         stepper = self._stepper
         return (

@@ -55,6 +55,11 @@ class Events(States):
     status: Status
     message: str
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import events
+
+        return events(self)
+
     def _further(self) -> dict[str, Any]:
         return {"direction": (("time",), self.direction)}
 

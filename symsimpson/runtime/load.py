@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
-from symsimpson.runtime.cache import compiled
+from symsimpson.runtime.cache import compiled, whereabouts
 
 __all__ = ["INTERFACE", "SIGNED", "Facts", "Kernels", "digest", "equations_of", "read_facts"]
 
@@ -183,6 +183,11 @@ class Kernels:
         """Names of the kernels to take steps with, each where the one before fails."""
         first = ("stages",) if self._facts.by_stages else ()
         return (*first, "newton", *(("robust",) if self._facts.newton_unknowns else ()))
+
+    @property
+    def whereabouts(self) -> str:
+        """Where the compiled code of a step is, in words."""
+        return whereabouts(self._text, "stages" if self._facts.by_stages else "step")
 
     @cached_property
     def newton(self) -> NDArray[np.int64]:

@@ -30,6 +30,10 @@ class KernelSet(Protocol):
         """The kernels to take steps with, each where the one before fails; they are attributes."""
 
     @property
+    def whereabouts(self) -> str:
+        """Where the code of a step is, in words."""
+
+    @property
     def newton(self) -> Any:
         """Prepare, start, newton and advance."""
 

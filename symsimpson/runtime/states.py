@@ -169,6 +169,11 @@ class States:
     def __len__(self) -> int:
         return self.t.size
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import states
+
+        return states(self)
+
     def __repr__(self) -> str:
         times = f"{len(self)} states"
         if len(self):

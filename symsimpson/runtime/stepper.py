@@ -48,6 +48,11 @@ class Stepper(Evaluator):
     source : str
     """
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import stepper
+
+        return stepper(self)
+
     def integrate(
         self,
         q0: ArrayLike,

@@ -180,6 +180,11 @@ class Trajectory(States):
             "message": self.message,
         }  # fmt: skip
 
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import trajectory
+
+        return trajectory(self)
+
     def __repr__(self) -> str:
         stepper = self._stepper
         return (

@@ -100,6 +100,11 @@ class Composition(Scheme):
                 matrix = np.array([[1.0, x * float(self.drifts[k])], [0.0, 1.0]]) @ matrix
         return matrix
 
+    def _repr_latex_(self) -> str:
+        from symsimpson.display.symbolic import composition
+
+        return composition(self)
+
     def __repr__(self) -> str:
         return f"Composition({self.name!r}: {len(self.drifts)} drifts, order {self.order})"
 

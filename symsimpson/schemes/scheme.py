@@ -198,6 +198,11 @@ class Scheme:
         basis = lagrange_basis(self.points, x)
         return tuple(_number(sp.diff(sp.expand(value), x).subs(x, c)) for value in basis)
 
+    def _repr_latex_(self) -> str:
+        from symsimpson.display.symbolic import scheme
+
+        return scheme(self)
+
     def __repr__(self) -> str:
         kind = self.quadrature.kind.capitalize()
         return (

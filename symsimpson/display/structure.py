@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import textwrap
 from collections.abc import Sequence
 
@@ -11,6 +10,7 @@ from symsimpson.codegen.kernels import unrolled
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import Linear, Part, Routh
+from symsimpson.display import markup
 from symsimpson.mechanics.structure import Structure
 from symsimpson.schemes.scheme import SIMPSON
 
@@ -122,7 +122,7 @@ def as_text(found: Structure) -> str:
 def as_html(found: Structure) -> str:
     """Write the tables for a notebook."""
     counted = _counted(found)
-    return _html([HEAD, *rows(found)]) + (_html(counted) if counted else "")
+    return markup.table([HEAD, *rows(found)]) + (markup.table(counted) if counted else "")
 
 
 def _counted(found: Structure) -> list[tuple[str, ...]]:
@@ -155,14 +155,3 @@ def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
         "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in table
     ]
-
-
-def _html(table: Sequence[Sequence[str]]) -> str:
-    head, *body = [[html.escape(cell) for cell in row] for row in table]
-    first = "".join(f"<th>{cell}</th>" for cell in head)
-    rest = "".join(
-        f"<tr><th>{row[0]}</th>{''.join(f'<td>{cell}</td>' for cell in row[1:])}</tr>"
-        for row in body
-    )
-    style = ' style="text-align: left"'
-    return f"<table{style}><thead><tr{style}>{first}</tr></thead><tbody>{rest}</tbody></table>"

@@ -1,0 +1,104 @@
+"""Tables and small pictures in HTML. Whatever comes from a user is escaped here."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["box", "curves", "facts", "scatter", "table"]
+
+#: Points of a picture; more would not be seen.
+POINTS = 240
+WIDTH, HEIGHT, MARGIN = 240.0, 48.0, 2.0
+#: Colours that are told apart on a light page and on a dark one.
+COLOURS = ("#3b7dd8", "#e07b39", "#3a9e6b", "#b455a0", "#8a7f2f", "#d1495b")
+LEFT = ' style="text-align: left"'
+
+
+def box(title: str, *parts: str) -> str:
+    """Put parts under a title."""
+    return f"<div><b>{html.escape(title)}</b>{''.join(parts)}</div>"
+
+
+def facts(pairs: Sequence[tuple[str, object]]) -> str:
+    """Lay out names and what they are; a part that is markup already is given as ``Markup``."""
+    rows = "".join(
+        f"<tr><th{LEFT}>{html.escape(name)}</th><td{LEFT}>{_cell(value)}</td></tr>"
+        for name, value in pairs
+    )
+    return f"<table><tbody>{rows}</tbody></table>"
+
+
+def table(rows: Sequence[Sequence[object]]) -> str:
+    """Lay out rows, the first of which is their head."""
+    head, *body = rows
+    first = "".join(f"<th{LEFT}>{_cell(cell)}</th>" for cell in head)
+    rest = "".join(
+        f"<tr><th{LEFT}>{_cell(row[0])}</th>"
+        f"{''.join(f'<td{LEFT}>{_cell(cell)}</td>' for cell in row[1:])}</tr>"
+        for row in body
+    )
+    return f"<table><thead><tr>{first}</tr></thead><tbody>{rest}</tbody></table>"
+
+
+class Markup(str):
+    """Text that is HTML already."""
+
+
+def _cell(value: object) -> str:
+    return value if isinstance(value, Markup) else html.escape(str(value))
+
+
+def curves(x: NDArray[Any], columns: Sequence[NDArray[Any]]) -> Markup:
+    """Draw columns over x in one picture, each in its colour."""
+    stride = max(1, -(-len(x) // POINTS))
+    x = np.asarray(x[::stride], dtype=float)
+    ys = [np.asarray(column[::stride], dtype=float) for column in columns]
+    place = _Frame(x, np.concatenate(ys) if ys else x)
+    lines = "".join(
+        f'<polyline fill="none" stroke="{COLOURS[k % len(COLOURS)]}" points="{place(x, y)}"/>'
+        for k, y in enumerate(ys)
+    )
+    return _picture(lines)
+
+
+def scatter(x: NDArray[Any], y: NDArray[Any]) -> Markup:
+    """Draw points."""
+    stride = max(1, -(-len(x) // (4 * POINTS)))
+    x, y = (np.asarray(values[::stride], dtype=float) for values in (x, y))
+    points = _Frame(x, y)(x, y).split()
+    dots = "".join(
+        '<circle cx="{}" cy="{}" r="0.9" fill="{}"/>'.format(*point.split(","), COLOURS[0])
+        for point in points
+    )
+    return _picture(dots)
+
+
+class _Frame:
+    """Where points of finite numbers lie in a picture."""
+
+    def __init__(self, x: NDArray[Any], y: NDArray[Any]) -> None:
+        self._x, self._y = (self._range(values) for values in (x, y))
+
+    @staticmethod
+    def _range(values: NDArray[Any]) -> tuple[float, float]:
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return 0.0, 1.0
+        low, high = float(finite.min()), float(finite.max())
+        return low, (high - low) or 1.0
+
+    def __call__(self, x: NDArray[Any], y: NDArray[Any]) -> str:
+        finite = np.isfinite(x) & np.isfinite(y)
+        across = MARGIN + (x[finite] - self._x[0]) / self._x[1] * (WIDTH - 2 * MARGIN)
+        down = HEIGHT - MARGIN - (y[finite] - self._y[0]) / self._y[1] * (HEIGHT - 2 * MARGIN)
+        return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, down, strict=True))
+
+
+def _picture(content: str) -> Markup:
+    size = f'width="{WIDTH:g}" height="{HEIGHT:g}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
+    return Markup(f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{content}</svg>')

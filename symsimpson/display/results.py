@@ -1,0 +1,161 @@
+"""Steppers and what they give, in HTML."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.display.markup import Markup, box, curves, facts, scatter, table
+from symsimpson.runtime.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.analysis.certificate import Certificate
+    from symsimpson.analysis.choose import Choice
+    from symsimpson.runtime.ensemble import Ensemble
+    from symsimpson.runtime.events import Events
+    from symsimpson.runtime.states import States
+    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = ["certificate", "choice", "ensemble", "events", "states", "stepper", "trajectory"]
+
+#: More coordinates than this are no picture each.
+DRAWN = 6
+GOOD, BAD = "#3a9e6b", "#d1495b"
+
+
+def stepper(one: Stepper) -> str:
+    """Show what was generated, and what a step costs."""
+    from symsimpson.codegen.counting import cost
+
+    found = cost(one.source)
+    if found.unknowns:
+        counted = f"{found.iteration} in Newton's iteration, {found.closing} to close the step"
+    else:
+        counted = f"{found.closing}; nothing is iterated"
+    values = ", ".join(f"{k} = {float(v):g}" for k, v in one._named_values().items())
+    solved = "explicit, or one matrix for all"
+    if found.unknowns:
+        solved = "Newton's method with the exact Jacobian"
+        if one._facts.by_stages:
+            solved = f"iterated over {one._facts.layout['NODES']} stages; else {solved}"
+    lines = one.source.count("\n")
+    return box(
+        f"Stepper of {one.system}",
+        facts([
+            ("scheme", f"{one.scheme}, order {one.order}"),
+            ("coordinates", ", ".join(one.coordinates)),
+            ("parameters", values or "none"),
+            ("invariants", ", ".join(one.invariants) or "none declared"),
+            ("a step", solved),
+            ("Newton unknowns", found.unknowns or "none"),
+            ("operations", counted),
+            ("module", f"{lines} lines; print(stepper.source) shows them"),
+            ("compiled code", one._kernels.whereabouts),
+        ]),
+    )  # fmt: skip
+
+
+def states(some: States) -> str:
+    """Show states with a picture of each coordinate."""
+    return box(repr(some), facts(_drawn(some)))
+
+
+def events(found: Events) -> str:
+    """Show the states in which something happens."""
+    rows: list[tuple[str, Any]] = [("zeros of", found.expression)]
+    if found.status is not Status.SUCCESS:
+        rows.append(("the run", _verdict(found.message, False)))
+    if len(found) > 1:
+        rows += [(f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
+                 for q in found._stepper.coordinates[:DRAWN]]  # fmt: skip
+    return box(repr(found), facts(rows))
+
+
+def trajectory(run: Trajectory) -> str:
+    """Show how a run ended, with pictures."""
+    rows: list[tuple[str, Any]] = [
+        ("scheme", f"{run._stepper.scheme}, order {run._stepper.order}"),
+        ("steps", f"{run.steps} of h = {float(run.h):g}, {len(run)} states stored"),
+        ("status", _verdict(run.status.name, run.success)),
+    ]
+    if not run.success:
+        rows.append(("message", run.message))
+    iterations = int(run.newton_iterations.sum())
+    if run.steps and iterations:
+        rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
+    error = np.asarray(run.energy_error, dtype=float)
+    rows.append(("largest energy error", f"{np.abs(error).max():.2g}"))
+    if len(run) > 1:
+        rows += _drawn(run)
+        rows.append(("energy error", curves(run.t, [error])))
+    return box(f"Trajectory of {run._stepper.system}", facts(rows))
+
+
+def _drawn(some: States) -> list[tuple[str, Any]]:
+    names = some._stepper.coordinates
+    if len(some) < 2:
+        return [(name, f"{float(some[name][0]):.6g}") for name in names[:DRAWN] if len(some)]
+    if len(names) > DRAWN:
+        return [(f"{names[0]}, ..., {names[-1]}", curves(some.t, list(some.q.T[:DRAWN])))]
+    return [(name, curves(some.t, [some[name]])) for name in names]
+
+
+def ensemble(found: Ensemble) -> str:
+    """Show the outcome of many runs, with pictures of their ends."""
+    names = found._stepper.coordinates
+    good = bool((found.status == Status.SUCCESS).all())
+    rows: list[tuple[str, Any]] = [
+        ("scheme", f"{found._stepper.scheme}, order {found._stepper.order}"),
+        ("members", len(found)),
+        ("to t", f"{float(found.t[-1]):g}, {found.t.size} states of each stored"),
+        ("status", _verdict(found.message, good)),
+    ]
+    if found.store is not None:
+        rows.append(("store", found.store))
+    elif len(found) > 1:
+        last = found.q[:, -1] if found.q.ndim == 3 else found.q
+        x, y = (last[:, 0], last[:, 1]) if len(names) > 1 else (np.arange(len(last)), last[:, 0])
+        what = f"{names[1]} over {names[0]}" if len(names) > 1 else f"{names[0]} of each member"
+        rows.append((f"ends: {what}", scatter(x, y)))
+    for name, values in found.reduced.items():
+        rows.append((name, curves(np.arange(len(values)), [np.sort(values)])))
+    return box(f"Ensemble of {found._stepper.system}", facts(rows))
+
+
+def certificate(one: Certificate) -> str:
+    """Show what was measured, row by row."""
+    rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
+    for check in one.checks:
+        sign = ">=" if check.bound == "at least" else "<="
+        nothing = check.measured != check.measured
+        rows.append((
+            _verdict("passed" if check.passed else "FAILED", check.passed),
+            check.name,
+            "-" if nothing else f"{check.measured:.3g}",
+            "" if check.exempt else f"{sign} {check.threshold:.2g}",
+            check.failure or check.what,
+            check.reason,
+        ))  # fmt: skip
+    numbers = (", ".join(f"{x:.6g}" for x in state) for state in (one.q0, one.p0))
+    verdict = "passed" if one.passed else "NOT passed"
+    where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, one.h, one.seconds)
+    title = f"Certificate of {one.system}, {one.scheme} (order {one.order}): {verdict}"
+    return box(title, f"<div>{where}</div>", table(rows))
+
+
+def choice(one: Choice) -> str:
+    """Show a scheme and a step, and why."""
+    rows: list[tuple[str, object]] = [
+        ("scheme", f"{one.stepper.scheme}, order {one.stepper.order}"),
+        ("h", f"{one.h:.6g}"),
+        ("why", one.reason),
+    ]
+    return box(f"Choice for {one.stepper.system}", facts(rows))
+
+
+def _verdict(text: str, good: bool) -> Markup:
+    import html
+
+    return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

@@ -1,0 +1,123 @@
+"""What values show in a notebook."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.display import markup
+
+HOSTILE = "<img src=x onerror=alert(1)>"
+
+
+class Checker(HTMLParser):
+    """Gathers tags, and refuses what is not closed in its order."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.tags = [], set()
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        if not self.get_starttag_text().endswith("/>"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if not self.open or self.open[-1] != tag:
+            assert tag in ("polyline", "circle")
+            return
+        self.open.pop()
+
+
+def tags_of(text):
+    checker = Checker()
+    checker.feed(text)
+    checker.close()
+    assert checker.open == []
+    return checker.tags
+
+
+@pytest.fixture(scope="module")
+def shown():
+    system = ss.systems.double_pendulum()
+    stepper = ss.compile(system, "gauss6")
+    run = stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.02, t_end=5)
+    ensemble = stepper.ensemble(
+        np.linspace(0.1, 1, 20)[:, None] * [1, 1], v0=[0, 0], h=0.02, steps=50,
+        reduce={HOSTILE: ("max", "q1")},
+    )  # fmt: skip
+    return {
+        "stepper": stepper, "trajectory": run, "states": run[3:9], "one state": run[3:4],
+        "none": run[3:3], "last": stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.1, steps=0),
+        "events": run.events("q1"), "ensemble": ensemble, "structure": system.structure,
+        "certificate": ss.compile(ss.systems.pendulum()).certify(),
+    }  # fmt: skip
+
+
+def test_html_is_whole_and_holds_what_matters(shown):
+    expected = {
+        "stepper": "iterated over 3 stages",
+        "trajectory": "largest energy error",
+        "states": "7 states",
+        "events": "zeros of",
+        "ensemble": "20 SUCCESS",
+        "certificate": "passed",
+        "structure": "mass matrix",
+    }
+    for name, value in shown.items():
+        text = value._repr_html_()
+        assert tags_of(text) <= {
+            "div", "b", "table", "thead", "tbody", "tr", "th", "td", "svg", "polyline", "circle",
+            "span",
+        }, name  # fmt: skip
+        assert expected.get(name, "").replace("7 states", "6 states") in text
+        assert len(text) < 200_000
+        assert repr(value)
+
+
+def test_hostile_names_stay_text(shown):
+    assert HOSTILE not in shown["ensemble"]._repr_html_()
+    assert "&lt;img" in shown["ensemble"]._repr_html_()
+    (x,) = ss.coordinates("x")
+    mass = sp.Symbol(HOSTILE, positive=True)
+    system = ss.MechanicalSystem(
+        "spring", coordinates=(x,), kinetic=mass * x.diff() ** 2 / 2, potential=x**4,
+        parameters={mass: 1.0}, invariants={HOSTILE: x},
+    )  # fmt: skip
+    stepper = ss.compile(system)
+    run = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=5)
+    for value in (stepper, run, system.structure):
+        assert "img" not in tags_of(value._repr_html_())
+    assert "img" not in system._repr_latex_()
+    assert "a_{0}" in system._repr_latex_()
+
+
+def test_failed_runs_say_so():
+    stepper = ss.compile(ss.systems.henon_heiles())
+    run = stepper.integrate([0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=500, on_failure="return")
+    text = run._repr_html_()
+    assert run.status.name in text
+    assert "was not taken" in text
+
+
+def test_systems_and_schemes_in_latex():
+    text = ss.systems.double_pendulum()._repr_latex_()
+    for part in ("T &=", "V &=", "M &=", r"p_{q_{1}} &=", r"\dot{p}_{q_{2}} &="):
+        assert part in text
+    assert text.count(r"\begin{aligned}") == text.count(r"\end{aligned}") == 1
+    assert "M &=" not in ss.systems.n_pendulum(6)._repr_latex_()
+    assert r"\frac{2}{3}" in ss.SIMPSON._repr_latex_()
+    assert "order 16" in ss.galerkin("gauss", nodes=8, degree=8)._repr_latex_()
+    assert "order 4" in ss.composition("suzuki4")._repr_latex_()
+
+
+def test_pictures_leave_out_what_is_not_finite():
+    x = np.arange(5.0)
+    drawn = markup.curves(x, [np.array([0, np.nan, 1, np.inf, 2.0])])
+    points = re.search('points="([^"]*)"', drawn)[1].split()
+    assert len(points) == 3
+    assert "nan" not in markup.scatter(x, np.full(5, np.nan))
+    assert markup.curves(np.arange(10_000.0), [np.arange(10_000.0)]).count(",") <= markup.POINTS
