@@ -74,7 +74,8 @@ class MechanicalSystem:
         Every other symbol of T and V, with its default value. Values are changed at run time
         without compiling anew.
     positions : mapping from str to sequence of expressions, optional
-        Points to draw: name to Cartesian components.
+        What to draw: name to the Cartesian components of a point, one to three of them; or of a
+        body, to a list of points, the corners of a closed line.
     invariants : mapping from str to expression, optional
         Quantities to watch, in coordinates, velocities and momenta (:func:`symsimpson.momenta`).
     gyroscopic : sympy expression, optional
@@ -337,12 +338,24 @@ def _read(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
             "It must have the form a(q).v; put the rest into T or V.",
         )
-    positions: dict[str, tuple[sp.Expr, ...]] = {}
+    positions: dict[str, tuple[Any, ...]] = {}
     for key, point in (given.positions or {}).items():
-        components = tuple(point) if isinstance(point, (tuple, list, sp.MatrixBase)) else (point,)
-        for component in components:
-            read(name, f"position {key!r}", component, s.replace, (*s.q, *s.a))
-        positions[str(key)] = tuple(sp.sympify(c) for c in components)
+        nested = isinstance(point, (tuple, list))
+        body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
+        corners = point if body else [point]
+        found: list[tuple[sp.Expr, ...]] = []
+        for corner in corners:
+            single = not isinstance(corner, (tuple, list, sp.MatrixBase))
+            components = (corner,) if single else tuple(corner)
+            if not 1 <= len(components) <= 3:
+                raise fail(
+                    name, f"position {key!r} has {len(components)} components.",
+                    "A point has one to three Cartesian components.",
+                )  # fmt: skip
+            for component in components:
+                read(name, f"position {key!r}", component, s.replace, (*s.q, *s.a))
+            found.append(tuple(sp.sympify(c) for c in components))
+        positions[str(key)] = tuple(found) if body else found[0]
     watch = {**s.replace, **dict(zip(momenta(*coordinates), s.p, strict=True))}
     invariants: dict[str, sp.Expr] = {}
     plain_invariants: dict[str, sp.Expr] = {}

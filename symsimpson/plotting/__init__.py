@@ -1,4 +1,4 @@
-"""Figures; needs matplotlib (the extra ``notebook``)."""
+"""Figures; needs matplotlib and plotly (the extra ``plot``)."""
 
 from symsimpson.plotting.convergence import plot_convergence, slope_triangle
 from symsimpson.plotting.work_precision import plot_work_precision

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from symsimpson.plotting.axes import axes
+
 __all__ = ["plot_convergence", "slope_triangle"]
 
 
@@ -34,10 +36,7 @@ def plot_convergence(
     -------
     matplotlib axes
     """
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots(figsize=(6, 4), layout="constrained")[1]
+    ax = axes(ax, (6, 4))
     h = np.asarray(steps, dtype=np.float64)
     for marker, (label, values) in zip("osD^vP*X" * len(errors), errors.items(), strict=False):
         line = np.asarray(values, dtype=np.float64)

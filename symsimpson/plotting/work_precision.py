@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from symsimpson.plotting.axes import axes
+
 if TYPE_CHECKING:
     from symsimpson.bench.record import WorkPrecision
 
@@ -25,10 +27,7 @@ def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
     -------
     matplotlib axes
     """
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        ax = plt.subplots(figsize=(8.5, 5), layout="constrained")[1]
+    ax = axes(ax, (8.5, 5))
     for k, name in enumerate(record.names):
         line: list[tuple[float, float]] = []
         points = [p for p in record.points if p.name == name]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,8 @@ class Events(States):
     message : str
         The same in words.
     """
+
+    _connected: ClassVar[bool] = False
 
     direction: NDArray[np.int64]
     expression: str

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast, overload
+from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,9 @@ class States:
     >>> run[10:20]["theta"].shape
     (10,)
     """
+
+    #: Whether one state follows another, so that a line may connect them.
+    _connected: ClassVar[bool] = True
 
     t: NDArray[Any]
     q: NDArray[Any]
@@ -112,6 +115,52 @@ class States:
             f"there is no {key!r}. There are {', '.join([*every, *self._stepper.invariants])}, "
             "t and energy"
         )
+
+    def plot(self, names: str | Sequence[str] | None = None, *, ax: Any = None) -> Any:
+        """Draw quantities over time.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            As in ``run["q1"]``; all coordinates unless given.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        from symsimpson.plotting.states import plot
+
+        return plot(self, names, connected=self._connected, ax=ax)
+
+    def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
+        """Draw one quantity over another.
+
+        Parameters
+        ----------
+        x, y : str, optional
+            As in ``run["q1"]``; the first coordinate, and the momentum of ``x``, unless given.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        from symsimpson.plotting.states import plot_phase
+
+        return plot_phase(self, x, y, connected=self._connected, ax=ax)
 
     def to_pandas(self) -> Any:
         """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.

@@ -14,6 +14,7 @@ from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
+    from symsimpson.plotting.animate import Animation
     from symsimpson.runtime.events import Events
     from symsimpson.runtime.interpolate import DenseOutput
 
@@ -153,6 +154,56 @@ class Trajectory(States):
         from symsimpson.runtime.events import find_events
 
         return find_events(self, expression, direction, wrap)
+
+    def plot_energy(self, *, ax: Any = None) -> Any:
+        """Draw the error of the energy over time, into ``ax`` if given; gives the axes.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        from symsimpson.plotting.states import plot_energy
+
+        return plot_energy(self, ax=ax)
+
+    def plot_path(self, *, ax: Any = None) -> Any:
+        """Draw the paths of the system's ``positions``, into ``ax`` if given; gives the axes.
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or matplotlib is not installed.
+        """
+        from symsimpson.plotting.animate import plot_path
+
+        return plot_path(self, ax=ax)
+
+    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
+        """Film the system's ``positions``: points, and lines where their distance is constant.
+
+        Linkages in the plane are drawn by matplotlib, motion in space by plotly. The film plays
+        in a notebook, and on a page that ``.save("film.html")`` writes, without any connection.
+
+        Parameters
+        ----------
+        seconds : float, optional
+            Length of the film; that of the run if this is from 1 to 10, else 10.
+        fps : int
+            Frames a second.
+
+        Returns
+        -------
+        Animation
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or a library is not installed.
+        """
+        from symsimpson.plotting.animate import animate
+
+        return animate(self, seconds=seconds, fps=fps)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the run in a file: netCDF for ``.nc``, a store of Zarr for ``.zarr``.

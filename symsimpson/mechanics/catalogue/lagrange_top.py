@@ -8,6 +8,7 @@ import sympy as sp
 
 from symsimpson.mechanics.catalogue.entry import CatalogueSystem, State
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.mechanics.system import Positions
 
 __all__ = ["lagrange_top", "lagrange_top_cusps"]
 
@@ -29,20 +30,33 @@ def lagrange_top_cusps() -> CatalogueSystem:
     return _top("lagrange_top_cusps", values, state)
 
 
+#: The top is drawn as a disc around its axis, with so many points on its rim.
+RIM = 6
+
+
+def _points(phi: sp.Expr, theta: sp.Expr, psi: sp.Expr, l: sp.Expr) -> Positions:
+    """Give the centre of mass, and the rim of a disc that turns with the body."""
+    axis = sp.Matrix([sp.sin(theta) * sp.sin(phi), -sp.sin(theta) * sp.cos(phi), sp.cos(theta)])
+    node = sp.Matrix([sp.cos(phi), sp.sin(phi), 0])
+    third = sp.Matrix([-sp.cos(theta) * sp.sin(phi), sp.cos(theta) * sp.cos(phi), sp.sin(theta)])
+    angles = [psi + 2 * sp.pi * sp.Rational(k, RIM) for k in range(RIM)]
+    rim = [l * (axis + (node * sp.cos(a) + third * sp.sin(a)) / 2) for a in angles]
+    return {"centre of mass": tuple(l * axis), "disc": rim}
+
+
 def _top(name: str, values: dict[str, float], state: State) -> CatalogueSystem:
     phi, theta, psi = coordinates("phi theta psi")
     symbols = dict(zip(values, sp.symbols(list(values), positive=True), strict=True))
     m_top, g, l, inertia, spin_inertia = symbols.values()
     spin = psi.diff() + phi.diff() * sp.cos(theta)
     swing = theta.diff() ** 2 + phi.diff() ** 2 * sp.sin(theta) ** 2
-    axis = (sp.sin(theta) * sp.sin(phi), -sp.sin(theta) * sp.cos(phi), sp.cos(theta))
     return CatalogueSystem(
         name,
         coordinates=(phi, theta, psi),
         kinetic=inertia * swing / 2 + spin_inertia * spin**2 / 2,
         potential=m_top * g * l * sp.cos(theta),
         parameters={symbol: values[key] for key, symbol in symbols.items()},
-        positions={"centre of mass": tuple(l * component for component in axis)},
+        positions=_points(phi, theta, psi, l),
         invariants={
             "p_phi": inertia * phi.diff() * sp.sin(theta) ** 2
             + spin_inertia * spin * sp.cos(theta),

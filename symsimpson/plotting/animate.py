@@ -1,0 +1,108 @@
+"""Films of a run, and where its points went."""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Callable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.errors import InputError
+from symsimpson.files import write_text
+from symsimpson.plotting.axes import axes
+from symsimpson.plotting.plane import film_in_plane
+from symsimpson.plotting.scene import scene_of
+from symsimpson.plotting.space import film_in_space
+from symsimpson.runtime.extras import library
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.trajectory import Trajectory
+
+__all__ = ["Animation", "animate", "plot_path"]
+
+#: Runs of at most so many seconds are shown as fast as they are.
+LONGEST = 10.0
+
+
+class Animation:
+    """A film that shows itself in a notebook, without any connection.
+
+    Attributes
+    ----------
+    frames : int
+    """
+
+    def __init__(self, page: Callable[[], str], frames: int, size: tuple[int, int]) -> None:
+        self._make, self.frames, self._size = page, frames, size
+
+    @cached_property
+    def _page(self) -> str:
+        return self._make()
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a page in HTML that plays it anywhere.
+
+        Raises
+        ------
+        StorageError
+            If the file cannot be written.
+        """
+        return write_text(path, self._page, "animation")
+
+    def _repr_html_(self) -> str:
+        width, height = self._size
+        # a page of its own, so that its scripts run and disturb nobody
+        return (
+            f'<iframe srcdoc="{html.escape(self._page)}" width="{width}" height="{height}" '
+            'style="border: 0"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"Animation({self.frames} frames; save('film.html') keeps it)"
+
+
+def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> Animation:
+    """Film the points and bodies of a system."""
+    if not (1 <= fps <= 100) or (seconds is not None and not 0 < seconds <= 600):
+        raise InputError(
+            f"seconds={seconds!r}, fps={fps!r} make no film.\n"
+            "Pass up to 600 seconds, and from 1 to 100 frames in each."
+        )
+    span = abs(float(run.t[-1] - run.t[0]))
+    length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
+    some = run.at(np.linspace(float(run.t[0]), float(run.t[-1]), max(2, round(length * fps))))
+    scene = scene_of(some)
+    title = f"{run._stepper.system}, {run._stepper.scheme}"
+    make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
+    return Animation(lambda: make(scene, some.t, fps, title), len(some), size)
+
+
+def plot_path(run: Trajectory, *, ax: Any = None) -> Any:
+    """Draw the paths of the points of a system, and where all is in the end."""
+    scene = scene_of(run)
+    if ax is None and scene.spatial:
+        plt = library("matplotlib.pyplot", "a figure", "plot")
+        ax = plt.subplots(
+            figsize=(5, 5), subplot_kw={"projection": "3d"}, layout="constrained"
+        )[1]  # fmt: skip
+    ax = axes(ax, (4.5, 4.5))
+    for k, name in enumerate(scene.names):
+        ax.plot(*scene.points[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)
+    last = len(scene.points) - 1
+    for link in scene.links:
+        style = {"lw": 1.6, "ls": "-"} if link.rigid else {"lw": 0.8, "ls": ":"}
+        ax.plot(*scene.ends(last, link).T, color="0.25", **style)
+    for body in scene.bodies:
+        ax.plot(*body[last].T, color="0.25", lw=1.6)
+    ax.plot(*scene.points[last].T, "o", color="C0", ms=6)
+    for axis, middle in zip("xyz", scene.middle, strict=False):
+        getattr(ax, f"set_{axis}lim")(middle - scene.reach, middle + scene.reach)
+    ax.set_aspect("equal")
+    ax.set(title=f"{run._stepper.system}, {run._stepper.scheme}", xlabel="x", ylabel="y")
+    if len(scene.names) > 1:
+        ax.legend(fontsize=8)
+    return ax

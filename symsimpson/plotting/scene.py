@@ -1,0 +1,140 @@
+"""Where the points and bodies of a system are, and which points hold together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.states import States
+
+__all__ = ["Link", "Scene", "scene_of"]
+
+Floats = NDArray[np.float64]
+#: Distances that change by less than this, of the size of the scene, do not change.
+RIGID = 1e-6
+
+
+@dataclass(frozen=True)
+class Link:
+    """What is drawn between two points; -1 is the origin."""
+
+    first: int
+    second: int
+    rigid: bool
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Points and bodies over time.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Those of the points.
+    points : ndarray, shape (N, k, 2 or 3)
+    bodies : tuple of ndarray, shape (N, corners + 1, 2 or 3)
+        Closed lines.
+    links : tuple of Link
+    middle : ndarray, shape (2 or 3,)
+    reach : float
+        Nothing is farther from the middle, along an axis.
+    """
+
+    names: tuple[str, ...]
+    points: Floats
+    bodies: tuple[Floats, ...]
+    links: tuple[Link, ...]
+    middle: Floats
+    reach: float
+
+    @property
+    def spatial(self) -> bool:
+        """Whether it has three dimensions."""
+        return self.points.shape[2] == 3
+
+    def ends(self, frame: int, link: Link) -> Floats:
+        """Give the two ends of a link in one frame."""
+        first = self.points[frame, link.first] if link.first >= 0 else np.zeros_like(self.middle)
+        return np.array([first, self.points[frame, link.second]])
+
+
+def scene_of(some: States) -> Scene:
+    """Evaluate the positions that were declared with a system.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    declared = some._stepper._declared
+    positions = getattr(declared, "positions", None)
+    if not positions:
+        raise InputError(
+            f"{some._stepper.system}: nothing says where its points are.\n"
+            "Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), -l*cos(q))}), and "
+            "compile that system; a stepper from a file has none."
+        )
+    shapes = {
+        name: given if isinstance(given[0], tuple) else (given,)
+        for name, given in positions.items()
+    }
+    dimension = max(2, *(len(corner) for corners in shapes.values() for corner in corners))
+    at = _evaluator(some, dimension)
+    points = {name: at(corners) for name, corners in shapes.items() if len(corners) == 1}
+    bodies = [at((*corners, corners[0])) for corners in shapes.values() if len(corners) > 1]
+    joined = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
+    links = _links(joined)
+    drawn = [joined, *bodies, *([0 * joined] if any(link.first < 0 for link in links) else [])]
+    low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
+    high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
+    reach = 0.55 * float((high - low).max()) or 1.0
+    return Scene(tuple(points), joined, tuple(bodies), links, (low + high) / 2, reach)
+
+
+def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats]:
+    """Give what evaluates points at all states, shape (N, points, dimension)."""
+    import sympy as sp
+
+    declared = some._stepper._declared
+    # coordinates are functions of time: plain symbols stand for them
+    plain = {q: sp.Dummy() for q in declared.coordinates}
+    values = [float(some.parameters[name]) for name in some._stepper.parameters]
+
+    def at(corners: Iterable[Any]) -> Floats:
+        corners = list(corners)
+        out = np.zeros((len(some), len(corners), dimension))
+        for k, corner in enumerate(corners):
+            for axis, expression in enumerate(corner):
+                function = sp.lambdify(
+                    [*plain.values(), *declared.parameters], expression.xreplace(plain), "numpy"
+                )
+                out[:, k, axis] = function(*np.asarray(some.q, dtype=float).T, *values)
+        return out
+
+    return at
+
+
+def _links(points: Floats) -> tuple[Link, ...]:
+    """Link each point to the one before it, or the origin, where their distance is constant.
+
+    A single point that is free has a link that is not rigid.
+    """
+    found = []
+    size = np.ptp(points, axis=(0, 1)).max() if points.size else 0.0
+    for k in range(points.shape[1]):
+        for before in (k - 1, -1):
+            start = points[:, before] if before >= 0 else 0.0
+            distance = np.linalg.norm(points[:, k] - start, axis=-1)
+            if np.ptp(distance) <= RIGID * size:
+                found.append(Link(before, k, True))
+                break
+    if not found and points.shape[1] == 1:
+        found.append(Link(-1, 0, False))
+    return tuple(found)

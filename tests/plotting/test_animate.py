@@ -1,0 +1,102 @@
+"""Films: what is in them, and that they need nothing from elsewhere."""
+
+import re
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.plotting.scene import Link, scene_of
+
+
+def run_of(name, **options):
+    stepper = ss.compile(getattr(ss.systems, name)())
+    given = {"h": 0.002, "steps": 500} | options
+    return stepper.integrate(**stepper.reference_state, **given)
+
+
+@pytest.mark.parametrize(
+    ("name", "links"),
+    [
+        ("double_pendulum", (Link(-1, 0, True), Link(0, 1, True))),
+        ("cart_pole", (Link(0, 1, True),)),
+        ("elastic_pendulum", (Link(-1, 0, False),)),
+        ("spherical_pendulum", (Link(-1, 0, True),)),
+    ],
+)
+def test_what_keeps_its_distance_is_linked(name, links):
+    assert scene_of(run_of(name)).links == links
+
+
+def test_points_are_where_they_were_declared():
+    run = run_of("double_pendulum")
+    scene = scene_of(run)
+    l1, l2 = run.parameters["l1"], run.parameters["l2"]
+    x = l1 * np.sin(run["q1"]) + l2 * np.sin(run["q2"])
+    assert scene.points[:, 1, 0] == pytest.approx(x)
+    assert (np.abs(scene.points - scene.middle) <= scene.reach).all()
+
+
+def test_a_body_turns_with_the_top():
+    run = run_of("lagrange_top")
+    scene = scene_of(run)
+    (disc,) = scene.bodies
+    assert disc.shape == (501, 7, 3)
+    assert (disc[:, 0] == disc[:, -1]).all()
+    spokes = disc - scene.points
+    length = run.parameters["l"]
+    assert np.linalg.norm(spokes, axis=2) == pytest.approx(np.full((501, 7), length / 2))
+    assert np.einsum("nij,nj->ni", spokes, scene.points[:, 0]) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "lagrange_top"])
+def test_films_need_nothing_from_elsewhere(tmp_path, name):
+    film = run_of(name).animate(fps=5)
+    assert film.frames == 5
+    page = film.save(tmp_path / "film.html").read_text(encoding="utf-8")
+    fetched = re.findall(r"<(?:script|link|img)[^>]*(?:src|href)=[\"'](?!data:)[^\"']*", page)
+    assert fetched == []
+    assert "fa fa-" not in page
+    shown = film._repr_html_()
+    assert shown.startswith("<iframe srcdoc=")
+    assert shown.count('"') == 8  # the page is escaped within its own
+
+
+def test_length_of_a_film():
+    run = run_of("double_pendulum", h=0.01, steps=300)
+    assert run.animate().frames == 60
+    assert run.animate(seconds=1.5, fps=10).frames == 15
+    assert run_of("double_pendulum", h=0.01, steps=3000, every=100).animate(fps=10).frames == 100
+
+
+@pytest.mark.parametrize("options", [{"fps": 0}, {"fps": 1000}, {"seconds": -1}, {"seconds": 1e9}])
+def test_films_that_are_none(options):
+    with pytest.raises(ss.InputError, match="make no film"):
+        run_of("double_pendulum").animate(**options)
+
+
+def test_systems_without_positions(tmp_path):
+    (x,) = ss.coordinates("x")
+    m = sp.Symbol("m", positive=True)
+    bare = ss.MechanicalSystem("bare", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2,
+                               potential=x**2, parameters={m: 1.0})  # fmt: skip
+    run = ss.compile(bare).integrate([1.0], v0=[0.0], h=0.1, steps=10)
+    with pytest.raises(ss.InputError, match=r"Declare them: MechanicalSystem\(..., positions"):
+        run.animate()
+    path = ss.generate(ss.systems.pendulum(), directory=tmp_path)
+    loaded = ss.load(path).integrate([1.0], v0=[0.0], h=0.1, steps=10)
+    with pytest.raises(ss.InputError, match="from a file has none"):
+        loaded.plot_path()
+
+
+def test_points_in_one_dimension_and_bad_ones():
+    (x,) = ss.coordinates("x")
+    given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2, "parameters": {}}
+    system = ss.MechanicalSystem("line", **given, positions={"mass": x})
+    assert scene_of(ss.compile(system).integrate([1.0], v0=[0.0], h=0.1, steps=3)).points.shape == (
+        4, 1, 2,
+    )  # fmt: skip
+    for bad in ((x, x, x, x), [[x, x], []]):
+        with pytest.raises(ss.ModelError, match="components"):
+            ss.MechanicalSystem("line", **given, positions={"mass": bad})

@@ -1,0 +1,72 @@
+"""Figures of a run: what is drawn, into which axes."""
+
+import matplotlib
+import numpy as np
+import pytest
+
+import symsimpson as ss
+
+matplotlib.use("Agg")
+
+
+@pytest.fixture(scope="module")
+def run():
+    stepper = ss.compile(ss.systems.double_pendulum())
+    return stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.01, t_end=2.0)
+
+
+@pytest.fixture(autouse=True)
+def no_figure_stays():
+    yield
+    import matplotlib.pyplot as plt
+
+    plt.close("all")
+
+
+def test_quantities_over_time(run):
+    ax = run.plot()
+    assert [line.get_label() for line in ax.lines] == ["q1", "q2"]
+    assert (ax.lines[1].get_ydata() == run["q2"]).all()
+    assert run.plot("energy", ax=ax) is ax
+    assert (ax.lines[2].get_ydata() == run.energy).all()
+    assert len(run[:50].plot(["v_q1", "p_q2"]).lines[0].get_xdata()) == 50
+    with pytest.raises(KeyError, match="there is no 'q3'"):
+        run.plot("q3")
+
+
+def test_phase_plane_and_sections(run):
+    ax = run.plot_phase()
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("q1", "p_q1")
+    assert run.plot_phase("q2", "v_q2", ax=ax) is ax
+    found = run.events("q1")
+    dots = found.plot_phase("q2").lines[0]
+    assert dots.get_linestyle() == "None"
+    assert len(dots.get_xdata()) == len(found)
+
+
+def test_energy(run):
+    ax = run.plot_energy()
+    assert (ax.lines[0].get_ydata() == run.energy_error).all()
+    assert ax.get_ylabel() == "(H - H0) / |H0|"
+    free = ss.compile(ss.systems.kepler())
+    assert free.integrate(**free.reference_state, h=0.01, steps=5).plot_energy().get_xlabel() == "t"
+
+
+def test_paths(run):
+    ax = run.plot_path()
+    paths = {line.get_label(): line for line in ax.lines[:2]}
+    assert set(paths) == {"elbow", "bob"}
+    l1 = run.parameters["l1"]
+    assert paths["elbow"].get_xdata() == pytest.approx(l1 * np.sin(run["q1"]))
+    assert ax.get_aspect() == 1
+    top = ss.compile(ss.systems.lagrange_top())
+    spatial = top.integrate(**top.reference_state, h=0.001, steps=50).plot_path()
+    assert spatial.name == "3d"
+
+
+def test_without_matplotlib(run, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    with pytest.raises(ss.InputError, match=r"needs matplotlib.*\n.*symsimpson\[plot\]"):
+        run.plot()
