@@ -12,6 +12,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.checkpoint import read_question
 from symsimpson.runtime.numbers import FLOAT64
+from symsimpson.runtime.progress import waiting
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.runtime.structure import read_stepper
 from symsimpson.runtime.trajectory import Trajectory
@@ -79,8 +80,10 @@ def compile(
 
         numbers = read_precision(precision, arithmetic)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
+    with waiting(f"deriving {found.name} for {system.name}"):
+        text = source(system, found, exploit)
     return Stepper(
-        source(system, found, exploit),
+        text,
         f"{system.name}__{found.name}",
         defaults=defaults,
         numbers=numbers,

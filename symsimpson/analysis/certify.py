@@ -26,6 +26,7 @@ from symsimpson.errors import SymsimpsonError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.runtime.evaluate import evaluate_equations
 from symsimpson.runtime.load import digest
+from symsimpson.runtime.progress import waiting
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class Subject:
         return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
 
 
+@waiting("certifying")
 def certify(
     stepper: Stepper,
     q0: ArrayLike | None = None,

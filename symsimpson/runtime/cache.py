@@ -30,6 +30,7 @@ import numba
 import numpy as np
 
 from symsimpson.errors import GenerationError
+from symsimpson.runtime.progress import waiting
 
 __all__ = ["cache_folder", "compiled", "whereabouts"]
 
@@ -134,6 +135,13 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> 
             except Exception:  # whatever a stale pickle may raise, the entry can be made again
                 sys.modules.pop(name, None)
         shutil.rmtree(entry, ignore_errors=True)
+    with waiting("compiling, once for this machine"):
+        return _build(folder, key, text, use)
+
+
+def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType], Result]) -> Result:
+    """Compile in a folder of its own, and rename it into place."""
+    entry, name = folder / key, f"symsimpson_compiled_{key}"
     building = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
     try:
         path = building / f"{name}.py"

@@ -1,19 +1,64 @@
-"""A bar on what takes longer than two seconds, if tqdm is there."""
+"""A bar on what takes longer than two seconds, if tqdm is there.
+
+``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1 all of them.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import warnings
+from collections.abc import Iterator
+from contextvars import ContextVar
 from types import TracebackType
 from typing import Any
 
 from symsimpson.errors import InputError
 
-__all__ = ["Progress", "Watcher"]
+__all__ = ["Progress", "Watcher", "silence", "waiting"]
 
 #: What is done sooner shows no bar.
 DELAY = 2.0
+
+
+#: Whether nothing is to be shown; or something is shown already that this is part of.
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
+
+
+@contextlib.contextmanager
+def silence(wanted: bool = True) -> Iterator[None]:
+    """Show no waiting inside, where that is wanted."""
+    token = _silent.set(_silent.get() or wanted)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
+
+
+@contextlib.contextmanager
+def waiting(what: str) -> Iterator[None]:
+    """Tell after two seconds what is being waited for, and for how long."""
+    if _silent.get():
+        yield
+        return
+    done = threading.Event()
+    shown = threading.Thread(target=_tell, args=(what, done), daemon=True)
+    shown.start()
+    try:
+        with silence():
+            yield
+    finally:
+        done.set()
+        shown.join()
+
+
+def _tell(what: str, done: threading.Event) -> None:
+    if done.wait(DELAY):
+        return
+    with Progress(0, None, look="{desc}: {elapsed}", what=what) as bar:
+        while not done.wait(0.5):
+            bar.refresh()
 
 
 class Progress:
@@ -26,9 +71,16 @@ class Progress:
         None shows a bar after two seconds, if tqdm is installed; True shows one at once.
     unit : str
         What is counted.
+    look : str, optional
+        How the bar looks, in the words of tqdm; shown at once.
+    what : str, optional
+        What the bar is about.
     """
 
-    def __init__(self, total: int, wanted: bool | None, unit: str = "member") -> None:
+    def __init__(
+        self, total: int, wanted: bool | None, unit: str = "member", *, look: str | None = None,
+        what: str | None = None,
+    ) -> None:  # fmt: skip
         self._lock = threading.Lock()
         self._bar: Any = None
         self._at_once = wanted is True
@@ -45,14 +97,21 @@ class Progress:
                     "Install it with pip install 'symsimpson[progress]', or leave progress out."
                 ) from None
             return
-        delay = 0.0 if wanted else DELAY
-        self._bar = tqdm(total=total, unit=unit, delay=delay, leave=False)
+        delay = 0.0 if wanted or look else DELAY
+        self._bar = tqdm(
+            total=total, unit=unit, delay=delay, leave=False, bar_format=look, desc=what
+        )
 
     def add(self, count: int) -> None:
         """Count what is done."""
         if self._bar is not None and count:
             with self._lock:
                 self._bar.update(min(count, self._bar.total - self._bar.n))
+
+    def refresh(self) -> None:
+        """Draw the bar anew."""
+        if self._bar is not None:
+            self._bar.refresh()
 
     def __enter__(self) -> Progress:
         return self

@@ -21,7 +21,8 @@ from symsimpson.runtime.inputs import (
     refused_start,
 )
 from symsimpson.runtime.machine import Run
-from symsimpson.runtime.progress import Watcher
+from symsimpson.runtime.numbers import NOTHING
+from symsimpson.runtime.progress import Watcher, silence
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -58,7 +59,7 @@ def integrate(
     """
     read_failure(on_failure)
     numbers = stepper._numbers
-    with numbers.working():
+    with numbers.working(), silence() if progress is False else NOTHING:
         values = stepper._values(parameters)
         h, count, t0 = read_steps(*times, numbers)
         stride = read_every(every)

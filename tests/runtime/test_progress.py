@@ -1,0 +1,67 @@
+"""Bars: after two seconds, about anything, and never where they are not wanted."""
+
+import threading
+import time
+
+import pytest
+
+import symsimpson as ss
+from symsimpson.runtime import cache, progress
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What is shown, with no patience at all."""
+    shown = []
+
+    class Bar:
+        total, n = 10, 0
+
+        def __init__(self, **options):
+            shown.append(options["desc"] or options["unit"])
+
+        def update(self, count):
+            pass
+
+        refresh = close = lambda self: None
+
+    import tqdm.auto
+
+    monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
+    monkeypatch.setattr(progress, "DELAY", 0.01)
+    return shown
+
+
+def test_waiting_tells_what_for_and_only_once(told):
+    before = threading.active_count()
+    with progress.waiting("the whole"):
+        with progress.waiting("a part of it"):
+            time.sleep(0.1)
+        time.sleep(0.1)
+    assert told == ["the whole"]
+    with progress.waiting("nothing long"):
+        pass
+    with progress.silence(), progress.waiting("silence"):
+        time.sleep(0.1)
+    with pytest.raises(ZeroDivisionError), progress.waiting("a failure"):
+        raise ZeroDivisionError
+    assert told == ["the whole"]
+    assert threading.active_count() == before
+
+
+def test_compiling_and_deriving_are_told_of(told, monkeypatch, tmp_path):
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache, "_results", {})
+    (x,) = ss.coordinates("x")
+    given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "parameters": {}}
+    system = ss.MechanicalSystem("told", **given, potential=x**2 + x**6 / 7)
+    stepper = ss.compile(system, "lobatto6")
+    stepper.integrate([1.0], v0=[0.0], h=0.01, steps=3)
+    assert "compiling, once for this machine" in told
+    assert "deriving lobatto6 for told" in told
+    told.clear()
+    other = ss.MechanicalSystem("silent", **given, potential=x**2 + x**8 / 7)
+    silent = ss.compile(other, "midpoint")
+    told.clear()
+    silent.integrate([1.0], v0=[0.0], h=0.01, steps=3, progress=False)
+    assert told == []
