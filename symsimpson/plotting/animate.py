@@ -20,6 +20,7 @@ from symsimpson.plotting.space import film_in_space
 from symsimpson.runtime.extras import library
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.states import States
     from symsimpson.runtime.trajectory import Trajectory
 
 __all__ = ["Animation", "animate", "plot_path"]
@@ -81,7 +82,7 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
     return Animation(lambda: make(scene, some.t, fps, title), len(some), size)
 
 
-def plot_path(run: Trajectory, *, ax: Any = None) -> Any:
+def plot_path(run: States, *, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
     scene = scene_of(run)
     if ax is None and scene.spatial:

@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import threading
 import time
-import warnings
 from collections.abc import Iterator
 from contextvars import ContextVar
 from types import TracebackType
@@ -87,8 +87,9 @@ class Progress:
         if wanted is False:
             return
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # no widgets in this notebook: a bar of text
+            if importlib.util.find_spec("ipywidgets") is None:
+                from tqdm import tqdm  # the other one would warn that there are no widgets
+            else:
                 from tqdm.auto import tqdm
         except ImportError:
             if wanted:

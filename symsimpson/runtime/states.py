@@ -162,6 +162,18 @@ class States:
 
         return plot_phase(self, x, y, connected=self._connected, ax=ax)
 
+    def plot_path(self, *, ax: Any = None) -> Any:
+        """Draw the paths of the system's ``positions``, into ``ax`` if given; gives the axes.
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or matplotlib is not installed.
+        """
+        from symsimpson.plotting.animate import plot_path
+
+        return plot_path(self, ax=ax)
+
     def to_pandas(self) -> Any:
         """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
 

@@ -167,18 +167,6 @@ class Trajectory(States):
 
         return plot_energy(self, ax=ax)
 
-    def plot_path(self, *, ax: Any = None) -> Any:
-        """Draw the paths of the system's ``positions``, into ``ax`` if given; gives the axes.
-
-        Raises
-        ------
-        InputError
-            If the system declares no positions, or matplotlib is not installed.
-        """
-        from symsimpson.plotting.animate import plot_path
-
-        return plot_path(self, ax=ax)
-
     def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
         """Film the system's ``positions``: points, and lines where their distance is constant.
 

@@ -25,9 +25,11 @@ def told(monkeypatch):
 
         refresh = close = lambda self: None
 
+    import tqdm
     import tqdm.auto
 
-    monkeypatch.setattr(tqdm.auto, "tqdm", Bar)
+    for module in (tqdm, tqdm.auto):
+        monkeypatch.setattr(module, "tqdm", Bar)
     monkeypatch.setattr(progress, "DELAY", 0.01)
     return shown
 
