@@ -27,6 +27,8 @@ __all__ = ["Animation", "animate", "plot_path"]
 
 #: Runs of at most so many seconds are shown as fast as they are.
 LONGEST = 10.0
+#: A trail has so many points from one frame to the next.
+FINE = 8
 
 
 class Animation:
@@ -75,11 +77,12 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
         )
     span = abs(float(run.t[-1] - run.t[0]))
     length = seconds or (span if 1 <= span <= LONGEST else LONGEST)
-    some = run.at(np.linspace(float(run.t[0]), float(run.t[-1]), max(2, round(length * fps))))
-    scene = scene_of(some)
+    frames = max(2, round(length * fps))
+    t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * FINE + 1)
+    scene = scene_of(run.at(t), FINE)
     title = f"{run._stepper.system}, {run._stepper.scheme}"
     make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
-    return Animation(lambda: make(scene, some.t, fps, title), len(some), size)
+    return Animation(lambda: make(scene, t[::FINE], fps, title), frames, size)
 
 
 def plot_path(run: States, *, ax: Any = None) -> Any:
@@ -92,14 +95,13 @@ def plot_path(run: States, *, ax: Any = None) -> Any:
         )[1]  # fmt: skip
     ax = axes(ax, (4.5, 4.5))
     for k, name in enumerate(scene.names):
-        ax.plot(*scene.points[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)
-    last = len(scene.points) - 1
+        ax.plot(*scene.fine[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)
     for link in scene.links:
         style = {"lw": 1.6, "ls": "-"} if link.rigid else {"lw": 0.8, "ls": ":"}
-        ax.plot(*scene.ends(last, link).T, color="0.25", **style)
+        ax.plot(*scene.ends(-1, link).T, color="0.25", **style)
     for body in scene.bodies:
-        ax.plot(*body[last].T, color="0.25", lw=1.6)
-    ax.plot(*scene.points[last].T, "o", color="C0", ms=6)
+        ax.plot(*body[-1].T, color="0.25", lw=1.6)
+    ax.plot(*scene.points[-1].T, "o", color="C0", ms=6)
     for axis, middle in zip("xyz", scene.middle, strict=False):
         getattr(ax, f"set_{axis}lim")(middle - scene.reach, middle + scene.reach)
     ax.set_aspect("equal")

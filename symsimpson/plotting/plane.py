@@ -13,8 +13,6 @@ from symsimpson.runtime.progress import Progress
 
 __all__ = ["film_in_plane"]
 
-#: So many frames leave a trail.
-TRAIL = 60
 #: matplotlib's player takes its icons from elsewhere; these are letters of any font.
 ICONS = {
     "minus": "&minus;", "fast-backward": "|&laquo;", "step-backward": "|&lsaquo;",
@@ -43,7 +41,7 @@ def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
 
     def draw(frame: int) -> list[Any]:
         for k, trail in enumerate(trails):
-            trail.set_data(*scene.points[max(0, frame - TRAIL) : frame + 1, k].T)
+            trail.set_data(*scene.trail(frame, k).T)
         for (line,), link in zip(lines, scene.links, strict=True):
             line.set_data(*scene.ends(frame, link).T)
         for patch, body in zip(bodies, scene.bodies, strict=True):
@@ -59,4 +57,5 @@ def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
         made.save(path, writer=writer, progress_callback=lambda frame, frames: bar.add(1))
         page = path.read_text(encoding="utf-8")
     page = re.sub(r"<link[^>]*>\s*", "", page)
+    page = re.sub(r"(anim\w+) = new Animation\([^;]*;", r"\g<0> \1.play_animation();", page)
     return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda found: ICONS[found[1]], page)

@@ -19,6 +19,8 @@ __all__ = ["Link", "Scene", "scene_of"]
 Floats = NDArray[np.float64]
 #: Distances that change by less than this, of the size of the scene, do not change.
 RIGID = 1e-6
+#: A trail has the length of so many frames.
+TRAIL = 40
 
 
 @dataclass(frozen=True)
@@ -38,26 +40,39 @@ class Scene:
     ----------
     names : tuple of str
         Those of the points.
-    points : ndarray, shape (N, k, 2 or 3)
+    fine : ndarray, shape ((N - 1) stride + 1, k, 2 or 3)
+        The points, at the times of the frames and between them.
     bodies : tuple of ndarray, shape (N, corners + 1, 2 or 3)
         Closed lines.
     links : tuple of Link
     middle : ndarray, shape (2 or 3,)
     reach : float
         Nothing is farther from the middle, along an axis.
+    stride : int
+        Points in ``fine`` from one frame to the next.
     """
 
     names: tuple[str, ...]
-    points: Floats
+    fine: Floats
     bodies: tuple[Floats, ...]
     links: tuple[Link, ...]
     middle: Floats
     reach: float
+    stride: int
+
+    @property
+    def points(self) -> Floats:
+        """The points, shape (N, k, 2 or 3)."""
+        return self.fine[:: self.stride]
 
     @property
     def spatial(self) -> bool:
         """Whether it has three dimensions."""
         return self.points.shape[2] == 3
+
+    def trail(self, frame: int, which: int) -> Floats:
+        """Give where a point has been of late, between the frames too."""
+        return self.fine[max(0, frame - TRAIL) * self.stride : frame * self.stride + 1, which]
 
     def ends(self, frame: int, link: Link) -> Floats:
         """Give the two ends of a link in one frame."""
@@ -65,8 +80,8 @@ class Scene:
         return np.array([first, self.points[frame, link.second]])
 
 
-def scene_of(some: States) -> Scene:
-    """Evaluate the positions that were declared with a system.
+def scene_of(some: States, stride: int = 1) -> Scene:
+    """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
 
     Raises
     ------
@@ -95,7 +110,8 @@ def scene_of(some: States) -> Scene:
     low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
     high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
     reach = 0.55 * float((high - low).max()) or 1.0
-    return Scene(tuple(points), joined, tuple(bodies), links, (low + high) / 2, reach)
+    return Scene(tuple(points), joined, tuple(x[::stride] for x in bodies), links, (low + high) / 2,
+                 reach, stride)  # fmt: skip
 
 
 def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats]:

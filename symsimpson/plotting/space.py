@@ -11,8 +11,6 @@ from symsimpson.runtime.extras import library
 
 __all__ = ["film_in_space"]
 
-#: So many frames leave a trail.
-TRAIL = 80
 BODY, PATH, LINE = "#3b7dd8", "#e07b39", "#444444"
 
 
@@ -23,10 +21,7 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
     def parts(frame: int) -> list[Any]:
         gap = np.full((1, 3), np.nan)  # one line with gaps for all links
         links = [x for link in scene.links for x in (scene.ends(frame, link), gap)]
-        trails = [
-            _line(go, scene.points[max(0, frame - TRAIL) : frame + 1, k], PATH, 3)
-            for k in range(len(scene.names))
-        ]
+        trails = [_line(go, scene.trail(frame, k), PATH, 3) for k in range(len(scene.names))]
         bodies = []
         for body in scene.bodies:
             corners = len(body[frame]) - 1
