@@ -17,6 +17,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.runtime.blocks import Task, lanes_for, run_blocks
 from symsimpson.runtime.ensemble import names_in_dataset
+from symsimpson.runtime.extras import library
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
 from symsimpson.runtime.progress import Progress
@@ -39,14 +40,8 @@ def check_client(client: Any, store: object) -> None:
     ------
     InputError
     """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError(
-            "client= needs dask.distributed, which is not installed.\n"
-            "Install it with pip install 'symsimpson[cluster]'."
-        ) from None
-    if not isinstance(client, Client) or client.asynchronous:
+    known = library("distributed", "client=", "cluster").Client
+    if not isinstance(client, known) or client.asynchronous:
         raise InputError(
             f"client is {type(client).__name__}, not a synchronous client of dask.distributed.\n"
             "Pass client=distributed.Client(...)."

@@ -19,7 +19,8 @@ from mpmath.libmp import from_man_exp
 from numpy.typing import NDArray
 
 from symsimpson.binding import bind, bind_arb, bind_mpmath
-from symsimpson.errors import GenerationError, InputError
+from symsimpson.errors import InputError
+from symsimpson.runtime.extras import library
 from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.load import Facts
 from symsimpson.runtime.machine import driver_text
@@ -45,9 +46,7 @@ def read_precision(precision: Any, arithmetic: Any) -> Numbers:
     Raises
     ------
     InputError
-        If there is no such precision or arithmetic.
-    GenerationError
-        If python-flint is asked for and not installed.
+        If there is no such precision or arithmetic, or python-flint is not installed.
     """
     if arithmetic not in ARITHMETICS:
         raise InputError(
@@ -60,13 +59,7 @@ def read_precision(precision: Any, arithmetic: Any) -> Numbers:
             f"{MOST}.\nPass precision=64, or None for compiled double precision."
         )
     if arithmetic == "arb":
-        try:
-            import flint  # noqa: F401
-        except ImportError:
-            raise GenerationError(
-                "arithmetic='arb' needs python-flint, which is not installed.\n"
-                "Install it with pip install 'symsimpson[precise]', or use mpmath."
-            ) from None
+        library("flint", "arithmetic='arb' (python-flint)", "precise")
     return _numbers(digits, arithmetic)
 
 

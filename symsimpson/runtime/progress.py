@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Any
 
 from symsimpson.errors import InputError
+from symsimpson.runtime.extras import library
 
 __all__ = ["Progress", "Watcher", "silence", "waiting"]
 
@@ -86,20 +87,16 @@ class Progress:
         self._at_once = wanted is True
         if wanted is False:
             return
+        # without widgets tqdm.auto would warn that there are none
+        widgets = importlib.util.find_spec("ipywidgets") is not None
         try:
-            if importlib.util.find_spec("ipywidgets") is None:
-                from tqdm import tqdm  # the other one would warn that there are no widgets
-            else:
-                from tqdm.auto import tqdm
-        except ImportError:
+            bars = library("tqdm.auto" if widgets else "tqdm", "progress=True", "progress")
+        except InputError:
             if wanted:
-                raise InputError(
-                    "progress=True needs tqdm, which is not installed.\n"
-                    "Install it with pip install 'symsimpson[progress]', or leave progress out."
-                ) from None
+                raise
             return
         delay = 0.0 if wanted or look else DELAY
-        self._bar = tqdm(
+        self._bar = bars.tqdm(
             total=total, unit=unit, delay=delay, leave=False, bar_format=look, desc=what
         )
 

@@ -21,6 +21,7 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.runtime.blocks import Results, Task, ensemble_of, run_blocks
 from symsimpson.runtime.ensemble import Ensemble, names_in_dataset
+from symsimpson.runtime.extras import library
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.status import Status
@@ -112,14 +113,8 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
     StorageError
         If it cannot be read or written.
     """
-    try:
-        import xarray  # noqa: F401  the store is laid out as a dataset
-        import zarr
-    except ImportError:
-        raise InputError(
-            "store= needs zarr and xarray, which are not installed.\n"
-            "Install them with pip install 'symsimpson[data]'."
-        ) from None
+    library("xarray", "store=", "data")  # the store is laid out as a dataset
+    zarr = library("zarr", "store=", "data")
     if not isinstance(path, (str, os.PathLike)):
         raise InputError(
             f"store is {type(path).__name__}, not a path.\nPass the name of a folder or a URL."

@@ -112,7 +112,7 @@ def test_precision_is_checked(wrong):
 
 def test_without_flint_arb_names_the_extra(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "flint", None)
-    with pytest.raises(ss.GenerationError, match=r"symsimpson\[precise\]"):
+    with pytest.raises(ss.InputError, match=r"symsimpson\[precise\]"):
         read_precision(64, "arb")
 
 

@@ -1,0 +1,89 @@
+"""What is installed: the wheel and the source distribution, and the core by itself."""
+
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    pytest.importorskip("hatchling")
+    folder = tmp_path_factory.mktemp("dist")
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-d", str(folder)], cwd=ROOT, check=True,
+        capture_output=True,
+    )  # fmt: skip
+    return folder
+
+
+def test_the_wheel_holds_the_package_and_nothing_else(built):
+    (wheel,) = built.glob("*.whl")
+    with zipfile.ZipFile(wheel) as opened:
+        names = set(opened.namelist())
+        about = next(x for x in names if x.endswith("METADATA"))
+        metadata = opened.read(about).decode()
+    assert {x.split("/")[0].split("-")[0] for x in names} == {"symsimpson"}
+    present = {str(x.relative_to(ROOT)) for x in (ROOT / "symsimpson").rglob("*.py")}
+    assert present | {"symsimpson/py.typed"} <= names
+    for extra in ("plot", "data", "bench", "cluster", "precise", "notebooks", "progress"):
+        assert f"Provides-Extra: {extra}" in metadata
+
+
+def test_the_source_distribution_has_the_tests(built):
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        names = {"/".join(x.split("/")[1:]) for x in opened.getnames()}
+    assert {
+        "README.md",
+        "pyproject.toml",
+        "symsimpson/py.typed",
+        "tests/test_packaging.py",
+    } <= names
+
+
+def test_the_core_needs_four_packages():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    needed = {x.split(">")[0] for x in project["dependencies"]}
+    assert needed == {"sympy", "numpy", "numba", "mpmath"}
+
+
+def test_versions_agree():
+    import symsimpson as ss
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["version"] == ss.__version__
+    assert f"## {ss.__version__}" in (ROOT / "symsimpson/CHANGES.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("library", "use", "extra"),
+    [
+        ("matplotlib.pyplot", "run.plot()", "plot"),
+        ("xarray", "run.to_xarray()", "data"),
+        ("pandas", "run.to_pandas()", "data"),
+        ("netCDF4", "run.save('run.nc')", "data"),
+        ("plotly.graph_objects", "top.animate()._repr_html_()", "plot"),
+        ("tqdm", "stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9, progress=True)", "progress"),
+        ("flint", "ss.compile(ss.systems.pendulum(), precision=30, arithmetic='arb')", "precise"),
+    ],
+)
+def test_a_missing_extra_is_named(library, use, extra, monkeypatch, tmp_path):
+    import symsimpson as ss
+
+    monkeypatch.chdir(tmp_path)
+    stepper = ss.compile(ss.systems.pendulum())
+    names = {"ss": ss, "stepper": stepper,
+             "run": stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9)}  # fmt: skip
+    if extra == "plot":
+        top = ss.compile(ss.systems.lagrange_top())
+        names["top"] = top.integrate(**top.reference_state, h=0.001, steps=9)
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ss.InputError, match=rf"pip install 'symsimpson\[{extra}\]'"):
+        eval(use, names)

@@ -1,0 +1,36 @@
+"""What the pages say: their Python runs, and what they point to is there."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGES = ["README.md", "notebooks/README.md", "notebooks/coming_from.md",
+         "symsimpson/ARCHITECTURE.md", "symsimpson/CHANGES.md"]  # fmt: skip
+
+
+@pytest.mark.parametrize("page", ["README.md", "notebooks/coming_from.md"])
+@pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
+def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "page"}  # what is guarded by "__main__" is left out
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text("utf-8"), re.DOTALL)
+    assert len(blocks) >= 4
+    for block in blocks:
+        exec(compile(block, page, "exec"), names)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    text = (ROOT / page).read_text("utf-8")
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
+        assert target.startswith("https://") or (ROOT / page).parent.joinpath(target).exists()
+    for path in re.findall(r"`((?:notebooks|tests|symsimpson|generated)/[\w/.]+\.\w+)`", text):
+        assert (ROOT / path).exists(), path
+
+
+def test_every_notebook_is_in_the_index():
+    index = (ROOT / "notebooks/README.md").read_text("utf-8")
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        assert f"({path.name})" in index
