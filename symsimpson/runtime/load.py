@@ -62,6 +62,11 @@ class Facts:
         """Whether steps are iterated by velocities and forces at the nodes, which are lanes."""
         return "iterate" in self.functions
 
+    @property
+    def straight(self) -> bool:
+        """Whether Newton's method is written out, without loops and pivots."""
+        return "newton_pivoted" in self.functions
+
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """What the driver must know of the layout, in its order."""
@@ -177,17 +182,18 @@ class Kernels:
         body = re.sub(r"^DEFAULTS = \([^)]*\)\n", "", body, count=1, flags=re.MULTILINE)
         self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
+        self._staged = facts.by_stages and lanes == 1  # nodes are lanes, or members are
 
     @cached_property
     def ladder(self) -> tuple[str, ...]:
         """Names of the kernels to take steps with, each where the one before fails."""
-        first = ("stages",) if self._facts.by_stages else ()
+        first = ("stages",) if self._staged else ()
         return (*first, "newton", *(("robust",) if self._facts.newton_unknowns else ()))
 
     @property
     def whereabouts(self) -> str:
         """Where the compiled code of a step is, in words."""
-        return whereabouts(self._text, "stages" if self._facts.by_stages else "step")
+        return whereabouts(self._text, "stages" if self._staged else "step")
 
     @cached_property
     def newton(self) -> NDArray[np.int64]:
@@ -198,7 +204,7 @@ class Kernels:
 
     def _watched(self, kernels: NDArray[np.int64]) -> NDArray[np.int64]:
         """Add the energy where Newton's method takes what stages could not solve."""
-        return np.append(kernels, [1, self.address("energy")]) if self._facts.by_stages else kernels
+        return np.append(kernels, [1, self.address("energy")]) if self._staged else kernels
 
     @cached_property
     def stages(self) -> NDArray[np.int64]:

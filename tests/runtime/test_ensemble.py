@@ -13,6 +13,7 @@ import sympy as sp
 import symsimpson as ss
 from symsimpson.runtime import blocks as module
 from symsimpson.runtime import members
+from symsimpson.runtime.blocks import lanes_for
 
 PENDULUM = ss.systems.double_pendulum()
 RNG = np.random.default_rng(7)
@@ -292,3 +293,26 @@ def test_progress(stepper, capsys, monkeypatch):
     stepper.ensemble(ANGLES, **GIVEN)
     with pytest.raises(ss.InputError, match=r"symsimpson\[progress\]"):
         stepper.ensemble(ANGLES, **GIVEN, progress=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme", "wide"),
+    [
+        ("double_pendulum", "gauss8", True),  # 8 unknowns, written out
+        ("double_pendulum", "lobatto8", True),
+        ("double_pendulum", "gauss12", False),  # nodes are lanes
+        ("lagrange_top", "gauss8", True),
+    ],
+)
+def test_members_or_nodes_are_lanes_and_members_come_to_what_single_runs_do(name, scheme, wide):
+    system = getattr(ss.systems, name)()
+    stepper = ss.compile(system, scheme)
+    assert (lanes_for(stepper._facts) > 1) is wide
+    start = {key: np.array(value) for key, value in system.reference_state.items()}
+    q0 = start.pop("q0") + np.linspace(0, 0.3, 11)[:, None]
+    h = 0.001 if name == "lagrange_top" else 0.02
+    found = stepper.ensemble(q0, **start, h=h, steps=50)
+    for member in (0, 5, 10):
+        run = stepper.integrate(q0[member], **start, h=h, steps=50, every=None)
+        assert np.abs(found.q[member] - run.q[0]).max() < 1e-12
+        assert np.abs(found.p[member] - run.p[0]).max() < 1e-12
