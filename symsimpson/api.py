@@ -92,6 +92,7 @@ def compile(
     )
 
 
+@waiting("deriving")
 def generate(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
