@@ -116,6 +116,12 @@ def generate(
     ------
     GenerationError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile, symsimpson as ss
+    >>> ss.generate(ss.systems.pendulum(), "midpoint", tempfile.mkdtemp()).name
+    'pendulum__midpoint.py'
     """
     _check_system(system)
     found = read_scheme(scheme)
@@ -148,6 +154,13 @@ def load(path: str | os.PathLike[str]) -> Stepper:
         If the file is of another kernel interface, was edited, or is no generated module.
     GenerationError
         If it cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile, symsimpson as ss
+    >>> path = ss.generate(ss.systems.pendulum(), "midpoint", tempfile.mkdtemp())
+    >>> ss.load(path)
+    Stepper(pendulum, midpoint, order 2)
     """
     try:
         text = Path(path).read_text(encoding="utf-8")

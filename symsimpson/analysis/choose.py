@@ -51,6 +51,13 @@ class Choice:
         A whole number of steps makes up ``t_end``.
     reason : str
         What was measured, in sentences.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> choice = ss.choose(ss.systems.pendulum(), [1.0], v0=[0.0], t_end=5.0, error=1e-6)
+    >>> choice.reason.startswith(f"{choice.stepper.scheme} with h = ")
+    True
     """
 
     stepper: Stepper

@@ -157,6 +157,14 @@ class MechanicalSystem:
         ------
         ModelError
             If L is not a polynomial of degree two in the velocities, or as above.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> x, y = ss.coordinates("x y")
+        >>> L = (x.diff()**2 + y.diff()**2)/2 + x*y.diff() - x**2
+        >>> ss.MechanicalSystem.from_lagrangian("in_a_field", L, (x, y), {}).gyroscopic
+        x(t)*Derivative(y(t), t)
         """
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
@@ -199,6 +207,15 @@ class MechanicalSystem:
         ------
         ModelError
             If ``lm`` has forces or constraints, or as above.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> from sympy.physics.mechanics import LagrangesMethod
+        >>> (x,) = ss.coordinates("x")
+        >>> method = LagrangesMethod(x.diff()**2/2 - x**4, [x])
+        >>> ss.MechanicalSystem.from_lagranges_method("quartic", method, {}).potential
+        x(t)**4
         """
         name = read_name(name)
         try:

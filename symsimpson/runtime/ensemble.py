@@ -46,6 +46,13 @@ class Ensemble:
     initial : mapping from str to ndarray, shape (K, n)
         The states that members began with: q0, and v0 or p0.
     store : path of the store, or None
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+    Ensemble(pendulum, simpson: 2 members, 1 states of each stored; 2 SUCCESS)
     """
 
     t: Floats
@@ -76,6 +83,14 @@ class Ensemble:
         ------
         InputError
             If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+        >>> many.to_xarray()["q"].dims
+        ('member', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
         reduced, parameters = names_in_dataset(self.reduced, self.parameters)

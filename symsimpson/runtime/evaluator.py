@@ -81,6 +81,14 @@ class Evaluator:
         -------
         ndarray, shape (d n,)
             D_k L_d for k = 1..d-1, then p0 + D_0 L_d.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> q1, p1 = stepper.step([1.0], [0.0], h=0.01)
+        >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
+        True
         """
         return evaluate_equations(self, q0, p0, nodes, h, parameters)[0]
 
@@ -92,7 +100,15 @@ class Evaluator:
         h: float,
         parameters: Parameters | None = None,
     ) -> Reals:
-        """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n)."""
+        """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n).
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
+        (1, 1)
+        """
         return evaluate_equations(self, q0, p0, nodes, h, parameters)[1]
 
     def energy(self, q: ArrayLike, p: ArrayLike, parameters: Parameters | None = None) -> Reals:
@@ -106,6 +122,13 @@ class Evaluator:
         Returns
         -------
         ndarray, shape (N,)
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> stepper.energy([[0.0]], [[0.0]]).round(2)
+        array([-9.81])
         """
         return evaluate_energy(self, q, p, parameters)
 

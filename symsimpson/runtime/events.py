@@ -48,6 +48,13 @@ class Events(States):
         How the run ended that was looked through.
     message : str
         The same in words.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run.events("theta")
+    Events(pendulum, simpson: 5 states, 0.534783 <= t <= 4.81305)
     """
 
     _connected: ClassVar[bool] = False

@@ -134,6 +134,13 @@ class States:
         ------
         InputError
             If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot(["theta", "energy"]).get_xlabel()
+        't'
         """
         from symsimpson.plotting.states import plot
 
@@ -157,6 +164,13 @@ class States:
         ------
         InputError
             If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_phase("theta", "v_theta").get_ylabel()
+        'v_theta'
         """
         from symsimpson.plotting.states import plot_phase
 
@@ -169,6 +183,13 @@ class States:
         ------
         InputError
             If the system declares no positions, or matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_path().get_aspect()
+        1.0
         """
         from symsimpson.plotting.animate import plot_path
 
@@ -181,6 +202,13 @@ class States:
         ------
         InputError
             If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> list(run.to_pandas().columns)
+        ['theta', 'p_theta', 'energy']
         """
         pandas = library("pandas", "to_pandas", "data")
         names = self._stepper.coordinates
@@ -196,6 +224,13 @@ class States:
         ------
         InputError
             If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.to_xarray()["q"].dims
+        ('time', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
         variables: dict[str, Any] = {

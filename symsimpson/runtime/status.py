@@ -8,7 +8,14 @@ __all__ = ["Status"]
 
 
 class Status(IntEnum):
-    """How a run ended; 0 is success. ``message`` says it in a sentence, with what to do."""
+    """How a run ended; 0 is success. ``message`` says it in a sentence, with what to do.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.Status.SUCCESS == 0, ss.Status(2).name
+    (True, 'NOT_CONVERGED')
+    """
 
     SUCCESS = 0
     INTERRUPTED = 1

@@ -46,6 +46,13 @@ class Stepper(Evaluator):
     order : int
     coordinates, parameters, invariants : tuple of str
     source : str
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+    >>> stepper.system, stepper.order, stepper.coordinates, stepper.parameters
+    ('pendulum', 2, ('theta',), ('m', 'l', 'g'))
     """
 
     def _repr_html_(self) -> str:
@@ -330,6 +337,14 @@ class Stepper(Evaluator):
         ------
         InputError, ConvergenceError
             As :meth:`integrate`.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> q1, p1 = stepper.step([1.0], [0.0], h=0.01)
+        >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
+        (True, True)
         """
         end = self.integrate(q, p0=p, h=h, steps=1, parameters=parameters, every=None)
         return end.q[0], end.p[0]

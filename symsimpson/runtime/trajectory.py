@@ -162,6 +162,13 @@ class Trajectory(States):
         ------
         InputError
             If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_energy().get_ylabel()
+        '(H - H0) / |H0|'
         """
         from symsimpson.plotting.states import plot_energy
 
@@ -188,6 +195,13 @@ class Trajectory(States):
         ------
         InputError
             If the system declares no positions, or a library is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.animate(fps=10)
+        Animation(50 frames; save('film.html') keeps it)
         """
         from symsimpson.plotting.animate import animate
 
@@ -205,6 +219,15 @@ class Trajectory(States):
             If the name ends otherwise, a library is missing, or the run has many digits.
         StorageError
             If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.zarr"
+        >>> run.save(path)
+        >>> ss.open_trajectory(path).steps
+        50
         """
         from symsimpson.runtime.archive import save
 

@@ -46,6 +46,12 @@ class Composition(Scheme):
     ----------
     .. [1] E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), sections II.4,
        V.3 and VI.6.2.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.composition("suzuki4").order, len(ss.composition("suzuki4").kicks)
+    (4, 6)
     """
 
     drifts: tuple[sp.Expr, ...] = field(repr=False)
@@ -92,7 +98,14 @@ class Composition(Scheme):
         return {"KICKS": self.kicks, "DRIFTS": self.drifts}
 
     def oscillator(self, x: float) -> NDArray[np.float64]:
-        """Give the matrix of a step of q'' = -q with h = x."""
+        """Give the matrix of a step of q'' = -q with h = x.
+
+        Examples
+        --------
+        >>> import numpy as np, symsimpson as ss
+        >>> round(float(np.linalg.det(ss.composition("kahan_li8").oscillator(0.5))), 12)
+        1.0
+        """
         matrix = np.eye(2)
         for k, kick in enumerate(self.kicks):
             matrix = np.array([[1.0, 0.0], [-x * float(kick), 1.0]]) @ matrix

@@ -48,6 +48,12 @@ class Scheme:
     .. [1] J. E. Marsden and M. West, Acta Numerica 10 (2001), section 2.2.6.
     .. [2] S. Ober-Bloebaum, Galerkin variational integrators and modified symplectic Runge-Kutta
        methods, IMA J. Numer. Anal. 37 (2017), 375-406.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.SIMPSON.order, ss.SIMPSON.degree, ss.SIMPSON.points
+    (4, 2, (0, 1/2, 1))
     """
 
     name: str
@@ -125,7 +131,14 @@ class Scheme:
         }
 
     def oscillator(self, x: float) -> NDArray[np.float64]:
-        """Give the matrix of a step of q'' = -q with h = x."""
+        """Give the matrix of a step of q'' = -q with h = x.
+
+        Examples
+        --------
+        >>> import numpy as np, symsimpson as ss
+        >>> round(float(np.linalg.det(ss.SIMPSON.oscillator(0.5))), 12)  # it keeps areas
+        1.0
+        """
         A, B = (np.array(table, dtype=np.float64) for table in (self.A, self.B))
         b = np.array(self.quadrature.weights, dtype=np.float64)
         # D_k L_d = sum_m K_km X_m with X the control points themselves
