@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
+from symsimpson.runtime.machine import Run
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ Reals = NDArray[Any]
 NOTHING = 1e-14
 #: So many steps are taken before Ctrl-C is heard.
 AT_ONCE = 16384
+#: Into so many parts the rest of a step is divided, one after the other, until they can be taken.
+DIVISIONS = (1, 4, 16, 64)
 
 
 class DenseOutput:
@@ -101,13 +104,14 @@ class DenseOutput:
             )  # fmt: skip
         return (q, p) if times.ndim else (q[0], p[0])
 
-    def after(self, start: NDArray[np.int64], later: Reals) -> tuple[Reals, Reals, Reals]:
+    def after(
+        self, start: NDArray[np.int64], later: Reals
+    ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Give q, p and a status so much later than stored states, by their numbers."""
         run, stepper = self._run, self._run._stepper
         numbers, facts, kernels = stepper._numbers, stepper._facts, stepper._kernels
         h = run.h
-        whole = np.floor(np.asarray(later / h, dtype=float)).astype(np.int64)
-        whole = np.maximum(whole, 0)
+        whole = np.maximum(np.floor(np.asarray(later / h, dtype=float)), 0).astype(np.int64)
         rest = later - whole * h
         none = np.abs(np.asarray(rest / h, dtype=float)) <= NOTHING
         order = np.lexsort((whole, start))
@@ -117,20 +121,43 @@ class DenseOutput:
             W[first : first + run._values.size, 0] = numbers.read(run._values)
             t, q, p, step = (numbers.read(x) for x in (run.t, run.q, run.p, h))
             rest = numbers.read(np.where(none, 0 * rest, rest))
-            states, counts = numbers.zeros((1, facts.n, 1)), np.zeros((1, 1), dtype=np.int64)
             found_q, found_p = numbers.zeros((2, len(order), facts.n))
-            codes = np.ones(len(order), dtype=np.int64)
+            fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
-            for rung in kernels.ladder:
-                left = order[codes[order] != 0]
-                at_once = max(1, AT_ONCE // (run.every or 1))
-                for some in (left[i : i + at_once] for i in range(0, left.size, at_once)):
-                    q_out, p_out = numbers.zeros((2, some.size + 1, facts.n))
-                    done = np.zeros(some.size, dtype=np.int64)
-                    between(
-                        getattr(kernels, rung), facts.newton_unknowns == 0, step.item(), t, W,
-                        facts.places, np.zeros(2, dtype=np.int64), q, p, start[some], whole[some],
-                        rest[some], states, counts, q_out, p_out, done,
-                    )  # fmt: skip
-                    found_q[some], found_p[some], codes[some] = q_out[:-1], p_out[:-1], done
+            at_once = max(1, AT_ONCE // (run.every or 1))
+            for some in (order[i : i + at_once] for i in range(0, order.size, at_once)):
+                q_out, p_out = numbers.zeros((2, some.size + 1, facts.n))
+                well = np.zeros(some.size, dtype=np.bool_)
+                between(
+                    getattr(kernels, kernels.ladder[0]), facts.newton_unknowns == 0, step.item(),
+                    t, W, facts.places, q, p, start[some], whole[some], rest[some], q_out, p_out,
+                    well,
+                )  # fmt: skip
+                found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
+            codes = np.zeros(len(order), dtype=np.int64)
+            for i in np.flatnonzero(~fine):
+                state, codes[i] = self._robustly(q[start[i]], p[start[i]], int(whole[i]), rest[i])
+                found_q[i], found_p[i] = state
             return numbers.result(found_q), numbers.result(found_p), codes
+
+    def _robustly(self, q: Reals, p: Reals, whole: int, rest: Any) -> tuple[Any, Status]:
+        """Take the steps with all that a run has against what goes wrong.
+
+        Where part of a step does not resolve the motion it is divided further.
+        """
+        (q, p), status = self._run_on(q, p, self._run.h, whole)
+        if status is not Status.SUCCESS or rest == 0:
+            return (q, p), status
+        for parts in DIVISIONS:
+            state, status = self._run_on(q, p, rest / parts, parts)
+            if status is Status.SUCCESS:
+                break
+        return state, status
+
+    def _run_on(self, q: Reals, p: Reals, h: Any, steps: int) -> tuple[Any, Status]:
+        stepper, numbers = self._run._stepper, self._run._stepper._numbers
+        values, h = numbers.read(self._run._values), numbers.read(h).item()
+        one = Run(stepper._facts, stepper._kernels, numbers, values, h, 0 * h, 0, 1)
+        one.begin(q, p, velocity=False)
+        one.advance(steps)
+        return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

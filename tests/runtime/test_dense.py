@@ -129,3 +129,36 @@ def test_part_of_a_step_that_fails_is_said(monkeypatch):
     )
     with pytest.raises(ss.ConvergenceError, match=r"part of a step, to t = 0\.005"):
         run.sol(0.005)
+
+
+def test_where_the_motion_is_hardly_resolved_parts_are_divided(monkeypatch):
+    """Near a pole of its coordinates the rigid body turns as fast as its step allows."""
+    from symsimpson.runtime.interpolate import DenseOutput
+
+    divided = []
+    original = DenseOutput._robustly
+    monkeypatch.setattr(
+        DenseOutput, "_robustly", lambda *given: divided.append(1) or original(*given)
+    )
+    system = ss.systems.rigid_body()
+    coarse, fine = (
+        ss.compile(system, "gauss8").integrate(**system.reference_state, h=h, steps=round(10 / h))
+        for h in (0.02, 0.0025)
+    )
+    times = np.random.default_rng(0).uniform(0, 10, 5000)
+    found, truth = coarse.at(times), fine.at(times)
+    assert len(divided) > 10
+    for what in "qp":
+        own = np.abs(getattr(coarse, what) - getattr(fine, what)[::8]).max()
+        between = np.abs(getattr(found, what) - getattr(truth, what)).max()
+        assert between < 1.1 * own
+
+
+def test_what_is_in_doubt_goes_the_way_of_a_run(monkeypatch):
+    from symsimpson.runtime import interpolate
+
+    run = run_of("double_pendulum", "simpson", 0.01, every=7)
+    times = np.linspace(0, T_END, 41)
+    expected = run.sol(times)
+    monkeypatch.setattr(interpolate.np, "flatnonzero", lambda x: np.arange(len(x)))
+    assert np.abs(run.sol(times) - expected).max() < 1e-13
