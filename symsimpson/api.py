@@ -88,7 +88,7 @@ def compile(
         defaults=defaults,
         numbers=numbers,
         reference_state=getattr(system, "reference_state", None),
-        declared=system if numbers is FLOAT64 else None,
+        declared=system,
     )
 
 

@@ -93,6 +93,11 @@ def plot_path(run: States, *, ax: Any = None) -> Any:
         ax = plt.subplots(
             figsize=(5, 5), subplot_kw={"projection": "3d"}, layout="constrained"
         )[1]  # fmt: skip
+    if scene.spatial and not hasattr(ax, "set_zlim"):
+        raise InputError(
+            f"{run._stepper.system} moves in space, and these axes are plane.\n"
+            "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
+        )
     ax = axes(ax, (4.5, 4.5))
     for k, name in enumerate(scene.names):
         ax.plot(*scene.fine[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)

@@ -96,6 +96,8 @@ def scene_of(some: States, stride: int = 1) -> Scene:
             "Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), -l*cos(q))}), and "
             "compile that system; a stepper from a file has none."
         )
+    if not len(some):
+        raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
     shapes = {
         name: given if isinstance(given[0], tuple) else (given,)
         for name, given in positions.items()

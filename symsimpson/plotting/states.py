@@ -25,10 +25,11 @@ def plot(
     ax: Any = None,
 ) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
-    ax = axes(ax, (7, 3.5))
     wanted = (names,) if isinstance(names, str) else names or some._stepper.coordinates
-    for name in wanted:
-        ax.plot(some.t, some[name], label=name, **({"lw": 1.2} if connected else DOTS))
+    found = {name: some[name] for name in wanted}
+    ax = axes(ax, (7, 3.5))
+    for name, values in found.items():
+        ax.plot(some.t, values, label=name, **({"lw": 1.2} if connected else DOTS))
     ax.set(xlabel="t", title=f"{some._stepper.system}, {some._stepper.scheme}")
     ax.grid(lw=0.4, alpha=0.6)
     if len(wanted) == 1:
@@ -43,10 +44,11 @@ def plot_phase(
     ax: Any = None,
 ) -> Any:  # fmt: skip
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
-    ax = axes(ax, (4.5, 4.5))
     x = x or some._stepper.coordinates[0]
     y = y or f"p_{x}"
-    ax.plot(some[x], some[y], **({"lw": 0.8} if connected else DOTS))
+    found = some[x], some[y]
+    ax = axes(ax, (4.5, 4.5))
+    ax.plot(*found, **({"lw": 0.8} if connected else DOTS))
     ax.set(xlabel=x, ylabel=y, title=f"{some._stepper.system}, {some._stepper.scheme}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
@@ -56,7 +58,7 @@ def plot_energy(run: Trajectory, *, ax: Any = None) -> Any:
     """Draw the error of the energy over time."""
     ax = axes(ax, (7, 3))
     ax.plot(run.t, run.energy_error, lw=0.8)
-    name = f"{run._stepper.system}, {run._stepper.scheme}, h = {run.h:g}"
+    name = f"{run._stepper.system}, {run._stepper.scheme}, h = {float(run.h):g}"
     label = "(H - H0) / |H0|" if run.energy[0] != 0 else "H - H0"
     ax.set(xlabel="t", ylabel=label, title=f"energy error: {name}")
     ax.grid(lw=0.4, alpha=0.6)

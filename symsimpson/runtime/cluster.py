@@ -130,7 +130,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         )
     stepper = _stepper(source)
     reduce = {name: (kind, text) for name, kind, text in json.loads(question["reduce"])}
-    reductions = read_reductions(stepper._facts, reduce)
+    reductions = read_reductions(stepper, reduce)
     _, names = names_in_dataset(reduce, stepper.parameters)
     members = members_of(chunk, size, question["members"])
     with said(path, "read"):

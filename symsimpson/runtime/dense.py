@@ -26,11 +26,13 @@ from symsimpson.runtime.driver import (
 )
 from symsimpson.runtime.march import finite
 
+#: Stored states may be on disk, or belong to somebody else: they are only read.
+TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 SIGNATURES |= {
     "between": types.void(
-        KERNELS, types.boolean, types.float64, types.float64[::1], WORKSPACE, PLACES,
-        WORKSPACE, WORKSPACE, types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE,
-        WORKSPACE, types.boolean[::1],
+        KERNELS, types.boolean, types.float64, TIMES, WORKSPACE, PLACES, GIVEN, GIVEN,
+        types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
+        types.boolean[::1],
     ),
 }  # fmt: skip
 

@@ -72,7 +72,7 @@ class _Anything:
     def __getitem__(self, index: Any) -> _Anything:
         return self
 
-    def __call__(self, *arguments: Any) -> _Anything:
+    def __call__(self, *arguments: Any, **options: Any) -> _Anything:
         return self
 
 

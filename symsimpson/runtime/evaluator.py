@@ -45,6 +45,11 @@ class Evaluator:
         self.invariants, self.reference_state = facts.invariants, reference_state
         self._declared = declared
         self._looked_at: set[tuple[float, bytes]] = set()
+        #: Names of coordinates; those that a user gave come before those of the module.
+        self._coordinate_names = {name: i for i, name in enumerate(facts.coordinates)}
+        if declared is not None:
+            users = {q.func.__name__: i for i, q in enumerate(declared.coordinates)}
+            self._coordinate_names |= users
         self._aliases = {name: i for i, name in enumerate(facts.parameters)}
         self._defaults = numbers.read(facts.defaults)
         if defaults is not None:

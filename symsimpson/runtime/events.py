@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluate import watch
 from symsimpson.runtime.interpolate import DenseOutput
-from symsimpson.runtime.observe import TURN, Observed, read_expression
+from symsimpson.runtime.observe import Observed, read_expression
 from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
@@ -24,11 +24,15 @@ __all__ = ["Events", "find_events", "gather", "read_question", "zeros"]
 
 Floats = NDArray[np.float64]
 Question = tuple[Observed, int]
+#: Angles that differ by this are one.
+TURN = 2 * np.pi
 #: Zeros are located to so much of the time between two states: rounding.
 RESOLUTION = 4 * np.finfo(float).eps
 #: A change of sign where the value stays above this part of the values around is no zero, but a
 #: jump or a pole.
 JUMP = 1e-6
+#: Zeros so near to where an angle is wrapped lie there.
+SEAM = 1e-9
 MOST_ITERATIONS = 100
 
 
@@ -88,16 +92,18 @@ def read_question(stepper: Stepper, expression: Any, direction: int, wrap: Any) 
             f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "
             "way down, or 0 for both."
         )
-    names = stepper.coordinates
-    wanted = names if wrap is True else (wrap,) if isinstance(wrap, str) else tuple(wrap or ())
-    unknown = [name for name in map(str, wanted) if name.removesuffix("(t)") not in names]
+    names = stepper._coordinate_names
+    several = isinstance(wrap, (tuple, list, set, frozenset))
+    given = stepper.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
+    wanted = [str(name).removesuffix("(t)") for name in given]
+    unknown = [name for name in wanted if name not in names]
     if unknown:
         raise InputError(
             f"wrap names {unknown[0]!r}, which is no coordinate.\n"
-            f"The system has {', '.join(names)}; True wraps all."
+            f"The system has {', '.join(stepper.coordinates)}; True wraps all."
         )
-    wrapped = tuple(names.index(str(name).removesuffix("(t)")) for name in wanted)
-    return read_expression(stepper._facts, expression, wrapped), int(direction)
+    wrapped = tuple(names[name] for name in wanted)
+    return read_expression(stepper, expression, wrapped), int(direction)
 
 
 def find_events(run: Trajectory, expression: Any, direction: int, wrap: Any) -> Events:
@@ -122,30 +128,51 @@ def gather(run: Trajectory, question: Question, found: Sequence[tuple[Floats, ..
 def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[Floats, ...]:
     """Find times, positions, momenta and directions of the zeros between stored states."""
     wanted, direction = question
-    dense, stepper = DenseOutput(run), run._stepper
-    value = watch(stepper, [wanted], run.t, run.q, run.p, run._values)[:, 0]
-    below = value < 0
-    if begins and value.size > 1 and value[0] == 0:
-        below[0] = below[1]  # the first state is no crossing
-    change = below[1:].astype(int) - below[:-1]
-    change[~np.isfinite(value[1:] - value[:-1])] = 0
-    start = np.flatnonzero(change if direction == 0 else change == -direction)
+    dense, stepper, wrapped = DenseOutput(run), run._stepper, list(wanted.wrapped)
+
+    def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
+        q = q.copy()
+        q[:, wrapped] -= TURN * turns
+        return watch(stepper, [wanted], t, q, p, run._values)[:, 0]
+
+    # an angle stays in the turn in which the interval begins; where it ends in another, that is
+    # looked at as well
+    turns = np.floor(run.q[:, wrapped] / TURN + 0.5)
+    begin = np.arange(len(run) - 1)
+    passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
+    start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
+    first, last = (value(run.t[k], run.q[k], run.p[k], turn) for k in (start, start + 1))
+    below = first < 0
+    if begins and start.size and first[0] == 0:
+        below[0] = last[0] < 0  # the first state is no crossing
+    change = (last < 0).astype(int) - below
+    change[~np.isfinite(last - first)] = 0
+    here = np.flatnonzero(change if direction == 0 else change == -direction)
+    start, turn, change = start[here], turn[here], change[here]
+    first, last = first[here], last[here]
     state: list[Floats] = [np.zeros((start.size, stepper.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
         q, p, codes = dense.after(start[which], later)
         q[codes != 0] = np.nan
         state[0][which], state[1][which] = q, p
-        times = run.t[start[which]] + later
-        return watch(stepper, [wanted], times, q, p, run._values)[:, 0]
+        return value(run.t[start[which]] + later, q, p, turn[which])
 
     span = run.t[start + 1] - run.t[start]
-    ends = value[start], value[start + 1]
-    later = chandrupatla(at, span, *ends)
+    later = chandrupatla(at, span, first, last)
     left = at(np.arange(start.size), later)
-    real = np.abs(left) <= JUMP * (np.abs(ends[0]) + np.abs(ends[1]))
-    q, p = (x[real] for x in state)
-    return run.t[start[real]] + later[real], q, p, -change[start[real]].astype(float)
+    real = np.abs(left) <= JUMP * (np.abs(first) + np.abs(last))
+    angles = state[0][:, wrapped] - TURN * turn
+    real &= (np.abs(angles) <= (1 + SEAM) * np.pi).all(axis=1)
+    order = np.lexsort((later * np.sign(span), start))
+    order = order[real[order]]
+    if passing.size:  # what lies on the seam was found on both of its sides
+        same = (np.diff(start[order]) == 0) & (
+            np.abs(np.diff(later[order])) <= SEAM * np.abs(span[order[1:]])
+        )
+        order = order[np.append(True, ~same)[: order.size]]
+    q, p = (x[order] for x in state)
+    return run.t[start[order]] + later[order], q, p, -change[order].astype(float)
 
 
 def chandrupatla(

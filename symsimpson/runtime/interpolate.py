@@ -24,6 +24,8 @@ NOTHING = 1e-14
 AT_ONCE = 16384
 #: Into so many parts the rest of a step is divided, one after the other, until they can be taken.
 DIVISIONS = (1, 4, 16, 64)
+#: A path is straight to rounding over so much of a step.
+LITTLE = 1e-10
 
 
 class DenseOutput:
@@ -56,6 +58,15 @@ class DenseOutput:
                 "Store states: every=1, or every=100."
             )
         self._run = run
+        numbers = run._stepper._numbers
+        with numbers.working():  # float64 as it is, without a copy
+            whole = [np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
+                     for x in (run.t, run.q, run.p)]  # fmt: skip
+        self._t, self._q, self._p = whole
+        self._sign = 1.0 if run.h > 0 else -1.0
+        self._forward = self._sign * np.asarray(run.t, dtype=float)
+        digits = getattr(numbers, "digits", None)
+        self._nothing = NOTHING if digits is None else 10.0 ** (2 - digits)
 
     def __call__(self, t: ArrayLike) -> Reals:
         """Give positions and momenta, shape (2 n,) for a number and (2 n, m) for m of them."""
@@ -79,8 +90,7 @@ class DenseOutput:
         if times.ndim > 1:
             raise InputError(f"t has shape {times.shape}.\nPass a number, or a list of them.")
         asked = np.atleast_1d(numbers.result(times))
-        stored = np.asarray(run.t, dtype=float)
-        first, last = stored[0], float(run.t[0] + run.h * run.steps)
+        first, last = float(run.t[0]), float(run.t[0] + run.h * run.steps)
         low, high = min(first, last), max(first, last)
         slack = 1e-12 * max(abs(low), abs(high), abs(float(run.h)))
         rough = asked.astype(float)
@@ -90,9 +100,8 @@ class DenseOutput:
                 f"t = {rough[~inside][0]:g} lies outside of the run, {low:g} <= t <= {high:g}.\n"
                 "Integrate further, or ask for times within."
             )
-        sign = 1.0 if run.h > 0 else -1.0
-        start = np.searchsorted(sign * stored, sign * rough, side="right") - 1
-        start = np.clip(start, 0, stored.size - 1)
+        start = np.searchsorted(self._forward, self._sign * rough, side="right") - 1
+        start = np.clip(start, 0, self._forward.size - 1)
         q, p, codes = self.after(start, asked - run.t[start])
         if codes.any():
             worst = int(np.argmax(codes != 0))
@@ -113,13 +122,13 @@ class DenseOutput:
         h = run.h
         whole = np.maximum(np.floor(np.asarray(later / h, dtype=float)), 0).astype(np.int64)
         rest = later - whole * h
-        none = np.abs(np.asarray(rest / h, dtype=float)) <= NOTHING
+        none = np.abs(np.asarray(rest / h, dtype=float)) <= self._nothing
         order = np.lexsort((whole, start))
         with numbers.working():
             W = numbers.zeros((facts.rows, 1))
             first = facts.layout["PARAMETER"]
             W[first : first + run._values.size, 0] = numbers.read(run._values)
-            t, q, p, step = (numbers.read(x) for x in (run.t, run.q, run.p, h))
+            t, q, p, step = self._t, self._q, self._p, numbers.read(h)
             rest = numbers.read(np.where(none, 0 * rest, rest))
             found_q, found_p = numbers.zeros((2, len(order), facts.n))
             fine = np.zeros(len(order), dtype=np.bool_)
@@ -151,7 +160,11 @@ class DenseOutput:
         for parts in DIVISIONS:
             state, status = self._run_on(q, p, rest / parts, parts)
             if status is Status.SUCCESS:
-                break
+                return state, status
+        if abs(float(rest / self._run.h)) < LITTLE:  # near enough to the line to the next state
+            ahead, status = self._run_on(q, p, self._run.h, 1)
+            part = rest / self._run.h
+            return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 
     def _run_on(self, q: Reals, p: Reals, h: Any, steps: int) -> tuple[Any, Status]:

@@ -115,7 +115,14 @@ def read_facts(text: str, where: str) -> Facts:
     _check_digest(text, where)
     constants: dict[str, Any] = {}
     functions: list[str] = []
-    for node in ast.parse(text).body:
+    try:
+        body = ast.parse(text).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise StaleKernelError(
+            f"{where}: this is no Python, so no module that symsimpson generated.\n"
+            "It is damaged, or was made by somebody else. Generate it anew."
+        ) from None
+    for node in body:
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
             value = node.value
             if isinstance(value, ast.Call) and value.args:  # array((...))

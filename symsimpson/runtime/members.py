@@ -73,7 +73,7 @@ def read_task(
                 f"{name} has {size} members, another argument has {members}.\n"
                 "Give each argument one row for each member, or one for all."
             )
-    stride, reductions = read_every(every), read_reductions(stepper._facts, reduce)
+    stride, reductions = read_every(every), read_reductions(stepper, reduce)
     workers = _threads(threads)
     lanes = lanes_for(stepper._facts)
     stored = count // stride + 1 if stride else 1

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import ast
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.load import Facts
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
 
 __all__ = [
     "KINDS",
@@ -27,17 +29,17 @@ __all__ = [
 #: Ways to reduce values over the steps of a run, in the order of their numbers.
 KINDS = ("min", "max", "mean", "first")
 
-_FUNCTIONS = {
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log",
-    "sqrt", "abs", "min", "max",
-}  # fmt: skip
+#: Functions, and how many arguments they take at least and at most.
+_FUNCTIONS = dict.fromkeys(
+    ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt",
+     "abs"), (1, 1),
+) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}  # fmt: skip
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
 _SIGNS: dict[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
 }  # fmt: skip
 LONGEST = 2000
-#: Angles that differ by this are one.
-TURN = 2 * math.pi
+LARGEST = 10**300
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class Observed:
     energy : bool
         Whether it contains the energy.
     wrapped : tuple of int
-        Coordinates that it takes from the turn between -pi and pi.
+        Coordinates of which the turn between -pi and pi is meant.
     """
 
     expression: str
@@ -70,7 +72,7 @@ class Reduction(Observed):
     kind: str = KINDS[0]
 
 
-def read_expression(facts: Facts, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
+def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
 
     Raises
@@ -82,11 +84,14 @@ def read_expression(facts: Facts, expression: Any, wrapped: tuple[int, ...] = ()
     text = str(expression)
     if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
         text = f"({expression.lhs}) - ({expression.rhs})"
-    reader = _Reader(facts, "the expression")
+    reader = _Reader(stepper, "the expression")
+    for symbol in getattr(expression, "free_symbols", ()):
+        if not str(symbol).isidentifier():
+            raise reader._refuse(f"the name {str(symbol)!r} could be read as something else")
     return Observed(str(expression), reader.read(text), reader.energy, wrapped)
 
 
-def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
+def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
     """Read a mapping from names to pairs of a kind and an expression.
 
     Raises
@@ -109,7 +114,7 @@ def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Redu
                 f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS)} and an "
                 "expression, such as ('max', 'q1') or ('first', 'q1 - 3')."
             )
-        reader = _Reader(facts, f"reduce[{name!r}]")
+        reader = _Reader(stepper, f"reduce[{name!r}]")
         text = reader.read(str(pair[1]))
         found.append(
             Reduction(str(pair[1]), text, reader.energy, name=str(name), kind=str(pair[0]))
@@ -120,14 +125,15 @@ def read_reductions(facts: Facts, given: Mapping[str, Any] | None) -> tuple[Redu
 class _Reader:
     """Writes an expression anew from its syntax tree; what is not on the list is refused."""
 
-    def __init__(self, facts: Facts, where: str) -> None:
+    def __init__(self, stepper: Evaluator, where: str) -> None:
         self._where = where
         self.energy = False
         self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
-        self._known |= {q: f"q_{i}" for i, q in enumerate(facts.coordinates)}
-        self._known |= {f"p_{q}": f"p_{i}" for i, q in enumerate(facts.coordinates)}
-        self._known |= {a: f"a_{i}" for i, a in enumerate(facts.parameters)}
-        self._moving = set(facts.coordinates)
+        coordinates = stepper._coordinate_names
+        self._known |= {a: f"a_{i}" for a, i in stepper._aliases.items()}
+        self._known |= {f"p_{q}": f"p_{i}" for q, i in coordinates.items()}
+        self._known |= {q: f"q_{i}" for q, i in coordinates.items()}
+        self._moving = set(coordinates)
 
     def read(self, text: str) -> str:
         if len(text) > LONGEST:
@@ -152,6 +158,8 @@ class _Reader:
             case ast.Constant(value=bool()):
                 raise self._refuse("it contains a truth value")
             case ast.Constant(value=int() | float() as number):
+                if not -LARGEST < number < LARGEST:
+                    raise self._refuse("it contains a number that is too large")
                 return repr(float(number))
             case ast.Name(id=name) if name in self._known:
                 self.energy |= name == "energy"
@@ -163,6 +171,9 @@ class _Reader:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if (
                 _SPELLED.get(name, name) in _FUNCTIONS and arguments
             ):
+                least, most = _FUNCTIONS[_SPELLED.get(name, name)]
+                if not least <= len(arguments) <= most:
+                    raise self._refuse(f"{name} is given {len(arguments)} arguments")
                 inner = ", ".join(map(self._write, arguments))
                 return f"{_SPELLED.get(name, name)}({inner})"
             case ast.UnaryOp(op=op, operand=operand) if isinstance(op, (ast.USub, ast.UAdd)):
@@ -180,8 +191,7 @@ class _Reader:
 def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
     """Write a kernel that puts the quantities into the rows behind the workspace's others."""
     lines = [
-        "from math import acos, asin, atan, atan2, cos, cosh, exp, floor, log, sin, sinh, sqrt",
-        "from math import tan, tanh",
+        "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
         "",
         "",
         "def observe(h, t, workspace):",
@@ -194,8 +204,6 @@ def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(facts.parameters))]
     rows.append(("energy", "ENERGY"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
-    for a in sorted({a for one in found for a in one.wrapped}):
-        lines.append(f"        q_{a} -= {TURN!r} * floor(q_{a} / {TURN!r} + 0.5)")
     lines += [f"        W[{facts.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"
 

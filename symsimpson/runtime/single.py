@@ -159,7 +159,8 @@ def begin_run(
 def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
     key = (run.h, values.tobytes())
-    if stepper._declared is not None and key not in stepper._looked_at:
+    plain = run.W.dtype == np.float64
+    if plain and stepper._declared is not None and key not in stepper._looked_at:
         stepper._looked_at.add(key)
         from symsimpson.analysis.stability.frequency import warn_of_step  # loads SymPy
 

@@ -100,12 +100,12 @@ class States:
                 t=self.t[key], q=self.q[key], p=self.p[key], _stepper=self._stepper,
                 _values=self._values,
             )  # fmt: skip
-        coordinates = self._stepper.coordinates
+        coordinates = self._stepper._coordinate_names
         if key in coordinates:  # a user's names come first
-            return self.q[:, coordinates.index(key)]
+            return self.q[:, coordinates[key]]
         for prefix in "pv":
             if str(key).startswith(f"{prefix}_") and key[2:] in coordinates:
-                return cast(NDArray[Any], getattr(self, prefix)[:, coordinates.index(key[2:])])
+                return cast(NDArray[Any], getattr(self, prefix)[:, coordinates[key[2:]]])
         if key in self._stepper.invariants:
             return self.invariants[key]
         if key in ("t", "energy"):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status
 
@@ -111,12 +112,11 @@ class Trajectory(States):
         >>> run.at([0.05, 1/3])["theta"].shape
         (2,)
         """
-        times = np.atleast_1d(np.asarray(t))
+        numbers = self._stepper._numbers
+        with numbers.working():
+            times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
-        kind = self.t.dtype
-        return States(
-            t=times.astype(kind), q=q, p=p, _stepper=self._stepper, _values=self._values
-        )  # fmt: skip
+        return States(t=times, q=q, p=p, _stepper=self._stepper, _values=self._values)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
         """Find where an expression becomes zero, to the rounding of a step.

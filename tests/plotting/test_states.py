@@ -30,8 +30,13 @@ def test_quantities_over_time(run):
     assert run.plot("energy", ax=ax) is ax
     assert (ax.lines[2].get_ydata() == run.energy).all()
     assert len(run[:50].plot(["v_q1", "p_q2"]).lines[0].get_xdata()) == 50
-    with pytest.raises(KeyError, match="there is no 'q3'"):
-        run.plot("q3")
+    import matplotlib.pyplot as plt
+
+    before = plt.get_fignums()
+    for wrong in (run.plot, run.plot_phase):
+        with pytest.raises(KeyError, match="there is no 'q3'"):
+            wrong("q3")
+    assert plt.get_fignums() == before  # no empty figure is left
 
 
 def test_phase_plane_and_sections(run):
@@ -62,6 +67,10 @@ def test_paths(run):
     top = ss.compile(ss.systems.lagrange_top())
     spatial = top.integrate(**top.reference_state, h=0.001, steps=50).plot_path()
     assert spatial.name == "3d"
+    with pytest.raises(ss.InputError, match="these axes are plane"):
+        top.integrate(**top.reference_state, h=0.001, steps=50).plot_path(ax=ax)
+    with pytest.raises(ss.InputError, match="no states to draw"):
+        run[5:5].plot_path()
 
 
 def test_without_matplotlib(run, monkeypatch):

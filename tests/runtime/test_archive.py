@@ -43,6 +43,13 @@ def test_what_is_opened_is_what_was_saved(tmp_path, name, scheme, options, endin
     assert found._stepper.source == run._stepper.source
 
 
+@pytest.mark.parametrize(("t0", "h"), [(1e9, 1e-3), (0.0, 1e-10), (-5.0, 0.1), (1e6, -1e-4)])
+def test_times_of_any_kind(tmp_path, t0, h):
+    run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=h, steps=50, t0=t0)
+    run.save(tmp_path / "run.nc")
+    assert (ss.open_trajectory(tmp_path / "run.nc").t == run.t).all()
+
+
 def test_others_can_read_it(tmp_path):
     run = run_of("lagrange_top", "simpson")
     run.save(tmp_path / "run.nc")
@@ -106,10 +113,14 @@ def with_module(data, edit):
 
 
 def hostile(text):
+    return resigned(text, "\nopen('canary', 'w').close()\n")
+
+
+def resigned(text, more):
     from symsimpson.runtime.load import SIGNED, digest
 
     found = SIGNED.search(text)
-    body = text[found.end() :] + "\nopen('canary', 'w').close()\n"
+    body = text[found.end() :] + more
     return text[: found.start(1)] + digest(body) + text[found.end(1) : found.end()] + body
 
 
@@ -129,6 +140,7 @@ def hostile(text):
          "does not match the digest"),
         (lambda d: with_module(d, hostile), ss.StaleKernelError, "no generated module has"),
         (lambda d: with_module(d, lambda t: "print(1)"), ss.StaleKernelError, "no module"),
+        (lambda d: with_module(d, lambda t: resigned(t, "\n)(")), ss.StaleKernelError, "no Python"),
     ],
 )  # fmt: skip
 def test_files_that_were_edited(tmp_path, monkeypatch, change, error, message):

@@ -93,6 +93,29 @@ def test_many_digits():
     assert (run.sol(0.5) == run.y[:, 2]).all()
 
 
+def test_many_digits_resolve_more_of_a_step():
+    stepper = ss.compile(ss.systems.pendulum(), precision=40)
+    run = stepper.integrate([1.0], v0=[0.0], h="0.1", steps=10)
+    slopes = []
+    for little in ("5e-16", "2e-15", "1e-20"):
+        later = run.t[5] + type(run.t[5])(little)
+        slopes.append(float((run.sol(later) - run.y[:, 5])[0] / type(run.t[5])(little)))
+    assert slopes == pytest.approx([float(run.v[5, 0])] * 3, rel=1e-9)
+    assert run.at(["0.25"]).t[0] == run.at([0.25]).t[0]
+    assert type(run.at([0.25]).t[0]) is type(run.t[0])
+    assert run.plot_energy().get_xlabel() == "t"
+    assert run.plot_path().get_aspect() == 1
+
+
+def test_the_least_part_of_a_step_is_taken():
+    stepper = ss.compile(ss.systems.lagrange_top(), "midpoint")
+    start = ss.systems.lagrange_top().reference_state
+    for h in (1e-3, 1e-4):
+        run = stepper.integrate(**start, h=h, steps=30)
+        for little in (1e-17, 1e-16, 1e-15, 1e-14):
+            assert np.abs(run.sol(little) - run.y[:, 0]).max() < 300 * little + 1e-16
+
+
 def test_states_at_times_have_everything():
     run = run_of("double_pendulum", "gauss16", 0.01)
     found = run.at(np.linspace(0.5, 1.5, 11))

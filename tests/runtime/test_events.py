@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
+import sympy.physics.mechanics
 
 import symsimpson as ss
 from symsimpson.runtime import section
@@ -59,6 +60,39 @@ def test_wrapped_angles_are_not_crossed_where_they_jump(pendulum):
     assert len(found) == turns
     assert np.abs(found["theta"]).max() < 1e-12
     assert (np.abs(run.events("theta - 1", wrap="theta")["theta"] - 1) < 1e-12).all()
+
+
+@pytest.mark.parametrize("place", ["3", "2.5", "3.1", "3.14", "-3.1", "3.141592653589793"])
+@pytest.mark.parametrize("h", [0.1, -0.1, 0.01])
+def test_wrapped_zeros_near_the_seam_are_all_found(pendulum, place, h):
+    run = pendulum.integrate([1.0], v0=[10.0], h=h, steps=round(20 / abs(h)))
+    turns = abs(run.events(f"sin((theta - ({place}))/2)").t)
+    for wrap in (True, "theta", ss.coordinates("theta")[0], ["theta"]):
+        found = run.events(f"theta - ({place})", wrap=wrap)
+        assert len(found) == len(turns) > 20
+        assert np.abs(abs(found.t) - turns).max() < 1e-12
+    assert len(run.events(f"sin(theta - ({place}))", wrap=True)) == len(
+        run.events(f"sin(theta - ({place}))")
+    )
+
+
+def test_a_users_own_names_come_before_those_of_the_module():
+    x, y = sp.physics.mechanics.dynamicsymbols("φ q0")
+    k1, k2 = sp.symbols("_k a0", positive=True)
+    system = ss.MechanicalSystem(
+        "renamed", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=k1 * x**2 / 2 + k2 * y**2 / 2, parameters={k1: 1.0, k2: 9.0},
+    )  # fmt: skip
+    stepper = ss.compile(system)
+    given = {"v0": [0, 0], "h": 0.05, "steps": 100}
+    run = stepper.integrate([1.0, 1.0], **given)
+    assert abs(run.events(y).t[0] - np.pi / 6) < 1e-5
+    assert abs(run.events(x).t[0] - np.pi / 2) < 1e-5
+    assert (run["q0"] == run.q[:, 1]).all()
+    assert (run["φ"] == run.q[:, 0]).all()
+    assert np.abs(9 * run.events(y - k2 / 90)["q0"] - 0.9).max() < 1e-12
+    many = stepper.ensemble([[1.0, 0.5]], **given, reduce={"least": ("min", y)})
+    assert abs(many.reduced["least"][0] + 0.5) < 1e-3
 
 
 def test_poles_are_no_zeros(pendulum):
@@ -143,6 +177,11 @@ def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
         ("__import__('os').system('true')", {}, "contains"),
         ("theta.real", {}, "contains"),
         ("(", {}, "no expression"),
+        ("atan2(theta)", {}, "atan2 is given 1 arguments"),
+        ("sin(theta, 2)", {}, "sin is given 2 arguments"),
+        ("theta - 1e400", {}, "too large"),
+        ("theta - " + "1" * 400, {}, "too large"),
+        ("theta", {"wrap": 5}, "no coordinate"),
         ("x" * 3000, {}, "characters"),
     ],
 )
