@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.ensemble import Ensemble
-from symsimpson.runtime.evaluate import watch
+from symsimpson.runtime.evaluate import watching
 from symsimpson.runtime.load import Facts, Kernels
 from symsimpson.runtime.machine import driver
 from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_values
@@ -238,7 +238,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
             return
         q, p = run.q, run.p
         if task.reductions:
-            seen = watch(stepper, task.reductions, run.t, run.q, run.p, task.parameters[member])
+            seen = watching(stepper, task.reductions, task.parameters[member])(run.t, run.q, run.p)
             values = reduce_values(task.reductions, run.t, seen)
             results.seen[member, : 2 * len(values) : 2] = values
             q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, read_number, read_vector
 from symsimpson.runtime.load import Kernels, equations_of
-from symsimpson.runtime.machine import Run
+from symsimpson.runtime.machine import Run, workspace
 from symsimpson.runtime.observe import Observed, observing_kernel
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
 
-__all__ = ["evaluate", "evaluate_energy", "evaluate_equations", "watch"]
+__all__ = ["evaluate", "evaluate_energy", "evaluate_equations", "watching"]
 
 Reals = NDArray[Any]
 
@@ -25,24 +25,24 @@ def evaluate(
     stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
 ) -> Reals:
     """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-    facts, kernels = stepper._facts, stepper._kernels
-    wanted = (facts.rows, facts.layout[block], count)
-    with stepper._numbers.working():
-        t = stepper._numbers.zeros(len(q))
-        return _evaluated(stepper, wanted, 0, kernels.address(kernel), t, q, p, values)
+    facts, numbers = stepper._facts, stepper._numbers
+    with numbers.working():
+        W = workspace(facts, numbers, numbers.read(values))
+        address, t = stepper._kernels.address(kernel), numbers.zeros(len(q))
+        return _evaluated(stepper, W, (0, address), (facts.layout[block], count), t, q, p)
 
 
-def watch(
-    stepper: Evaluator, found: Sequence[Observed], t: Reals, q: Reals, p: Reals, values: Reals
-) -> Reals:
-    """Evaluate expressions at many states; shape (len(q), len(found)).
+def watching(
+    stepper: Evaluator, found: Sequence[Observed], values: Reals
+) -> Callable[[Reals, Reals, Reals], Reals]:
+    """Give what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
 
     Raises
     ------
     InputError
         If the stepper has many digits.
     """
-    facts, kernels = stepper._facts, stepper._kernels
+    facts, numbers, kernels = stepper._facts, stepper._numbers, stepper._kernels
     if not isinstance(kernels, Kernels):
         raise InputError(
             "expressions are evaluated in double precision, and this stepper has many digits.\n"
@@ -50,24 +50,22 @@ def watch(
         )
     kernel = kernels.observing(observing_kernel(facts, found), len(found))
     energy = kernels.address("energy") if any(one.energy for one in found) else 0
-    wanted = (facts.rows + len(found), facts.rows, len(found))
-    return _evaluated(stepper, wanted, energy, kernel, t, q, p, values)
+    W = workspace(facts, numbers, numbers.read(values), more=len(found))
+    return lambda t, q, p: _evaluated(
+        stepper, W, (energy, kernel), (facts.rows, len(found)), t, q, p
+    )  # fmt: skip
 
 
 def _evaluated(
-    stepper: Evaluator, wanted: tuple[int, int, int], before: Any, kernel: Any, t: Reals, q: Reals,
-    p: Reals, values: Reals,
+    stepper: Evaluator, W: Reals, kernels: tuple[Any, Any], block: tuple[int, int], t: Reals,
+    q: Reals, p: Reals,
 ) -> Reals:  # fmt: skip
-    """Evaluate one kernel, or two, in a workspace of so many rows: a block of so many."""
-    facts, numbers = stepper._facts, stepper._numbers
-    rows, block, count = wanted
-    W = numbers.zeros((rows, 1))
-    first = facts.layout["PARAMETER"]
-    W[first : first + values.size, 0] = numbers.read(values)
+    """Evaluate two kernels, the first of which may be 0; gives a block of so many rows."""
+    numbers, (first, count) = stepper._numbers, block
     out = numbers.zeros((len(q), count))
     numbers.driver("evaluate")(
-        stepper._kernels.address("prepare"), before, kernel, numbers.read(1.0).item(), W,
-        facts.places, numbers.read(t), numbers.read(q), numbers.read(p), block, out,
+        stepper._kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
+        stepper._facts.places, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
     )  # fmt: skip
     return numbers.result(out)
 

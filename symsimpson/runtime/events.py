@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluate import watch
+from symsimpson.runtime.evaluate import watching
 from symsimpson.runtime.interpolate import DenseOutput
 from symsimpson.runtime.observe import Observed, read_expression
 from symsimpson.runtime.states import States
@@ -128,12 +128,13 @@ def gather(run: Trajectory, question: Question, found: Sequence[tuple[Floats, ..
 def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[Floats, ...]:
     """Find times, positions, momenta and directions of the zeros between stored states."""
     wanted, direction = question
-    dense, stepper, wrapped = DenseOutput(run), run._stepper, list(wanted.wrapped)
+    dense, wrapped = DenseOutput(run), list(wanted.wrapped)
+    watched = watching(run._stepper, [wanted], run._values)
 
     def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
         q = q.copy()
         q[:, wrapped] -= TURN * turns
-        return watch(stepper, [wanted], t, q, p, run._values)[:, 0]
+        return watched(t, q, p)[:, 0]
 
     # an angle stays in the turn in which the interval begins; where it ends in another, that is
     # looked at as well
@@ -141,7 +142,12 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
     begin = np.arange(len(run) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    first, last = (value(run.t[k], run.q[k], run.p[k], turn) for k in (start, start + 1))
+    own = value(run.t, run.q, run.p, turns)  # each state in its own turn
+    first, last = np.append(own[:-1], own[passing]), np.append(own[1:], own[passing + 1])
+    if passing.size:  # an interval has one turn for both of its ends
+        new, end = np.arange(len(begin), len(start)), passing + 1
+        first[new] = value(run.t[passing], run.q[passing], run.p[passing], turn[new])
+        last[passing] = value(run.t[end], run.q[end], run.p[end], turn[passing])
     below = first < 0
     if begins and start.size and first[0] == 0:
         below[0] = last[0] < 0  # the first state is no crossing
@@ -150,7 +156,7 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
     here = np.flatnonzero(change if direction == 0 else change == -direction)
     start, turn, change = start[here], turn[here], change[here]
     first, last = first[here], last[here]
-    state: list[Floats] = [np.zeros((start.size, stepper.n)) for _ in "qp"]
+    state: list[Floats] = [np.zeros((start.size, run._stepper.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
         q, p, codes = dense.after(start[which], later)

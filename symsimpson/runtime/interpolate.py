@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
-from symsimpson.runtime.machine import Run
+from symsimpson.runtime.machine import Run, workspace
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -125,9 +125,7 @@ class DenseOutput:
         none = np.abs(np.asarray(rest / h, dtype=float)) <= self._nothing
         order = np.lexsort((whole, start))
         with numbers.working():
-            W = numbers.zeros((facts.rows, 1))
-            first = facts.layout["PARAMETER"]
-            W[first : first + run._values.size, 0] = numbers.read(run._values)
+            W = workspace(facts, numbers, numbers.read(run._values))
             t, q, p, step = self._t, self._q, self._p, numbers.read(h)
             rest = numbers.read(np.where(none, 0 * rest, rest))
             found_q, found_p = numbers.zeros((2, len(order), facts.n))

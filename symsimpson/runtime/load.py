@@ -230,7 +230,7 @@ class Kernels:
         text = text.replace(
             "from numba import", "from math import cos, sin\n\nfrom numba import", 1
         )
-        pivoted = "newton_pivoted" if "newton_pivoted" in self._facts.functions else "newton"
+        pivoted = "newton_pivoted" if self._facts.straight else "newton"
         return self._watched(
             self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
         )

@@ -20,7 +20,7 @@ from symsimpson.runtime.status import Status
 if TYPE_CHECKING:
     from symsimpson.runtime.numbers import KernelSet, Numbers
 
-__all__ = ["Run", "driver", "driver_text"]
+__all__ = ["Run", "driver", "driver_text", "workspace"]
 
 #: The modules that are compiled as one text, in this order.
 PARTS = ("driver", "mend", "march", "sweep", "dense")
@@ -56,6 +56,16 @@ def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
     return compiled(driver_text(lanes), f"driver-{name}", build)
 
 
+def workspace(
+    facts: Facts, numbers: Numbers, parameters: NDArray[Any], more: int = 0
+) -> NDArray[Any]:
+    """Make the workspace of one lane, with the parameters in it and so many further rows."""
+    W = numbers.zeros((facts.rows + more, 1))
+    first = facts.layout["PARAMETER"]
+    W[first : first + parameters.size, 0] = parameters
+    return W
+
+
 class Run:
     """A trajectory under way: its workspace, and the arrays in which states are stored.
 
@@ -77,11 +87,9 @@ class Run:
         layout, n = facts.layout, facts.n
         self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
-        self.W = numbers.zeros((facts.rows, 1))
+        self.W = workspace(facts, numbers, parameters)
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]
-        first = layout["PARAMETER"]
-        self._column[first : first + parameters.size] = parameters
         self.q, self.p = numbers.zeros((2, stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
