@@ -95,6 +95,13 @@ def test_hostile_names_stay_text(shown):
     assert "a_{0}" in system._repr_latex_()
 
 
+def test_every_cell_is_escaped():
+    cells = [[HOSTILE, HOSTILE], [HOSTILE, HOSTILE]]
+    for text in (markup.table(cells), markup.facts(cells), markup.box(HOSTILE)):
+        assert "img" not in tags_of(text)
+        assert "&lt;img" in text
+
+
 def test_failed_runs_say_so():
     stepper = ss.compile(ss.systems.henon_heiles())
     run = stepper.integrate([0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=500, on_failure="return")
