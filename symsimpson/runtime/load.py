@@ -190,6 +190,7 @@ class Kernels:
         self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
         self._staged = facts.by_stages and lanes == 1  # nodes are lanes, or members are
+        self._single: dict[str, int] = {}
 
     @cached_property
     def ladder(self) -> tuple[str, ...]:
@@ -237,7 +238,9 @@ class Kernels:
 
     def address(self, name: str) -> int:
         """Give the address of one kernel."""
-        return int(self._addresses(self._text, name, (name,))[0])
+        if name not in self._single:  # finding it among what is compiled takes the text's digest
+            self._single[name] = int(self._addresses(self._text, name, (name,))[0])
+        return self._single[name]
 
     def observing(self, kernel: str, rows: int) -> int:
         """Give the address of a further kernel, whose text is compiled behind the module's.
