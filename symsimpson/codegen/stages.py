@@ -192,10 +192,9 @@ class StageKernels:
         return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
 
     def _start(self) -> Kernel:
-        """From q and p to velocities and forces that are the same at all nodes."""
+        """From q and p to velocities that are the same at all nodes."""
         low, point = self._low, self._low.start_point()
         v, deficit = velocity(low, point, low.p, "velocity")
-        moving = Point(f"{point.suffix}_moving", low.q, tuple(v))
         stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
         for a in range(low.n):
             stores.append(Store(Row("METRIC", a), low.template.entry(point, "velocity", "M", a, a)))
@@ -204,12 +203,8 @@ class StageKernels:
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
             same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
-        for a in self._forced:
-            force = low.template.entry(moving, "forces", "L_q", a)
-            stores.append(Store(Row("NODE_L_Q", a), force))
-            same.append(Store(Row("STAGE_F", self._place(a)), self._share * force))
         body = (*low.statements(stores, STATE), Loop("node", "range(STRIDE)", tuple(same)))
-        doc = "Begin at (q, p): the same velocity and force at all nodes."
+        doc = "Begin at (q, p): the same velocity at all nodes."
         return Kernel("start_stages", doc, lanes(body))
 
     def _advance(self) -> Kernel:
@@ -249,7 +244,7 @@ class StageKernels:
         # steps that take many iterations are long: there a smoother extrapolation is closer
         smooth = Index("smooth", f"{self._nodes} if W[STAGE_COUNT, lane] > MANY else 0")
         body = [*closing, smooth, Call("question_stages", HERE), *following]
-        doc = "Close a step by compensated sums, then extrapolate what the nodes have to the next."
+        doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))
 
     def _mismatch(
@@ -273,13 +268,10 @@ class StageKernels:
         return define("cyclic_mismatch_squared", sp.Add(*terms), section)
 
     def _ahead(self) -> list[Store]:
-        """Extrapolate to the nodes of the next step."""
+        """Extrapolate velocities to the nodes of the next step; forces follow from them."""
         names, section = self._low.names.coordinates, "extrapolation"
         stores = []
         for a, name in enumerate(names):
             value = self._combined(self._next, self._moves[a], f"dq_{name}_ahead", section)
             stores.append(Store(Row("STAGE_V", self._place(a)), value))
-        for a in self._forced:
-            value = self._combined(self._next, self._kicks[a], f"dp_{names[a]}_ahead", section)
-            stores.append(Store(Row("STAGE_F", self._place(a)), value))
         return stores
