@@ -109,7 +109,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     numbers = "\n".join(
         part
         for part in (
-            _imports(printer.used, arrays="array(" in tables or "stage_tables(" in made),
+            _imports(printer.used, arrays="array(" in tables or "stage_table(" in made),
             _facts(equations, module),
             _layout(module),
         )
@@ -274,7 +274,7 @@ def _made(equations: DiscreteEquations, module: Module) -> str:
         names = "POINTS, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
         lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
     if "STRIDE" in module.tables:
-        lines.append(f'STAGE_PATH, STAGE_IMPULSE, STAGE_AHEAD = stage_tables("{kind}", {s})')
+        lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
     return "\n".join(["DIGITS = 40", *lines, ""]) if lines else ""
 
 

@@ -136,7 +136,7 @@ def _module(
         stage_sizes = stages.sizes
         if stages.kernels:
             tables = {**tables, "STRIDE": stages.stride}
-            shares = (Call("step_shares", ("W", "h", "lane")),)
+            shares = (Call("stage_constants", ("W", "h", "lane")),)
     stores = [
         Store(Row("COEFFICIENT", i), low.graph.define("coefficient", _own(low, value), "constants"))
         for i, value in enumerate(low.coefficients)

@@ -24,8 +24,9 @@ BLOCKS = (
     "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
     "NODE_L_Q", "NODE_L_V",
     "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT",
-    "STAGE_V", "STAGE_F", "STAGE_STEP", "STAGE_RATE", "STAGE_CORRECTION", "STAGE_SIZE",
-    "STAGE_HELD", "STAGE_EXPECTED", "STAGE_COUNT", "RESIDUAL", "JACOBIAN",
+    "STAGE_V", "STAGE_F", "STAGE_STEP", "STAGE_RATE", "STAGE_MU", "STAGE_NU", "STAGE_AHEAD",
+    "STAGE_CORRECTION", "STAGE_SIZE", "STAGE_HELD", "STAGE_EXPECTED", "STAGE_COUNT",
+    "RESIDUAL", "JACOBIAN",
 )  # fmt: skip
 
 #: What an emitted module defines or imports; no symbol may take these names.
@@ -58,9 +59,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "ROUNDING",
         "smooth",
         "DIGITS",
-        "STAGE_PATH",
-        "STAGE_IMPULSE",
-        "STAGE_AHEAD",
+        "STAGE_TABLE",
         "sum",
         "len",
         "zip",

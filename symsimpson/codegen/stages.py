@@ -72,9 +72,13 @@ class StageKernels:
         self._own = [row(f"dq_{name}_j", "STAGE_V", self._place(a)) for a, name in enumerate(names)]
         self._share = row("h_b", "STAGE_STEP", "node")
         self._rate = row("rate", "STAGE_RATE", "node")
-        self._mu = [declare(fresh(f"mu_{j}"), Level.ITERATION) for j in range(self._nodes)]
-        self._nu = [declare(fresh(f"nu_{j}"), Level.LATE) for j in range(self._nodes)]
-        self._next = [declare(fresh(f"ahead_{j}"), Level.LATE) for j in range(self._nodes)]
+        nodes = range(self._nodes)
+        self._mu = [row(f"mu_{j}", "STAGE_MU", self._place(j)) for j in nodes]
+        self._nu = [row(f"nu_{j}", "STAGE_NU", self._place(j), Level.LATE) for j in nodes]
+        self._next = [
+            row(f"ahead_{j}", "STAGE_AHEAD", f"smooth + {self._place(j)}", Level.LATE)
+            for j in nodes
+        ]
         self._forced = [a for a, force in enumerate(low.equations.jet.L_q) if force != 0]
         iterate, operations = self._iterate()
         self.kernels = (
@@ -87,7 +91,10 @@ class StageKernels:
         if not self.kernels:
             return {}
         n = self._low.n
-        rows = {"V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1, "HELD": self.held}
+        rows = {
+            "V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1, "HELD": self.held,
+            "MU": self._nodes, "NU": self._nodes, "AHEAD": 2 * self._nodes,
+        }  # fmt: skip
         return {
             **{f"STAGE_{name}": count * self.stride for name, count in rows.items()},
             "STAGE_EXPECTED": 1,
@@ -108,14 +115,14 @@ class StageKernels:
         return define(wish, first + second, section)
 
     def _over_nodes(
-        self, body: Iterable[Statement], tables: Iterable[Index], known: Iterable[Statement] = ()
+        self, body: Iterable[Statement], known: Iterable[Statement] = ()
     ) -> list[Statement]:
         """Wrap statements in the loop over nodes; what is the same for all is loaded before it.
 
         Unless statements before, those ``known``, did so.
         """
         loaded = {x for section in known if isinstance(section, Section) for x in section.body}
-        inside: list[Statement] = list(tables)
+        inside: list[Statement] = []
         before: list[Load] = []
         for statement in body:
             if isinstance(statement, Section) and statement.title == "known before":
@@ -128,9 +135,6 @@ class StageKernels:
                 inside.append(statement)
         loads = [Section("known before", tuple(before))] if before else []
         return [*loads, Loop("node", "range(STRIDE)", tuple(inside))]
-
-    def _table(self, symbols: Sequence[sp.Symbol], name: str, first: str = "") -> list[Index]:
-        return [Index(symbol.name, f"{name}[{first}{j}, node]") for j, symbol in enumerate(symbols)]
 
     def _iterate(self) -> tuple[Kernel, int]:
         """One iteration: positions, forces; momenta, velocities."""
@@ -177,8 +181,8 @@ class StageKernels:
         for symbol in held:
             del low.rows[symbol]
         body = [
-            *self._over_nodes(opening, self._table(self._mu, "STAGE_PATH")),
-            *self._over_nodes(ending, self._table(self._nu, "STAGE_IMPULSE")),
+            *self._over_nodes(opening),
+            *self._over_nodes(ending),
             Call("judge_stages", HERE),
         ]
         operations = sum(
@@ -239,10 +243,11 @@ class StageKernels:
         ahead = self._ahead()
         levels = (*FIRST, Level.LATE)
         closing = low.statements(stores, levels)
-        table = self._table(self._next, "STAGE_AHEAD", "smooth + ")
-        following = self._over_nodes(low.statements(ahead, levels), table, closing)
+        following = self._over_nodes(low.statements(ahead, levels), closing)
         # steps that take many iterations are long: there a smoother extrapolation is closer
-        smooth = Index("smooth", f"{self._nodes} if W[STAGE_COUNT, lane] > MANY else 0")
+        smooth = Index(
+            "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
+        )
         body = [*closing, smooth, Call("question_stages", HERE), *following]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))

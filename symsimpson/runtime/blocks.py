@@ -196,7 +196,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     step, compiled = getattr(kernels, kernels.ladder[0]), driver("sweep", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = np.zeros((facts.rows + watched, lanes))
+        W = stepper._numbers.workspace(facts.rows + watched, lanes)
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)

@@ -35,17 +35,23 @@ def test_eight_lanes_are_packed(scheme):
         assert single < packed / 5, name
 
 
-@pytest.mark.parametrize("scheme", ["gauss8", "gauss16"])
-def test_nodes_of_one_trajectory_are_packed(scheme):
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [("double_pendulum", "gauss8"), ("double_pendulum", "gauss16"),
+     ("lagrange_top", "gauss16"), ("henon_heiles", "gauss12")],
+)  # fmt: skip
+def test_nodes_of_one_trajectory_are_packed(name, scheme):
+    """Both loops over nodes, although the second one is short: compilers like to unroll it."""
+
     def build(module):
         return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
 
-    iterate = compiled(source(ss.systems.double_pendulum(), scheme), "iterate", build)
+    iterate = compiled(source(ss.systems.CATALOGUE[name](), scheme), "iterate", build)
     assembly = iterate._library.get_asm_str()
     packed = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)pd\b", assembly))
     single = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)sd\b", assembly))
-    assert packed > 80
-    assert single < packed / 3  # the judgement of an iteration
+    assert packed > 40
+    assert single <= 30  # the judgement of an iteration
 
 
 def test_lanes_do_not_know_of_each_other():

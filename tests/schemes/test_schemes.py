@@ -102,7 +102,7 @@ def test_tables_that_modules_make(scheme):
         for made, table in ((module.BASIS, found.A), (module.BASIS_SLOPE, found.B)):
             np.testing.assert_allclose(made, np.array(table, dtype=float), rtol=0, atol=1e-13)
     if found.by_stages:
-        path, impulse = module.STAGE_PATH[:, :nodes], module.STAGE_IMPULSE[:, :nodes]
+        path, impulse, ahead, _ = module.STAGE_TABLE[:, :nodes].reshape(4, nodes, nodes)
         assert np.all(path + impulse.T == 1.0)  # b_i a_ij + b_j a_ji^ = b_i b_j, without rounding
         b, c = (
             np.array(x, dtype=float) for x in (found.quadrature.weights, found.quadrature.nodes)
@@ -111,7 +111,6 @@ def test_tables_that_modules_make(scheme):
             np.testing.assert_allclose(
                 (b * c**power) @ path, c ** (power + 1) / (power + 1), atol=1e-14
             )
-        ahead = module.STAGE_AHEAD[:nodes, :nodes]
         np.testing.assert_allclose(b * c @ ahead, b * (1 + c), rtol=1e-9)
     assert degree == module.DEGREE
 

@@ -131,7 +131,7 @@ def path_tables(kind, nodes, degree):
     )
 
 
-def stage_tables(kind, nodes):
+def stage_table(kind, nodes):
     """How velocities and forces at the nodes add up to positions and momenta there, and later.
 
     With a_ij the integrals to c_i of the Lagrange polynomials of the nodes: a_ij/b_j for
@@ -141,9 +141,8 @@ def stage_tables(kind, nodes):
     """
     one = 10**DIGITS
     c, b = quadrature(kind, nodes)
-    rows = nodes, nodes, 2 * nodes
-    tables = [array([[real(0)] * STRIDE for _ in range(count)]) for count in rows]
-    velocities, forces, ahead = tables
+    table = array([[real(0)] * STRIDE for _ in range(4 * nodes)])
+    velocities, forces, ahead = table[:nodes], table[nodes : 2 * nodes], table[2 * nodes :]
     for i in range(nodes):
         inner = [basis(c, c[i] * x // one) for x in c]
         following = basis(c, one + c[i])
@@ -159,4 +158,4 @@ def stage_tables(kind, nodes):
                 for k, value in enumerate(smooth)
             ]
             ahead[nodes + j, i] = number(b[i] * sum(terms) // one)
-    return tables
+    return table

@@ -12,8 +12,10 @@ def sincos(x):
     # x = quarter_turns * pi/2 + r with pi/2 in pieces of 24, 24, 24 and 53 bits: the products
     # with the first pieces are exact. Adding and subtracting 1.5 * 2**52 rounds to an integer.
     quarter_turns = (x * 0.6366197723675814 + 6755399441055744.0) - 6755399441055744.0
+    # NaN beyond the domain comes in with the last piece, which is ready before the others
+    last = quarter_turns * 3.2820035428735005e-22 + (0.0 if abs(x) < 5.0e8 else float("nan"))
     r = (x - quarter_turns * 1.570796251296997) - quarter_turns * 7.549789415861596e-08
-    r = (r - quarter_turns * 5.390302529957765e-15) - quarter_turns * 3.2820035428735005e-22
+    r = (r - quarter_turns * 5.390302529957765e-15) - last
     # minimax polynomials on |r| <= pi/4
     z = r * r
     zz = z * z
@@ -31,5 +33,4 @@ def sincos(x):
     cosine = s if odd else c
     sine = -sine if quarter == -1.0 or abs(quarter) == 2.0 else sine
     cosine = -cosine if quarter >= 1.0 or quarter == -2.0 else cosine
-    domain = 0.0 if abs(x) < 5.0e8 else float("nan")
-    return sine + domain, cosine + domain
+    return sine, cosine

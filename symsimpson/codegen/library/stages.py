@@ -17,6 +17,8 @@ SCALE: int
 IN_DOUBT: int
 STAGE_STEP: int
 STAGE_RATE: int
+STAGE_MU: int
+STAGE_TABLE: Any
 STAGE_CORRECTION: int
 STAGE_SIZE: int
 STAGE_EXPECTED: int
@@ -32,8 +34,14 @@ UNRESOLVED: float
 
 
 @compiled
-def step_shares(W, h, lane):
-    """The parts h b_i of the step, which add up to h, and their inverses."""
+def stage_constants(W, h, lane):
+    """The tables of the nodes; the parts h b_i of the step, which add up to h, their inverses.
+
+    Read from rows, tables are vectors; as constants they tempt compilers to unroll the nodes.
+    """
+    for row in range(4 * NODES):
+        for node in range(STRIDE):
+            W[STAGE_MU + row * STRIDE + node, lane] = STAGE_TABLE[row, node]
     inner = real(0)
     for node in range(1, NODES - 1):
         W[STAGE_STEP + node, lane] = h * WEIGHTS[node]
