@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import re
 import sys
 import time
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +25,7 @@ SCHEMES = ("midpoint", "simpson")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
-    options = _parser().parse_args(arguments)
+    options = _parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         return int(options.run(options))
     except SymsimpsonError as error:
@@ -40,6 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="symsimpson", description="Variational integrators from kinetic and potential energy."
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {version('symsimpson')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     system = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
 
@@ -61,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--scheme", default="simpson", help="default: %(default)s")
     command.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
     command.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
-    command.add_argument("--steps", type=int, default=None, help="number of steps instead")
+    command.add_argument("--steps", type=_count, default=None, help="number of steps instead")
     command.add_argument("--q0", type=_numbers, help="positions, as 0.8,1.0")
     command.add_argument("--v0", type=_numbers, help="velocities")
     command.add_argument("--p0", type=_numbers, help="momenta")
@@ -106,12 +109,32 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Join options with values that begin with a minus, which would look like options."""
+    found: list[str] = []
+    for argument in arguments:
+        if re.match(r"-[\d.]", argument) and found and found[-1].startswith("--"):
+            found[-1] += f"={argument}"
+        else:
+            found.append(argument)
+    return found
+
+
 def _numbers(text: str) -> list[float]:
-    return [float(part) for part in text.split(",")]
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of numbers, as 0.8,1.0") from None
 
 
 def _count(text: str) -> int:
-    return int(float(text))
+    try:
+        number = float(text)
+        if number >= 1 and number == int(number):
+            return int(number)
+    except (ValueError, OverflowError):
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on, as 1000 or 1e6")
 
 
 def _words(text: str) -> list[str]:
@@ -265,6 +288,12 @@ def _bench(options: argparse.Namespace) -> int:
     from symsimpson.bench.record import WorkPrecision
     from symsimpson.bench.work_precision import work_precision
 
+    for name, known in (("plot", (".png", ".pdf", ".svg")), ("out", (".json",))):
+        path = getattr(options, name)
+        if path and Path(path).suffix not in known:  # before hours of measurements
+            raise InputError(
+                f"--{name} {path}: unknown format.\nUse a name in {' or '.join(known)}."
+            )
     before = WorkPrecision.load(options.against) if options.against else None
     found = work_precision(
         _find(options.system), options.schemes, options.peers or "installed",

@@ -127,3 +127,35 @@ def test_module_is_a_command():
                           capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 1
     assert done.stderr.startswith("InputError: there is no system 'nothing'")
+
+
+def test_values_that_begin_with_a_minus(capsys):
+    given = ["--q0", "-0.8,1.0", "--v0", "-.5,0", "--steps", "1e1"]
+    assert main(["run", "double_pendulum", *given]) == 0
+    said = capsys.readouterr().out
+    assert "q0 = (-0.8, 1)" in said
+    assert "v0 = (-0.5, 0)" in said
+    assert "10 steps" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("stress pendulum --steps -5", "no whole number"), ("run pendulum --q0 a", "no list of numb"),
+     ("run pendulum --steps 1.5", "no whole number"), ("run pendulum --steps many", "no whole")],
+)  # fmt: skip
+def test_wrong_values_are_named(line, said, capsys):
+    with pytest.raises(SystemExit):
+        main(line.split())
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--plot", "--out"])
+def test_formats_are_looked_at_before_anything_is_measured(option, capsys):
+    assert main(["bench", "pendulum", option, "x.xyz"]) == 1
+    assert "unknown format" in capsys.readouterr().err
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.startswith("symsimpson ")

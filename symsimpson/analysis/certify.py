@@ -22,10 +22,12 @@ from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
-from symsimpson.errors import SymsimpsonError
+from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.runtime.evaluate import evaluate_equations
+from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.load import digest
+from symsimpson.runtime.numbers import FLOAT64
 from symsimpson.runtime.progress import waiting
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -99,9 +101,14 @@ def certify(
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
+    if stepper._numbers is not FLOAT64:
+        raise InputError(
+            "a stepper of many digits has no certificate: what is measured are its doubles.\n"
+            "Certify the stepper that is compiled without precision; its equations are the same."
+        )
     values = stepper._named_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
-    step = choose_step(stepper, q, p, values, LONG) if h is None else float(h)
+    step = choose_step(stepper, q, p, values, LONG) if h is None else read_step(h, FLOAT64)
     subject = Subject(stepper, Precise(stepper, values, DIGITS), np.concatenate([q, p]), step)
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(

@@ -155,7 +155,7 @@ def choose(
     h0 = choose_step(first, q, p, values, 64)
     pilot = min(float(t_end), PILOT * h0)
     frequency = largest_frequency(system, q, values.values())
-    problem = _Problem(q, p, values, pilot, float(t_end), float(error), on, h0, frequency)
+    problem = _Problem(q, p, values, pilot, float(t_end), float(error), on, h0, frequency, [])
     if schemes is None:
         schemes = WITH_EXPLICIT if system.structure.separable else CANDIDATES
     found = [one for scheme in schemes if (one := problem.solve(compile_system(system, scheme)))]
@@ -164,6 +164,11 @@ def choose(
             f"none of {', '.join(map(str, schemes))} comes to an error of {error:g} at "
             f"t_end={t_end:g} from this state.\nErrors of double precision add up to more, or the "
             "motion is too sensitive to its start: ask for a larger error, or a shorter time."
+            + (
+                f"\nA run with small steps failed: {problem.failures[-1]}"
+                if problem.failures
+                else ""
+            )
         )
     best = min(found, key=lambda one: one.seconds)
     steps = math.ceil(best.steps * t_end / pilot)
@@ -183,6 +188,7 @@ class _Problem:
     on: str
     h0: float
     frequency: float
+    failures: list[str]
 
     def solve(self, stepper: Stepper) -> _Found | None:
         """Find the number of steps that reaches the error; None if there is none."""
@@ -244,7 +250,10 @@ class _Problem:
             self.q, p0=self.p, h=self.pilot / steps, steps=steps, every=every,
             parameters=self.parameters, on_failure="return",
         )  # fmt: skip
-        return run if run.status is Status.SUCCESS else None
+        if run.status is not Status.SUCCESS:
+            self.failures.append(run.message)
+            return None
+        return run
 
     def _distance(self, one: Any, other: Any, place: int) -> float:
         scale_q = np.maximum(np.abs(other.q).max(axis=0), 1.0)

@@ -28,6 +28,9 @@ class Level(IntEnum):
     LATE = 4  # once the forces at all nodes are known
 
 
+#: Larger integers are no exact doubles, and soon none that fit into 64 bits.
+EXACT = 2**53
+
 #: Names of values cut out of an expression, by when they are known.
 _PREFIX = {
     Level.CONSTANT: "k",
@@ -150,10 +153,11 @@ class Graph:
         return self._known[value]
 
     def _number(self, number: sp.Expr) -> sp.Expr:
-        """Write integers, halves and floats in place; name every other constant."""
-        if number.is_Float or number.is_Integer:
+        """Write small integers, their halves and floats in place; name every other constant."""
+        if number.is_Float:
             return number
-        if number.is_Rational and number.q & (number.q - 1) == 0:
+        small = number.is_Rational and abs(number.p) < EXACT and number.q < EXACT
+        if small and number.q & (number.q - 1) == 0:
             return number
         if number.could_extract_minus_sign():
             return -self._number(-number)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import sympy as sp
@@ -20,6 +21,10 @@ FUNCTIONS = {
 }  # fmt: skip
 
 
+#: Larger integers do not fit into 64 bits, or soon will not.
+LARGE = 2**53
+
+
 class Printer(StrPrinter):
     """Prints arithmetic, powers and the functions of :data:`FUNCTIONS`, and refuses the rest.
 
@@ -32,11 +37,16 @@ class Printer(StrPrinter):
         self.used: set[str] = set()
         self._exact = exact
 
+    def _print_Integer(self, expr: sp.Integer) -> str:
+        large = self._exact and abs(expr.p) >= LARGE
+        return f"real({_within(expr, expr.p)})" if large else str(expr.p)
+
     def _print_Rational(self, expr: sp.Rational) -> str:
-        return f"real({expr.p})/{expr.q}" if self._exact else f"{expr.p}/{expr.q}"
+        p, q = _within(expr, expr.p), _within(expr, expr.q)
+        return f"real({p})/{q}" if self._exact else f"{p}/{q}"
 
     def _print_Float(self, expr: sp.Float) -> str:
-        return repr(float(expr))
+        return repr(float(_within(expr, expr)))
 
     def _print_Pi(self, expr: sp.Expr) -> str:
         self.used.add("pi")
@@ -83,6 +93,16 @@ class Printer(StrPrinter):
             f"cannot write {type(expr).__name__} {expr} as code.\n"
             "Use elementary functions, powers and numbers in T and V."
         )
+
+
+def _within(number: sp.Expr, part: Any) -> Any:
+    """Give a part of a number that has a value in doubles; others are refused."""
+    if abs(part) <= sys.float_info.max:
+        return part
+    raise GenerationError(
+        f"cannot write the number {sp.N(number, 3)} as code: it, its numerator or its denominator "
+        "is larger than doubles can be.\nChoose other units, or write it as a sympy.Float."
+    )
 
 
 def count_operations(expression: sp.Expr) -> int:

@@ -10,6 +10,7 @@ import difflib
 import math
 import numbers
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -72,10 +73,19 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
         if not isinstance(q, AppliedUndef) or q.args != (dynamicsymbols._t,):
             raise fail(
                 system,
-                f"the coordinate {spell(q)} is not a function of time.",
+                f"the coordinate {spell(q)} is not a function of the time that velocities are "
+                "derived by.",
                 "Its velocity q.diff() would be zero. Make it with "
-                f"symsimpson.coordinates('{spell(q)}') or sympy's dynamicsymbols.",
+                f"symsimpson.coordinates('{str(q).partition('(')[0]}') or sympy's dynamicsymbols.",
             )
+        for assumed in ("positive", "negative", "nonnegative", "nonpositive", "nonzero", "integer"):
+            if getattr(q, f"is_{assumed}"):
+                raise fail(
+                    system,
+                    f"the coordinate {spell(q)} is declared {assumed}.",
+                    "SymPy simplified T and V with that assumption, and a motion need not keep to "
+                    f"it. Make it with symsimpson.coordinates('{spell(q)}').",
+                )
     names = [q.func.__name__ for q in coordinates]
     for name in names:
         if names.count(name) > 1:
@@ -118,6 +128,13 @@ def read_parameters(
                 system,
                 f"the parameter {symbol.name} is declared as a symbol that is not real.",
                 "Energies are real. Make it with sympy.Symbol(name, real=True).",
+            )
+        if symbol.is_integer:
+            raise fail(
+                system,
+                f"the parameter {symbol.name} is declared an integer.",
+                "SymPy simplified T and V with that assumption, and a run may be given any real "
+                "value. Make it with sympy.Symbol(name, real=True), or write the number.",
             )
         names[symbol.name] = "another parameter"
         values[symbol] = read_value(system, symbol, value)
@@ -242,6 +259,18 @@ def check_content(
                 f"the {what} contains {show(node)}, which is not real.",
                 "Energies are real. Look for the root or logarithm of a negative number.",
             )
+        if node.is_Number and not abs(node) <= sys.float_info.max:
+            raise fail(
+                system,
+                f"the {what} contains the number {sp.N(node, 3)}, larger than doubles can be.",
+                "Choose other units.",
+            )
+        if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
+            raise fail(
+                system,
+                f"the {what} contains {show(node)}, which is defined by cases.",
+                "Newton's method needs two continuous derivatives. Use a smooth expression.",
+            )
         if isinstance(node, sp.Function) and not isinstance(node, SMOOTH):
             raise fail(
                 system,
@@ -251,12 +280,6 @@ def check_content(
                 "sqrt(x**2 + eps**2) for |x|, or one of "
                 + ", ".join(sorted(f.__name__ for f in SMOOTH))
                 + ".",
-            )
-        if isinstance(node, (sp.Piecewise, Relational, BooleanFunction)):
-            raise fail(
-                system,
-                f"the {what} contains {show(node)}, which is defined by cases.",
-                "Newton's method needs two continuous derivatives. Use a smooth expression.",
             )
 
 

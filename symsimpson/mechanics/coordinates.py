@@ -6,6 +6,8 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics import dynamicsymbols
 
+from symsimpson.errors import ModelError
+
 __all__ = ["coordinates", "momenta"]
 
 
@@ -22,6 +24,11 @@ def coordinates(names: str) -> tuple[AppliedUndef, ...]:
     tuple of sympy functions of ``dynamicsymbols._t``
         Always a tuple, also for one name.
 
+    Raises
+    ------
+    ModelError
+        If there are no names.
+
     Examples
     --------
     >>> import symsimpson as ss
@@ -29,6 +36,11 @@ def coordinates(names: str) -> tuple[AppliedUndef, ...]:
     >>> q1.diff()
     Derivative(q1(t), t)
     """
+    if not (isinstance(names, str) and names.replace(",", " ").split()):
+        raise ModelError(
+            f"coordinates are named by a text with their names, not by {names!r}.\n"
+            "Write q1, q2 = symsimpson.coordinates('q1 q2')."
+        )
     functions = dynamicsymbols(names)
     return tuple(functions) if isinstance(functions, (tuple, list)) else (functions,)
 

@@ -45,6 +45,11 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep run.q and run.p in a file of your own."
         )
+    if not where.parent.is_dir():
+        raise StorageError(
+            f"{where}: there is no folder {where.parent}.\nMake it first, or choose another place.",
+            trajectory=run,
+        )
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
@@ -98,6 +103,8 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     (True, np.True_)
     """
     where, kind = _kind(path)
+    if not where.exists():
+        raise StorageError(f"{where}: there is no such file.\nrun.save(path) makes one.")
     xarray = library("xarray", "a trajectory in a file", "data")
     try:
         if kind == ".nc":

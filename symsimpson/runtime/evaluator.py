@@ -36,7 +36,7 @@ class Evaluator:
         declared: Any = None,
     ) -> None:
         facts = read_facts(source, where)
-        self.source = source
+        self.source, self._where = source, where
         self._facts: Facts = facts
         self._numbers = numbers
         self._kernels = numbers.kernels(source, facts)
@@ -52,6 +52,7 @@ class Evaluator:
             self._coordinate_names |= users
         self._aliases = {name: i for i, name in enumerate(facts.parameters)}
         self._defaults = numbers.read(facts.defaults)
+        self._given = defaults
         if defaults is not None:
             self._aliases |= {name: i for i, name in enumerate(defaults)}
             self._defaults = numbers.read(list(defaults.values()))
@@ -60,6 +61,16 @@ class Evaluator:
     def n(self) -> int:
         """Number of coordinates."""
         return self._facts.n
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self._numbers is not FLOAT64:
+            raise TypeError("a stepper of many digits cannot be pickled: compile it where it runs")
+        state = self.reference_state
+        given = {
+            "defaults": self._given and dict(self._given), "declared": self._declared,
+            "reference_state": state and dict(state),
+        }  # fmt: skip
+        return _made, (type(self), self.source, self._where, given)
 
     def __repr__(self) -> str:
         return f"Stepper({self.system}, {self.scheme}, order {self.order})"
@@ -145,3 +156,8 @@ class Evaluator:
         return read_parameters(
             self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
         )
+
+
+def _made(cls: type[Evaluator], source: str, where: str, given: Mapping[str, Any]) -> Evaluator:
+    """Make an evaluator again that was pickled."""
+    return cls(source, where, **given)

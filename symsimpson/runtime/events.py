@@ -129,6 +129,7 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
     """Find times, positions, momenta and directions of the zeros between stored states."""
     wanted, direction = question
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
+    times, positions, momenta = _with_end(run, dense)
     watched = watching(run._stepper, [wanted], run._values)
 
     def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
@@ -138,16 +139,16 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
 
     # an angle stays in the turn in which the interval begins; where it ends in another, that is
     # looked at as well
-    turns = np.floor(run.q[:, wrapped] / TURN + 0.5)
-    begin = np.arange(len(run) - 1)
+    turns = np.floor(positions[:, wrapped] / TURN + 0.5)
+    begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    own = value(run.t, run.q, run.p, turns)  # each state in its own turn
+    own = value(times, positions, momenta, turns)  # each state in its own turn
     first, last = np.append(own[:-1], own[passing]), np.append(own[1:], own[passing + 1])
     if passing.size:  # an interval has one turn for both of its ends
         new, end = np.arange(len(begin), len(start)), passing + 1
-        first[new] = value(run.t[passing], run.q[passing], run.p[passing], turn[new])
-        last[passing] = value(run.t[end], run.q[end], run.p[end], turn[passing])
+        first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])
+        last[passing] = value(times[end], positions[end], momenta[end], turn[passing])
     below = first < 0
     if begins and start.size and first[0] == 0:
         below[0] = last[0] < 0  # the first state is no crossing
@@ -162,9 +163,9 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
         q, p, codes = dense.after(start[which], later)
         q[codes != 0] = np.nan
         state[0][which], state[1][which] = q, p
-        return value(run.t[start[which]] + later, q, p, turn[which])
+        return value(times[start[which]] + later, q, p, turn[which])
 
-    span = run.t[start + 1] - run.t[start]
+    span = times[start + 1] - times[start]
     later = chandrupatla(at, span, first, last)
     left = at(np.arange(start.size), later)
     real = np.abs(left) <= JUMP * (np.abs(first) + np.abs(last))
@@ -178,7 +179,19 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
         )
         order = order[np.append(True, ~same)[: order.size]]
     q, p = (x[order] for x in state)
-    return run.t[start[order]] + later[order], q, p, -change[order].astype(float)
+    return times[start[order]] + later[order], q, p, -change[order].astype(float)
+
+
+def _with_end(run: Trajectory, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
+    """Give the stored states, and the last one of the run where that was not stored."""
+    times, positions, momenta = run.t, run.q, run.p
+    if run.every and run.steps % run.every:
+        end = np.array([run.t[0] + run.h * run.steps])
+        q, p, codes = dense.after(np.array([len(times) - 1]), end - times[-1])
+        if not codes.any():
+            times = np.append(times, end)
+            positions, momenta = np.vstack([positions, q]), np.vstack([momenta, p])
+    return times, positions, momenta
 
 
 def chandrupatla(

@@ -22,6 +22,7 @@ __all__ = [
     "read_given",
     "read_number",
     "read_parameters",
+    "read_step",
     "read_steps",
     "read_vector",
     "refused_start",
@@ -79,11 +80,7 @@ def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
 
 def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tuple[Any, int, Any]:
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
-    h, t0 = read_number("h", h, numbers), read_number("t0", t0, numbers)
-    if h == 0:
-        raise InputError(
-            "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
-        )
+    h, t0 = read_step(h, numbers), read_number("t0", t0, numbers)
     if (t_end is None) == (steps is None):
         given = "neither" if t_end is None else "both"
         raise InputError(
@@ -109,6 +106,16 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
             f"h={float(end - t0) / max(number, 1):.17g}, or steps={number}."
         )
     return h, number, t0
+
+
+def read_step(h: Any, numbers: Numbers) -> Any:
+    """Read the step, a finite number other than zero."""
+    h = read_number("h", h, numbers)
+    if h == 0:
+        raise InputError(
+            "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
+        )
+    return h
 
 
 def read_every(every: Any) -> int:
@@ -158,6 +165,7 @@ def read_parameters(
         raise InputError(
             f"parameters is {_short(given)}, not a mapping.\nPass parameters={{'m': 1.0}}."
         )
+    seen: set[int] = set()
     for key, value in given.items():
         slot = aliases.get(str(key))
         if slot is None:
@@ -165,6 +173,11 @@ def read_parameters(
                 f"there is no parameter {_short(str(key))}.\n"
                 f"The system has {', '.join(names) or 'none'}."
             )
+        if slot in seen:
+            raise InputError(
+                f"parameter {names[slot]} is given twice, by name and by symbol.\nGive it once."
+            )
+        seen.add(slot)
         number = read_number(f"parameter {names[slot]}", value, numbers)
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -81,14 +82,8 @@ def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...
         If it contains something else than arithmetic, functions and the names of coordinates,
         momenta, parameters, t and energy.
     """
-    text = str(expression)
-    if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
-        text = f"({expression.lhs}) - ({expression.rhs})"
     reader = _Reader(stepper, "the expression")
-    for symbol in getattr(expression, "free_symbols", ()):
-        if not str(symbol).isidentifier():
-            raise reader._refuse(f"the name {str(symbol)!r} could be read as something else")
-    return Observed(str(expression), reader.read(text), reader.energy, wrapped)
+    return Observed(str(expression), reader.read_any(expression), reader.energy, wrapped)
 
 
 def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
@@ -115,7 +110,7 @@ def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tupl
                 "expression, such as ('max', 'q1') or ('first', 'q1 - 3')."
             )
         reader = _Reader(stepper, f"reduce[{name!r}]")
-        text = reader.read(str(pair[1]))
+        text = reader.read_any(pair[1])
         found.append(
             Reduction(str(pair[1]), text, reader.energy, name=str(name), kind=str(pair[0]))
         )
@@ -134,6 +129,21 @@ class _Reader:
         self._known |= {f"p_{q}": f"p_{i}" for q, i in coordinates.items()}
         self._known |= {q: f"q_{i}" for q, i in coordinates.items()}
         self._moving = set(coordinates)
+
+    def read_any(self, expression: Any) -> str:
+        """Read a text, an expression of SymPy, or an equation."""
+        for k, symbol in enumerate(sorted(getattr(expression, "free_symbols", ()), key=str)):
+            name = str(symbol)
+            if name.isidentifier() and not iskeyword(name):
+                continue
+            if name not in self._known:  # a text with it could be read as something else
+                raise self._refuse(f"it contains the unknown name {name!r}")
+            plain = f"symbol_{k}_"
+            self._known[plain] = self._known[name]
+            expression = expression.xreplace({symbol: type(symbol)(plain)})
+        if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
+            return self.read(f"({expression.lhs}) - ({expression.rhs})")
+        return self.read(str(expression))
 
     def read(self, text: str) -> str:
         if len(text) > LONGEST:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
 
@@ -84,7 +84,7 @@ class States:
     def __getitem__(self, key: str) -> NDArray[Any]: ...
     @overload
     def __getitem__(self, key: slice) -> States: ...
-    def __getitem__(self, key: str | slice) -> NDArray[Any] | States:
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
         """Give a quantity by its name, shape (N,), or the states of a slice.
 
         Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
@@ -101,10 +101,11 @@ class States:
                 _values=self._values,
             )  # fmt: skip
         coordinates = self._stepper._coordinate_names
+        key = str(key).removesuffix("(t)")  # a coordinate of SymPy
         if key in coordinates:  # a user's names come first
             return self.q[:, coordinates[key]]
         for prefix in "pv":
-            if str(key).startswith(f"{prefix}_") and key[2:] in coordinates:
+            if key.startswith(f"{prefix}_") and key[2:] in coordinates:
                 return cast(NDArray[Any], getattr(self, prefix)[:, coordinates[key[2:]]])
         if key in self._stepper.invariants:
             return self.invariants[key]
@@ -115,6 +116,12 @@ class States:
             f"there is no {key!r}. There are {', '.join([*every, *self._stepper.invariants])}, "
             "t and energy"
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
+
+    #: Iterating over quantities or over states: neither is what everybody expects.
+    __iter__ = None
 
     def plot(self, names: str | Sequence[str] | None = None, *, ax: Any = None) -> Any:
         """Draw quantities over time.

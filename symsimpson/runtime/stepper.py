@@ -177,10 +177,12 @@ class Stepper(Evaluator):
         every : int or None
             Store each so-many-th state; None stores only the last.
         reduce : mapping from str to (kind, expression), optional
-            Quantities to follow without storing states. A kind is "min", "max", "mean" or "first":
-            the time at which the expression first becomes positive, NaN if it never does. The
-            expression, a text or of SymPy, may contain coordinates, ``p_`` and a coordinate,
-            parameters, ``t`` and ``energy``.
+            Quantities to follow without storing states. A kind is "min", "max" or "mean", of the
+            states after whole steps, or "first": the time at which the expression first becomes
+            positive, NaN if it never does, by a straight line through the values before and after
+            a step. Where that is too coarse, :meth:`Trajectory.events` of single members is exact
+            to rounding. The expression, a text or of SymPy, may contain coordinates, ``p_`` and a
+            coordinate, parameters, ``t`` and ``energy``.
         store : path, optional
             A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
             or was begun by the same call, which then computes only what is missing.

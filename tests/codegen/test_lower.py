@@ -1,5 +1,7 @@
 """What is computed once, and lines in an order that no hash decides."""
 
+import numpy as np
+import pytest
 import sympy as sp
 
 import symsimpson as ss
@@ -36,3 +38,32 @@ def test_a_sine_that_something_is_divided_by_keeps_its_digits():
         potential=g / sp.sin(x - y) ** 2 + sp.cos(x) + sp.cos(y), parameters={g: 1.0},
     )  # fmt: skip
     assert "sincos(angle" in source(system, ss.SIMPSON)
+
+
+@pytest.mark.parametrize(
+    "number", [sp.Integer(10) ** 20, sp.Rational(1.38e-23), sp.Rational(0.1) ** 3, sp.factorial(30)]
+)
+@pytest.mark.parametrize("scheme", ["midpoint", "gauss8"])
+def test_numbers_beyond_64_bits(number, scheme):
+    (x,) = ss.coordinates("x")
+    k = sp.Symbol("k")
+
+    def swung(factor, parameters):
+        system = ss.MechanicalSystem(
+            "large", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=factor * x**4,
+            parameters=parameters,
+        )  # fmt: skip
+        h = 0.1 / float(number) ** 0.5
+        return ss.compile(system, scheme).integrate([0.3], v0=[0.0], h=h, steps=5).q
+
+    np.testing.assert_allclose(swung(number, {}), swung(k, {k: float(number)}), rtol=1e-14)
+
+
+def test_numbers_that_no_double_holds_are_refused():
+    (x,) = ss.coordinates("x")
+    tiny = ss.MechanicalSystem(
+        "tiny", coordinates=(x,), kinetic=x.diff() ** 2 / 2,
+        potential=sp.Rational(0.1) ** 30 * x**2, parameters={},
+    )  # fmt: skip
+    with pytest.raises(ss.GenerationError, match="larger than doubles can be"):
+        ss.compile(tiny)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
 
@@ -37,6 +38,7 @@ INTEGRATE = {
     "parameter of a list": {"parameters": {"m1": [1.0, 2.0]}},
     "zero parameter": {"parameters": {"m1": 0.0}}, "infinite": {"parameters": {"m1": np.inf}},
     "complex parameter": {"parameters": {"m1": 1j}}, "parameters": {"parameters": "m1=2"},
+    "parameter twice": {"parameters": {"m1": 2.0, sp.Symbol("m1"): 3.0}},
     "number as name": {"parameters": {1: 2.0}}, "symbol of another": {"parameters": {m: 2.0}},
     "every checkpoint": {"checkpoint": "never", "checkpoint_every": 0},
     "part of a checkpoint": {"checkpoint": "never", "checkpoint_every": 2.5},
@@ -99,7 +101,12 @@ DECLARED = {
     "nan value": {"parameters": {m: np.nan}}, "wrong sign": {"parameters": {m: -1.0}},
     "parameter of text": {"parameters": {"m": 1.0}}, "a list": {"parameters": [m]},
     "no expression": {"potential": "x**2"}, "a matrix": {"potential": sp.eye(2)},
-    "a relation": {"potential": x > 0},
+    "a relation": {"potential": x > 0}, "cases": {"potential": sp.Max(x, 0) ** 3},
+    "least": {"potential": sp.Min(m, 2) * x**2, "parameters": {m: 1.0}},
+    "huge number": {"potential": sp.Integer(10) ** 400 * x},
+    "huge float": {"potential": sp.Float("1e400") * x},
+    "an integer": {"parameters": {sp.Symbol("n", even=True): 2}},
+    "one sign": {"coordinates": [dynamicsymbols("r", positive=True)]},
 }  # fmt: skip
 
 
@@ -111,6 +118,7 @@ def test_declarations(changes):
 
 
 START = PENDULUM.reference_state
+FALL = declare(potential=-1 / x)
 OTHERS = {
     "scheme": (lambda: ss.compile(PENDULUM, "rk4"), ss.SchemeError, "no scheme 'rk4'"),
     "no scheme": (lambda: ss.compile(PENDULUM, None), ss.SchemeError, "no scheme None"),
@@ -140,6 +148,13 @@ OTHERS = {
              "t_end is inf"),
     "on": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=1e-3, on="phase"), ss.InputError,
            "on is 'phase'"),
+    "singular": (lambda: ss.choose(FALL, [1.0], [0.0], t_end=10, error=1e-6, schemes=["midpoint"]),
+                 ss.InputError, "small steps failed: .* was not taken"),
+    "no names": (lambda: ss.coordinates(""), ss.ModelError, "not by ''"),
+    "None for names": (lambda: ss.coordinates(None), ss.ModelError, "not by None"),
+    "certified step": (lambda: ss.compile(PENDULUM).certify(h=0), ss.InputError, "h is 0"),
+    "certified digits": (lambda: ss.compile(PENDULUM, precision=30).certify(), ss.InputError,
+                         "of many digits has no certificate"),
     "levels": (lambda: ss.work_precision(PENDULUM, errors=[]), ss.InputError, "errors are"),
     "peer": (lambda: ss.work_precision(PENDULUM, peers=["matlab"], t_end=0.1), ss.InputError,
              "no peer 'matlab'"),

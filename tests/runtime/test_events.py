@@ -194,3 +194,28 @@ def test_many_digits_are_refused():
     run = ss.compile(ss.systems.pendulum(), precision=30).integrate([1.0], v0=[0.0], h=0.1, steps=3)
     with pytest.raises(ss.InputError, match="many digits"):
         run.events("theta")
+
+
+def test_zeros_after_the_last_stored_state_are_found(pendulum):
+    whole = swing(pendulum, steps=35).events("theta")
+    part = swing(pendulum, steps=35, every=12)
+    assert len(whole) == 2
+    assert part.t[-1] < whole.t[1] < 35 * 0.05
+    assert np.abs(whole.t - part.events("theta").t).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", ["lambda", "x'", "class"])
+def test_symbols_of_any_name(name):
+    """As SymPy has them; a text with them could be read as something else."""
+    (x,), k = ss.coordinates("x"), sp.Symbol(name)
+    system = ss.MechanicalSystem(
+        "odd", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=k * x**2,
+        parameters={k: 2.0},
+    )  # fmt: skip
+    stepper = ss.compile(system)
+    run = stepper.integrate([1.0], v0=[0.0], h=0.05, steps=60)
+    assert np.abs(run.events(sp.Eq(k * x, 1)).t - run.events("x - 0.5").t).max() < 1e-12
+    many = stepper.ensemble([[1.0]], v0=[0.0], h=0.05, steps=60, reduce={"a": ("max", k * x)})
+    assert many.reduced["a"][0] == pytest.approx(2.0)
+    with pytest.raises(ss.InputError, match=r"contains|no expression"):
+        run.events(sp.Symbol("__import__('os').getcwd()"))

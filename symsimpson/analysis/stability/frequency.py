@@ -32,7 +32,9 @@ ALWAYS_STABLE = 1.5
 def largest_frequency(
     system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float]
 ) -> float:
-    """Give the largest omega of K x = omega^2 M x, K the Hessian of V at q; 0 if none is positive.
+    """Give the largest omega of K x = omega^2 M x, K the Hessian of V at q.
+
+    It is 0 if none is positive, or K or M have no value there.
 
     Parameters
     ----------
@@ -41,8 +43,11 @@ def largest_frequency(
     parameters : iterable of float
         Values of all parameters, in the order of the system.
     """
-    stiffness, mass = map(np.array, _matrices(system)(*q, *parameters))
-    squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
+    try:
+        stiffness, mass = map(np.array, _matrices(system)(*map(float, (*q, *parameters))))
+        squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return 0.0
     return math.sqrt(max(0.0, float(squares.max())))
 
 
@@ -77,10 +82,7 @@ def warn_of_step(
     """Warn of a step beyond the linear-stability limit at the start."""
     if system.n > MOST_COORDINATES:
         return
-    try:
-        omega = largest_frequency(system, q, values)
-    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-        return
+    omega = largest_frequency(system, q, values)
     if abs(h) * omega < ALWAYS_STABLE:
         return
     limit = largest_stable(stepper.scheme)
@@ -92,5 +94,5 @@ def warn_of_step(
             f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which no "
             "step makes grow.",
             StabilityWarning,
-            stacklevel=4,
+            stacklevel=5,  # where integrate is called
         )
