@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import keyword
 import re
+import unicodedata
 from functools import cache
 
 import sympy as sp
@@ -143,11 +144,25 @@ def library_names() -> frozenset[str]:
     return KERNELS | frozenset(library_sources())
 
 
+def _written_out(name: str) -> str:
+    """Write Greek letters as words, and what TeX has around indices not at all."""
+    letters = []
+    for letter in name:
+        greek = re.fullmatch(
+            "GREEK (SMALL|CAPITAL) LETTER ([A-Z]+)", unicodedata.name(letter, "")
+        )  # fmt: skip
+        if greek:
+            letter = greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
+        letters.append(letter)
+    return "".join(letters).replace("_{", "_").replace("}", "").replace("'", "_prime")
+
+
 class NameTable:
     """Gives every symbol of a module its own identifier.
 
     A SymPy symbol's name is untrusted text. It is used only where it is a plain ASCII identifier
-    of moderate length that clashes with nothing; else ``q0``, ``a0``, ... stand for it.
+    of moderate length that clashes with nothing. Greek letters are written out, and an underscore
+    goes behind words that mean something in a module; for other names ``q0``, ``a0``, ... stand.
     """
 
     def __init__(self, system: MechanicalSystem) -> None:
@@ -164,16 +179,20 @@ class NameTable:
         )
 
     def _user(self, name: str, substitute: str) -> str:
-        safe = (
-            re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", name)
-            and not keyword.iskeyword(name)
-            and not keyword.issoftkeyword(name)
-            and not hasattr(builtins, name)
-            and name not in RESERVED
-            and name not in library_names()
-            and not re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", name)
-        )
-        return self.fresh(name if safe else substitute).name
+        plain = _written_out(name)
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,31}", plain):
+            plain = substitute
+        elif (
+            keyword.iskeyword(plain)
+            or keyword.issoftkeyword(plain)
+            or hasattr(builtins, plain)
+            or plain in RESERVED
+            or plain in library_names()
+        ):
+            plain += "_"
+        if re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", plain):
+            plain = substitute
+        return self.fresh(plain).name
 
     def fresh(self, wish: str) -> sp.Symbol:
         """Give a symbol with the wished name, or the wished name and a number."""
