@@ -32,7 +32,8 @@ def test_any_input_is_run_or_refused(asked):
         assert np.isfinite(run.q).all()
         assert np.isfinite(run.p).all()
         assert isinstance(run.status, ss.Status)
-        assert (run.status is ss.Status.SUCCESS) == (run.steps == asked["steps"])
+        if asked["steps"] is not None:
+            assert (run.status is ss.Status.SUCCESS) == (run.steps == asked["steps"])
 
 
 @settings(max_examples=12, **BUDGET)

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -163,15 +163,17 @@ class _Queue:
 def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
     """Run functions in threads until they are done or stopped by Ctrl-C."""
     with ThreadPoolExecutor(len(work)) as pool:
-        running = [pool.submit(one) for one in work]
+        running: list[Future[None]] = []
         try:
+            for one in work:
+                running.append(pool.submit(one))
             while wait(running, timeout=0.1).not_done:
                 pass
         except KeyboardInterrupt:
             queue.stopped = True
             wait(running)
-        for one in running:
-            one.result()
+        for future in running:
+            future.result()
 
 
 def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:

@@ -74,10 +74,10 @@ def run_on_cluster(store: Store, client: Any) -> bool:
     with Progress(members, store.task.progress) as progress:
         progress.add(members - sum(map(store.size, chunks)))
         window = AHEAD * max(1, sum(client.nthreads().values()))
-        running: Any = cast(Any, distributed).as_completed(
-            [submit(chunk) for chunk in islice(waiting, window)]
-        )
+        running: Any = cast(Any, distributed).as_completed([])
         try:
+            for chunk in islice(waiting, window):
+                running.add(submit(chunk))
             for future in running:
                 progress.add(_result(future, store))
                 for chunk in islice(waiting, 1):

@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import os
 import subprocess
 import sys
 import textwrap
@@ -71,7 +72,7 @@ def test_same_bytes_for_every_hash_seed():
     """)
     running = [
         subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE,
-                         env={"PYTHONHASHSEED": str(seed), "PATH": ""})
+                         env=os.environ | {"PYTHONHASHSEED": str(seed)})
         for seed in range(8)
     ]  # fmt: skip
     digests = {process.communicate()[0] for process in running}

@@ -1,5 +1,6 @@
 """Every notebook runs from top to bottom; it ends in its own assertions."""
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -21,4 +22,5 @@ def test_notebook(path):
     assert any("assert" in cell.source for cell in notebook.cells[-2:])
     assert all(cell.outputs or "assert" in cell.source for cell in notebook.cells[-4:]
                if cell.cell_type == "code"), "commit the notebook with its outputs"  # fmt: skip
-    NotebookClient(notebook, timeout=240, kernel_name="python3").execute()
+    NotebookClient(notebook, timeout=1800, kernel_name="python3").execute()
+    gc.collect()  # what notebooks leave behind is no matter of other tests

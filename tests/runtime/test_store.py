@@ -1,10 +1,9 @@
 """Ensembles on disk and on a cluster: the same bits, whatever breaks off or dies on the way."""
 
+import itertools
 import os
 import shutil
 import signal
-import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -108,25 +107,29 @@ def test_damage_is_said_and_not_read(stepper, tmp_path):
         stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
 
 
-def when_done(path, chunks, action):
-    """Do something as soon as so many chunks of a store are done."""
+@pytest.fixture
+def after(monkeypatch):
+    """Do something when a function has been called so many times, in the thread that called it."""
 
-    def wait():
-        while not path.exists() or len(list(path.iterdir())) < chunks:
-            time.sleep(0.002)
-        action()
+    def arrange(owner, name, count, action):
+        plain, calls = getattr(owner, name), itertools.count(1)
 
-    thread = threading.Thread(target=wait, daemon=True)
-    thread.start()
-    return thread
+        def counted(*given):
+            found = plain(*given)
+            if next(calls) == count:
+                action()
+            return found
+
+        monkeypatch.setattr(owner, name, counted)
+
+    return arrange
 
 
-def test_interrupted_and_gone_on_with(stepper, tmp_path, counted):
+def test_interrupted_and_gone_on_with(stepper, tmp_path, counted, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000}
     expected = stepper.ensemble(many, **given)
-    status = tmp_path / "s" / "status" / "c"
-    when_done(status, 3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    after(module, "write_chunk", 3, lambda: signal.raise_signal(signal.SIGINT))
     with pytest.raises(ss.Interrupted) as caught:
         stepper.ensemble(many, **given, store=tmp_path / "s")
     partial = caught.value.trajectory
@@ -198,7 +201,7 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     task = read_task(
         stepper, states, None, [0, 0], None, times, None, None, 1, False, on_disk=True
     )  # fmt: skip
-    assert 0 < module._seconds(stepper, task) < 1
+    assert module._seconds(stepper, task) > 0
     monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
     assert module._chunk(stepper, task) == lanes_of_machine()
     assert module._chunk(stepper, replace(task, threads=16)) == 80
@@ -211,10 +214,11 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
 
 def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
     states = np.zeros((10**6, 2))
-    given = (stepper, states, None, [0, 0], None, (0.1, None, 10**6, 0.0), 1, None, 1, False)
+    steps = 5 * 10**6  # 160 TB: more than there are addresses
+    given = (stepper, states, None, [0, 0], None, (0.1, None, steps, 0.0), 1, None, 1, False)
     with pytest.raises(ss.InputError, match=r"store='folder'"):
         read_task(*given, on_disk=False)
-    assert read_task(*given, on_disk=True).stored == 10**6 + 1
+    assert read_task(*given, on_disk=True).stored == steps + 1
 
 
 @pytest.fixture(scope="module")
@@ -243,15 +247,13 @@ def sent(client, monkeypatch):
     return arguments
 
 
-def test_a_worker_is_killed(stepper, client, sent, tmp_path):
+def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}
     expected = stepper.ensemble(many, **given)
     victim = next(iter(client.run(os.getpid).values()))
-    status = tmp_path / "s" / "status" / "c"
-    killer = when_done(status, 5, lambda: os.kill(victim, signal.SIGKILL))
+    after(cluster_module, "_result", 5, lambda: os.kill(victim, signal.SIGKILL))
     found = stepper.ensemble(many, **given, store=tmp_path / "s", client=client)
-    killer.join()
     assert victim not in client.run(os.getpid).values()
     assert_same(found, expected)
     assert {function for function, _ in sent} == {cluster_module.compute_chunk}
@@ -278,10 +280,10 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
     assert not canary.exists()
 
 
-def test_interrupt_on_a_cluster(stepper, client, tmp_path):
+def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}
-    when_done(tmp_path / "s" / "status" / "c", 3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    after(cluster_module, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
     found = stepper.ensemble(many, **given, client=client, on_failure="return")
     assert (found.status == ss.Status.INTERRUPTED).any()
     assert (found.status == ss.Status.SUCCESS).any()
