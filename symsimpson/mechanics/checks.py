@@ -73,8 +73,7 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
         if not isinstance(q, AppliedUndef) or q.args != (dynamicsymbols._t,):
             raise fail(
                 system,
-                f"the coordinate {spell(q)} is not a function of the time that velocities are "
-                "derived by.",
+                f"the coordinate {spell(q)} is not a function of time, sympy's dynamicsymbols._t.",
                 "Its velocity q.diff() would be zero. Make it with "
                 f"symsimpson.coordinates('{str(q).partition('(')[0]}') or sympy's dynamicsymbols.",
             )

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
@@ -284,8 +284,10 @@ class MechanicalSystem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        plain = {k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()}
-        return _declared, (type(self), plain)
+        plain: dict[str, Any] = {
+            k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()
+        }
+        return partial(type(self), **plain), ()
 
     def __repr__(self) -> str:
         names = ", ".join(q.func.__name__ for q in self.coordinates)
@@ -319,11 +321,6 @@ class _Symbols:
     def restore(self, plain: sp.Expr) -> sp.Expr:
         """Write a plain expression in the user's symbols."""
         return plain.xreplace(self.back)
-
-
-def _declared(cls: type[MechanicalSystem], given: Mapping[str, Any]) -> MechanicalSystem:
-    """Declare a system again that was pickled."""
-    return cls(**given)
 
 
 def _real(name: str, user: sp.Symbol) -> sp.Symbol:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
@@ -70,7 +71,7 @@ class Evaluator:
             "defaults": self._given and dict(self._given), "declared": self._declared,
             "reference_state": state and dict(state),
         }  # fmt: skip
-        return _made, (type(self), self.source, self._where, given)
+        return partial(type(self), self.source, self._where, **given), ()
 
     def __repr__(self) -> str:
         return f"Stepper({self.system}, {self.scheme}, order {self.order})"
@@ -156,8 +157,3 @@ class Evaluator:
         return read_parameters(
             self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
         )
-
-
-def _made(cls: type[Evaluator], source: str, where: str, given: Mapping[str, Any]) -> Evaluator:
-    """Make an evaluator again that was pickled."""
-    return cls(source, where, **given)
