@@ -1,6 +1,5 @@
-"""What the environment says of bars and windows is no matter of the tests."""
+"""What the environment says of progress bars is no matter of the tests."""
 
 import os
 
 os.environ.pop("TQDM_DISABLE", None)  # read when tqdm is imported
-os.environ["MPLBACKEND"] = "Agg"

@@ -19,7 +19,7 @@ NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 OUTPUT = Path(__file__).parent / "output"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 #: However slow the machine; in milliseconds.
-MINUTES = 30 * 60_000
+MINUTES = 10 * 60_000
 SETTINGS = {  # cells out of sight are drawn too
     "@jupyterlab/notebook-extension/tracker.jupyterlab-settings": {"windowingMode": "none"},
     "@jupyterlab/apputils-extension/notification.jupyterlab-settings": {
