@@ -155,10 +155,6 @@ class Digits(Numbers):
         """Give an array of zeros."""
         return np.full(shape, self._inner(self.context.zero), dtype=object)
 
-    def workspace(self, rows: int, lanes: int = 1) -> NDArray[Any]:
-        """Give rows of zeros."""
-        return self.zeros((rows, lanes))
-
     def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
         """Tell which numbers are finite."""
         finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)

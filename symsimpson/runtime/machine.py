@@ -60,7 +60,7 @@ def workspace(
     facts: Facts, numbers: Numbers, parameters: NDArray[Any], more: int = 0
 ) -> NDArray[Any]:
     """Make the workspace of one lane, with the parameters in it and so many further rows."""
-    W = numbers.workspace(facts.rows + more)
+    W = numbers.zeros((facts.rows + more, 1))
     first = facts.layout["PARAMETER"]
     W[first : first + parameters.size, 0] = parameters
     return W

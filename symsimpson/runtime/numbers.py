@@ -71,8 +71,11 @@ class Numbers:
         """Give an array of zeros."""
         return np.zeros(shape)
 
-    def workspace(self, rows: int, lanes: int = 1) -> NDArray[Any]:
-        """Give rows of zeros that begin with a line of the cache: no vector lies across two."""
+    def workspace(self, rows: int, lanes: int) -> NDArray[Any]:
+        """Give rows of zeros that begin with a line of the cache: no vector lies across two.
+
+        It is worth its microseconds for many trajectories, not for one.
+        """
         room = np.zeros(rows * lanes + CACHE_LINE)
         first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
         return room[first : first + rows * lanes].reshape(rows, lanes)
