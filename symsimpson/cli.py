@@ -8,10 +8,10 @@ import re
 import sys
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from symsimpson import __version__
 from symsimpson.errors import GenerationError, InputError, SymsimpsonError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="symsimpson", description="Variational integrators from kinetic and potential energy."
     )
-    parser.add_argument("--version", action="version", version=f"%(prog)s {version('symsimpson')}")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     system = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
 

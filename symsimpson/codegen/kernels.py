@@ -128,7 +128,7 @@ def _module(
     constant_mass: bool,
 ) -> Module:
     """Add what is computed once a run, when it is known what that is; lay out the workspace."""
-    shares: tuple[Statement, ...] = ()
+    for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     if low.equations.scheme.by_stages and low.n <= STAGE_COORDINATES:
         stages = StageKernels(low)
@@ -136,7 +136,7 @@ def _module(
         stage_sizes = stages.sizes
         if stages.kernels:
             tables = {**tables, "STRIDE": stages.stride}
-            shares = (Call("stage_constants", ("W", "h", "lane")),)
+            for_stages = (Call("stage_constants", ("W", "h", "lane")),)
     stores = [
         Store(Row("COEFFICIENT", i), low.graph.define("coefficient", _own(low, value), "constants"))
         for i, value in enumerate(low.coefficients)
@@ -145,7 +145,7 @@ def _module(
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
-    prepare = Kernel("prepare", doc, lanes((*known, *shares)))
+    prepare = Kernel("prepare", doc, lanes((*known, *for_stages)))
     sizes = {
         "PARAMETER": len(low.names.parameters),
         "INVARIANT": len(low.names.invariants),

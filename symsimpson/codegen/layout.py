@@ -9,9 +9,6 @@ from symsimpson.codegen.storage import Storage
 
 __all__ = ["layout"]
 
-#: So many numbers are in a line of the cache; vectors that lie across two take longer.
-CACHE_LINE = 8
-
 
 def layout(
     storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
@@ -47,8 +44,6 @@ def layout(
     for block in BLOCKS:
         if block.startswith("STAGE_") and not sizes.get(block):
             continue
-        if block == "STAGE_V":  # and with it all that belongs to nodes
-            row = -(-row // CACHE_LINE) * CACHE_LINE
         first[block] = row
         row += every[block]
     return first, row

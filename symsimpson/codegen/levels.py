@@ -14,6 +14,7 @@ from enum import IntEnum
 import sympy as sp
 
 from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.printer import LARGE
 
 __all__ = ["Definition", "Graph", "Level"]
 
@@ -27,9 +28,6 @@ class Level(IntEnum):
     ITERATION = 3
     LATE = 4  # once the forces at all nodes are known
 
-
-#: Larger integers are no exact doubles, and soon none that fit into 64 bits.
-EXACT = 2**53
 
 #: Names of values cut out of an expression, by when they are known.
 _PREFIX = {
@@ -156,7 +154,7 @@ class Graph:
         """Write small integers, their halves and floats in place; name every other constant."""
         if number.is_Float:
             return number
-        small = number.is_Rational and abs(number.p) < EXACT and number.q < EXACT
+        small = number.is_Rational and abs(number.p) < LARGE and number.q < LARGE
         if small and number.q & (number.q - 1) == 0:
             return number
         if number.could_extract_minus_sign():

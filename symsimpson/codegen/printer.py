@@ -11,7 +11,7 @@ from sympy.printing.str import StrPrinter
 
 from symsimpson.errors import GenerationError
 
-__all__ = ["FUNCTIONS", "Printer", "count_operations"]
+__all__ = ["FUNCTIONS", "LARGE", "Printer", "count_operations"]
 
 #: SymPy functions and their names in :mod:`math`; every binding supplies these names.
 FUNCTIONS = {
@@ -21,7 +21,7 @@ FUNCTIONS = {
 }  # fmt: skip
 
 
-#: Larger integers do not fit into 64 bits, or soon will not.
+#: Integers from here on are no exact doubles, and soon none that fit into 64 bits.
 LARGE = 2**53
 
 

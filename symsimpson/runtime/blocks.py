@@ -28,6 +28,8 @@ __all__ = ["Results", "Task", "ensemble_of", "run_blocks"]
 
 #: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
+#: Numbers in a line of the cache.
+CACHE_LINE = 8
 #: Steps of a block before their cost is known.
 FIRST_BUDGET = 2000
 
@@ -198,7 +200,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     step, compiled = getattr(kernels, kernels.ladder[0]), driver("sweep", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = stepper._numbers.workspace(facts.rows + watched, lanes)
+        W = _aligned(facts.rows + watched, lanes)
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
@@ -216,6 +218,16 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
             done(int(cursor[0] - before))
 
     return work
+
+
+def _aligned(rows: int, lanes: int) -> Floats:
+    """Give rows of zeros that begin with a line of the cache: no vector lies across two.
+
+    It is worth its microseconds for many trajectories, not for one.
+    """
+    room = np.zeros(rows * lanes + CACHE_LINE)
+    first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
+    return room[first : first + rows * lanes].reshape(rows, lanes)
 
 
 def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> None:

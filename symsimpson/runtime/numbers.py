@@ -18,8 +18,6 @@ __all__ = ["FLOAT64", "KernelSet", "Numbers"]
 
 #: A context that does nothing can be entered many times.
 NOTHING: AbstractContextManager[None] = nullcontext()
-#: Numbers in a line of the cache.
-CACHE_LINE = 8
 #: Python is quicker than NumPy with so many numbers.
 FEW = 16
 
@@ -70,15 +68,6 @@ class Numbers:
     def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
         """Give an array of zeros."""
         return np.zeros(shape)
-
-    def workspace(self, rows: int, lanes: int) -> NDArray[Any]:
-        """Give rows of zeros that begin with a line of the cache: no vector lies across two.
-
-        It is worth its microseconds for many trajectories, not for one.
-        """
-        room = np.zeros(rows * lanes + CACHE_LINE)
-        first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
-        return room[first : first + rows * lanes].reshape(rows, lanes)
 
     def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
         """Tell which numbers are finite."""

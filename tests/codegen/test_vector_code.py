@@ -36,11 +36,11 @@ def test_eight_lanes_are_packed(scheme):
 
 
 @pytest.mark.parametrize(
-    ("name", "scheme"),
-    [("double_pendulum", "gauss8"), ("double_pendulum", "gauss16"),
-     ("lagrange_top", "gauss16"), ("henon_heiles", "gauss12")],
+    ("name", "scheme", "least"),
+    [("double_pendulum", "gauss8", 80), ("double_pendulum", "gauss16", 80),
+     ("lagrange_top", "gauss16", 80), ("henon_heiles", "gauss12", 40)],
 )  # fmt: skip
-def test_nodes_of_one_trajectory_are_packed(name, scheme):
+def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     """Both loops over nodes, although the second one is short: compilers like to unroll it."""
 
     def build(module):
@@ -50,7 +50,7 @@ def test_nodes_of_one_trajectory_are_packed(name, scheme):
     assembly = iterate._library.get_asm_str()
     packed = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)pd\b", assembly))
     single = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)sd\b", assembly))
-    assert packed > single
+    assert packed > least
     assert single <= 30  # the judgement of an iteration
 
 

@@ -116,28 +116,40 @@ import sys
 import symsimpson as ss
 system = ss.systems.double_pendulum()
 ss.compile(system, "simpson").integrate(
-    **system.reference_state, h=0.0078125, steps=3_000_000, every=1000, checkpoint=sys.argv[1],
+    **system.reference_state, h=0.0078125, steps=10_000_000, every=1000, checkpoint=sys.argv[1],
     checkpoint_every=2000, progress=False)
 """
+
+
+def written(path):
+    """When a checkpoint was written; between two names of a file there is none."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return None
 
 
 def test_kill_at_any_moment(path):
     """20 times, by a signal that nothing can catch."""
     system = SYSTEMS["double_pendulum"]
     random = np.random.default_rng(3)
+    killed = 0
     for _ in range(20):
+        before = written(path)
         child = subprocess.Popen([sys.executable, "-c", CHILD, str(path)], stderr=subprocess.PIPE)
-        while not path.exists() and child.poll() is None:
-            time.sleep(0.01)
-        time.sleep(random.uniform(0.0, 0.15))
+        while written(path) == before and child.poll() is None:  # until it writes one of its own
+            time.sleep(0.002)
+        time.sleep(random.uniform(0.0, 0.05))
         child.send_signal(signal.SIGKILL)
         _, said = child.communicate()
+        killed += child.returncode == -signal.SIGKILL
         assert b"Error" not in said, said
+    assert killed > 10  # the others had come to the end
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # killed between two names of a file
         run = ss.resume(path)
     whole = ss.compile(system, "simpson").integrate(
-        **system.reference_state, h=0.0078125, steps=3_000_000, every=1000
+        **system.reference_state, h=0.0078125, steps=10_000_000, every=1000
     )
     assert same(run, whole)
 
