@@ -48,9 +48,18 @@ class _Draft:
 
 
 def families(plain: Plain) -> tuple[Family, ...]:
-    """Sort the terms of L = v.M.v/2 + a.v - V into families."""
+    """Sort the terms of L = v.M.v/2 + a.v - V into families.
+
+    What contains no coordinate is one family of its own: a coefficient alone.
+    """
     drafts: dict[sp.Expr, _Draft] = {}
-    for term in _terms(plain):
+    terms = list(_terms(plain))
+    constant = sp.Add(*(term for term in terms if not _moves(term, plain)))
+    if constant != 0:
+        drafts[sp.Symbol("c_0", real=True)] = _Draft([()], [(constant,)])
+    for term in terms:
+        if not _moves(term, plain):
+            continue
         reader = _Reader(plain)
         key = reader.read(term)
         draft = drafts.setdefault(key, _Draft([], []))
@@ -69,6 +78,10 @@ def _terms(plain: Plain) -> Iterator[sp.Expr]:
     for a, v in zip(plain.gyroscopic, plain.v, strict=True):
         yield from (term * v for term in Sum(a, plain.q).terms if term != 0)
     yield from (-term for term in Sum(plain.potential, plain.q).terms if term != 0)
+
+
+def _moves(expression: sp.Expr, plain: Plain) -> bool:
+    return not expression.free_symbols.isdisjoint((*plain.q, *plain.v))
 
 
 class _Reader:
@@ -129,13 +142,16 @@ class _Reader:
 
 
 def _family(system: Plain, key: sp.Expr, draft: _Draft) -> Family:
-    """Make a family; a coefficient that all members share stands in the term itself."""
+    """Make a family; a coefficient that all members share stands in the term itself.
+
+    A member without coordinates keeps its coefficient: tables have a column at least.
+    """
     count = len(draft.coefficients[0])
     columns = [[row[k] for row in draft.coefficients] for k in range(count)]
     shared = {
         sp.Symbol(f"c_{k}", real=True): column[0]
         for k, column in enumerate(columns)
-        if len(set(column)) == 1
+        if len(set(column)) == 1 and draft.coordinates[0]
     }
     varying = [k for k in range(count) if sp.Symbol(f"c_{k}", real=True) not in shared]
     term = key.xreplace(shared)
