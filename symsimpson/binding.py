@@ -53,7 +53,7 @@ def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
     tree = ast.parse(source)
     tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
     if "power" in arithmetic:
-        tree = ast.fix_missing_locations(_Powers().visit(tree))
+        tree = ast.fix_missing_locations(_Operators(arithmetic).visit(tree))
     namespace: dict[str, Any] = dict(arithmetic)
     exec(compile(tree, "<generated module>", "exec"), namespace)
     return SimpleNamespace(**{k: v for k, v in namespace.items() if not k.startswith("__")})
@@ -117,10 +117,30 @@ def bind_complex(source: str) -> SimpleNamespace:
 
 def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False) -> SimpleNamespace:
     """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
-    names = [*MATH, "atan2", "pi"]
-    functions: dict[str, Any] = {name: getattr(context, name) for name in names}
+    nan, not_real = context.nan, (context.mpc, complex)
+
+    def real_valued(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Give NaN where there is no real value, as compiled code does."""
+
+        def evaluated(*arguments: Any) -> Any:
+            try:
+                value = function(*arguments)
+            except (ZeroDivisionError, ValueError):
+                return nan
+            return nan if isinstance(value, not_real) else value
+
+        return evaluated
+
+    def divide(a: Any, b: Any) -> Any:
+        return a / b if b else (a * context.inf if a == a else nan)
+
+    functions: dict[str, Any] = {
+        name: real_valued(getattr(context, name)) for name in (*MATH, "atan2")
+    }
     functions["pi"] = +context.pi
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
+    functions["power"] = real_valued(lambda a, b: a**b)
+    functions["divide"] = divide
     functions |= _tables(context.mpf, context.dps)
     digits = context.dps if judging else None
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
@@ -176,11 +196,16 @@ def _power(base: Any, exponent: Any) -> Any:
     return result
 
 
-class _Powers(ast.NodeTransformer):
-    """Writes a**b as power(a, b)."""
+class _Operators(ast.NodeTransformer):
+    """Writes a**b as power(a, b) and a/b as divide(a, b), where an arithmetic has these names."""
+
+    def __init__(self, arithmetic: Mapping[str, Any]) -> None:
+        named = {ast.Pow: "power", ast.Div: "divide"}
+        self._named = {kind: name for kind, name in named.items() if name in arithmetic}
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         self.generic_visit(node)
-        if not isinstance(node.op, ast.Pow):
+        name = self._named.get(type(node.op))
+        if name is None:
             return node
-        return ast.Call(ast.Name("power", ast.Load()), [node.left, node.right], [])
+        return ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], [])

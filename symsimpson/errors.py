@@ -5,7 +5,7 @@ Every message says what is wrong, where, why it matters and what to do about it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from symsimpson.runtime.ensemble import Ensemble
@@ -28,7 +28,23 @@ __all__ = [
 
 
 class SymsimpsonError(Exception):
-    """The base of every error that symsimpson raises on purpose."""
+    """The base of every error that symsimpson raises on purpose.
+
+    All of them go through pickle with what they carry, so that they reach the parent of a process.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _revive, (type(self), self.args, self.__dict__)
+
+
+def _revive(
+    kind: type[SymsimpsonError], arguments: tuple[Any, ...], attributes: dict[str, Any]
+) -> SymsimpsonError:
+    """Make an error as it was, whatever its constructor asks for."""
+    error = kind.__new__(kind)
+    error.args = arguments
+    error.__dict__.update(attributes)
+    return error
 
 
 class ModelError(SymsimpsonError):

@@ -55,6 +55,16 @@ class Plain:
     potential: sp.Expr
     invariants: Mapping[str, sp.Expr]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unfrozen(self)
+
+
+def _unfrozen(value: Any) -> tuple[Any, ...]:
+    """Tell pickle to call the constructor again; what is read-only is handed over as a dict."""
+    given = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+    plain = {k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()}
+    return partial(type(value), **plain), ()
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MechanicalSystem:
@@ -283,11 +293,7 @@ class MechanicalSystem:
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        given = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        plain: dict[str, Any] = {
-            k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()
-        }
-        return partial(type(self), **plain), ()
+        return _unfrozen(self)
 
     def __repr__(self) -> str:
         names = ", ".join(q.func.__name__ for q in self.coordinates)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import os
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +82,7 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
     scene = scene_of(run.at(t), FINE)
     title = f"{run._stepper.system}, {run._stepper.scheme}"
     make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
-    return Animation(lambda: make(scene, t[::FINE], fps, title), frames, size)
+    return Animation(partial(make, scene, t[::FINE], fps, title), frames, size)
 
 
 def plot_path(run: States, *, ax: Any = None) -> Any:

@@ -6,6 +6,7 @@ code; only the thresholds that name a rounding error are other ones.
 
 from __future__ import annotations
 
+import copyreg
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from fractions import Fraction
@@ -15,7 +16,7 @@ from typing import Any, cast
 
 import mpmath
 import numpy as np
-from mpmath.libmp import from_man_exp
+from mpmath.libmp import from_man_exp, from_pickable, to_pickable
 from numpy.typing import NDArray
 
 from symsimpson.binding import bind, bind_arb, bind_mpmath
@@ -36,11 +37,11 @@ ARITHMETICS = ("mpmath", "arb")
 
 
 @cache
-def _numbers(digits: int, arithmetic: str) -> Numbers:
+def _numbers(digits: int, arithmetic: str) -> Digits:
     return Arb(digits) if arithmetic == "arb" else Digits(digits)
 
 
-def read_precision(precision: Any, arithmetic: Any) -> Numbers:
+def read_precision(precision: Any, arithmetic: Any) -> Digits:
     """Give the numbers of so many decimal digits.
 
     Raises
@@ -112,15 +113,28 @@ class _Functions:
         return getattr(self._module, name, None)
 
 
+def _revive(digits: int, arithmetic: str, number: Any) -> Any:
+    """Give a number as it was, at home in the context for so many digits."""
+    return read_precision(digits, arithmetic).context.make_mpf(from_pickable(number))
+
+
 class Digits(Numbers):
     """Numbers of mpmath, in a context of their own."""
 
-    stretch = 1
+    stretch, arithmetic = 1, "mpmath"
 
     def __init__(self, digits: int) -> None:
         self.digits = digits
         self.context = mpmath.mp.clone()
         self.context.dps = digits
+        # numbers of a cloned context are of a class that pickle does not find by its name
+        copyreg.pickle(self.context.mpf, self._reduced)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return read_precision, (self.digits, self.arithmetic)
+
+    def _reduced(self, number: Any) -> tuple[Any, ...]:
+        return _revive, (self.digits, self.arithmetic, to_pickable(number._mpf_))
 
     def is_one(self, value: Any) -> bool:
         """Tell whether a value needs no conversion: none is trusted to."""
@@ -201,6 +215,8 @@ class Digits(Numbers):
 class Arb(Digits):
     """Midpoints of the balls of python-flint."""
 
+    arithmetic = "arb"
+
     def __init__(self, digits: int) -> None:
         super().__init__(digits)
         from flint import arb
@@ -221,6 +237,10 @@ class Arb(Digits):
             return self.context.nan
         mantissa, exponent = number.mid().man_exp()
         return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
+
+    def single(self, number: Any) -> Any:
+        """Give a number of mpmath."""
+        return self._outer(number)
 
     def result(self, array: NDArray[Any]) -> NDArray[Any]:
         """Give numbers of mpmath."""

@@ -64,12 +64,10 @@ class Evaluator:
         return self._facts.n
 
     def __reduce__(self) -> tuple[Any, ...]:
-        if self._numbers is not FLOAT64:
-            raise TypeError("a stepper of many digits cannot be pickled: compile it where it runs")
         state = self.reference_state
         given = {
             "defaults": self._given and dict(self._given), "declared": self._declared,
-            "reference_state": state and dict(state),
+            "reference_state": state and dict(state), "numbers": self._numbers,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 

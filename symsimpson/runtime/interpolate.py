@@ -152,16 +152,17 @@ class DenseOutput:
 
         Where part of a step does not resolve the motion it is divided further.
         """
-        (q, p), status = self._run_on(q, p, self._run.h, whole)
+        h = self._run._stepper._numbers.read(self._run.h).item()
+        (q, p), status = self._run_on(q, p, h, whole)
         if status is not Status.SUCCESS or rest == 0:
             return (q, p), status
         for parts in DIVISIONS:
             state, status = self._run_on(q, p, rest / parts, parts)
             if status is Status.SUCCESS:
                 return state, status
-        if abs(float(rest / self._run.h)) < LITTLE:  # near enough to the line to the next state
-            ahead, status = self._run_on(q, p, self._run.h, 1)
-            part = rest / self._run.h
+        if abs(float(rest / h)) < LITTLE:  # near enough to the line to the next state
+            ahead, status = self._run_on(q, p, h, 1)
+            part = rest / h
             return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 

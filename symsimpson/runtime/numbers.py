@@ -52,6 +52,9 @@ class Numbers:
 
     stretch = 4096
 
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        return "FLOAT64"  # there is one, by its name in this module
+
     def is_one(self, value: Any) -> bool:
         """Tell whether a value needs no conversion."""
         return type(value) is float and math.isfinite(value)
@@ -82,6 +85,10 @@ class Numbers:
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
         """Give whole numbers to multiply with."""
         return np.arange(first, stop, stride, dtype=np.float64)
+
+    def single(self, number: Any) -> Any:
+        """Give one number as a user gets it."""
+        return number
 
     def result(self, array: NDArray[Any]) -> NDArray[Any]:
         """Give an array as a user gets it."""

@@ -200,7 +200,7 @@ def trajectory_of(
     result = stepper._numbers.result
     t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=run.h, steps=done,
+        t=t, q=q, p=p, newton_iterations=iterations, h=stepper._numbers.single(run.h), steps=done,
         every=run.every or None, status=status, message=message,
         _stepper=stepper, _values=values,
     )  # fmt: skip
