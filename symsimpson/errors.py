@@ -19,6 +19,7 @@ __all__ = [
     "InputError",
     "Interrupted",
     "ModelError",
+    "ResolutionWarning",
     "SchemeError",
     "StabilityWarning",
     "StaleKernelError",
@@ -65,6 +66,10 @@ class StaleKernelError(SymsimpsonError):
 
 class StabilityWarning(UserWarning):
     """A step is so large that oscillations may grow without bound."""
+
+
+class ResolutionWarning(UserWarning):
+    """A run passed something faster than its steps resolve: what follows is another motion."""
 
 
 class InputError(SymsimpsonError, ValueError):

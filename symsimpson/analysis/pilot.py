@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, StabilityWarning
+from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ def any_step() -> Iterator[None]:
     """Let steps that are too large be tried without a warning."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
+        warnings.simplefilter("ignore", ResolutionWarning)
         yield
 
 

@@ -28,12 +28,13 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import Printer
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.mechanics.domain import real_everywhere
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["INTERFACE", "emit"]
 
 #: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 6
+INTERFACE = 7
 
 _WIDTH = 99
 #: Lists of more integers than this are arrays.
@@ -198,6 +199,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> str:
         "DEFAULTS": tuple(float(value) for value in system.parameters.values()),
         "SIGNS": tuple(signs),
         "INVARIANTS": names.invariants,
+        "REAL_EVERYWHERE": _real_everywhere(equations),
     }
     lines = []
     for name, value in facts.items():
@@ -211,6 +213,13 @@ def _facts(equations: DiscreteEquations, module: Module) -> str:
             "",
         ]
     )
+
+
+def _real_everywhere(equations: DiscreteEquations) -> bool:
+    """Tell whether the energy is real at all states, so that nobody need look."""
+    plain = equations.plain
+    entries = plain.mass.todok().values()
+    return real_everywhere([*entries, *plain.gyroscopic, plain.potential])
 
 
 def _layout(module: Module) -> str:

@@ -183,15 +183,20 @@ def part_unknowns(part: Part) -> int:
 
 
 def _energy(low: Lowering) -> Kernel:
-    """H = v.(p - a)/2 + V."""
+    """H = v.(p - a)/2 + V, and the first of the two alone."""
     point, section = low.start_point(), "energy"
     v, _ = velocity(low, point, low.p, "velocity")
     terms = [
         v[i] * (low.p[i] - low.template.entry(point, section, "a", i)) / 2 for i in range(low.n)
     ]
-    value = sp.Add(low.template.output(point, section, ("V",)), *terms)
-    store = Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section))
-    return Kernel("energy", "The Hamiltonian at (q, p).", lanes(low.statements((store,), STATE)))
+    kinetic = low.graph.define("kinetic_value", sp.Add(*terms), section)
+    value = sp.Add(low.template.output(point, section, ("V",)), kinetic)
+    stores = (
+        Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
+        Store(Row("KINETIC", 0), kinetic),
+    )
+    doc = "The Hamiltonian at (q, p), and its kinetic part."
+    return Kernel("energy", doc, lanes(low.statements(stores, STATE)))
 
 
 def _invariants(low: Lowering) -> Kernel:

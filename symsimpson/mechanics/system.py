@@ -63,7 +63,8 @@ def _unfrozen(value: Any) -> tuple[Any, ...]:
     """Tell pickle to call the constructor again; what is read-only is handed over as a dict."""
     given = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     plain = {k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()}
-    return partial(type(value), **plain), ()
+    kind: Any = type(value)
+    return partial(kind, **plain), ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

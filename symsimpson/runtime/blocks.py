@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
@@ -14,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.runtime.ensemble import Ensemble
-from symsimpson.runtime.evaluate import watching
+from symsimpson.runtime.evaluate import evaluate, watching
 from symsimpson.runtime.load import Facts, Kernels
 from symsimpson.runtime.machine import driver
 from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_values
@@ -233,17 +235,26 @@ def _aligned(rows: int, lanes: int) -> Floats:
 def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> None:
     """Run members that failed once more, each by itself, where robust kernels may help it.
 
-    What a member comes to then is what a single run of it comes to.
+    What a member comes to then is what a single run of it comes to. So are those at whose stored
+    states the energy is not real.
     """
-    failed = np.flatnonzero(~np.isin(results.codes[:, 0], (Status.SUCCESS, Status.BAD_INPUT)))
-    for member in failed:
+    good = np.isin(results.codes[:, 0], (Status.SUCCESS, Status.BAD_INPUT))
+    if not stepper._facts.real_everywhere:
+        good &= _real(stepper, task, results) | (results.codes[:, 0] == Status.BAD_INPUT)
+    for member in np.flatnonzero(~good):
         given = {task.given: task.other0[member]}
         try:
-            run = stepper.integrate(
-                task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
-                parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
-                every=1 if task.reductions else task.every or None, on_failure="return",
-            )  # fmt: skip
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ResolutionWarning)
+                run = stepper.integrate(
+                    task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
+                    parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
+                    every=1 if task.reductions else task.every or None, on_failure="return",
+                )  # fmt: skip
+        except InputError:
+            results.q[member], results.p[member], results.seen[member] = np.nan, np.nan, np.nan
+            results.codes[member] = Status.BAD_INPUT, 0, 0
+            continue
         except KeyboardInterrupt:
             queue.stopped = True
             return
@@ -259,6 +270,23 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         results.q[member, : len(q)], results.p[member, : len(p)] = q, p
         results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+
+
+def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
+    """Tell which members have a real energy where they begin, and at all stored states."""
+    n = stepper.n
+    real = np.zeros(task.members, dtype=np.bool_)
+    values, group = np.unique(task.parameters, axis=0, return_inverse=True)
+    for k, own in enumerate(values):
+        here = np.flatnonzero(group.ravel() == k)
+        # a momentum of zero where velocities were given: V has its value all the same
+        first = np.zeros((here.size, 1, n)) if task.velocities else task.other0[here, None]
+        q = np.concatenate([task.q0[here, None], results.q[here]], axis=1)
+        p = np.concatenate([first, results.p[here]], axis=1)
+        states = q.reshape(-1, n), p.reshape(-1, n)
+        energy = evaluate(stepper, "energy", "ENERGY", 1, *states, own)
+        real[here] = np.isfinite(energy).reshape(here.size, -1).all(axis=1)
+    return real
 
 
 def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:

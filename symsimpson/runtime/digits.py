@@ -109,7 +109,7 @@ class _Functions:
         prepare, start, newton, *others = self.newton
         return prepare, start, pivoted or newton, *others
 
-    def address(self, name: str) -> Any:
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
         return getattr(self._module, name, None)
 
 

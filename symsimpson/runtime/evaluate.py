@@ -28,8 +28,28 @@ def evaluate(
     facts, numbers = stepper._facts, stepper._numbers
     with numbers.working():
         W = workspace(facts, numbers, numbers.read(values))
-        address, t = stepper._kernels.address(kernel), numbers.zeros(len(q))
-        return _evaluated(stepper, W, (0, address), (facts.layout[block], count), t, q, p)
+        return evaluate_in(W, stepper, kernel, block, count, q, p)
+
+
+def evaluate_in(
+    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals
+) -> Reals:
+    """Evaluate a kernel of the state in a workspace that holds parameters.
+
+    Fast sines have no value for huge angles: there the library's are taken.
+    """
+    numbers, kernels = stepper._numbers, stepper._kernels
+    place = stepper._facts.layout[block], count
+
+    def values(q: Reals, p: Reals, *, any_angle: bool) -> Reals:
+        address = kernels.address(kernel, any_angle=any_angle)
+        return _evaluated(stepper, W, (0, address), place, numbers.zeros(len(q)), q, p)
+
+    found = values(q, p, any_angle=False)
+    if not numbers.all_finite(found):
+        again = ~numbers.finite(found).all(axis=1)
+        found[again] = values(q[again], p[again], any_angle=True)
+    return found
 
 
 def watching(

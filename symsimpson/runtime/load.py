@@ -20,7 +20,7 @@ from symsimpson.runtime.cache import compiled, whereabouts
 __all__ = ["INTERFACE", "SIGNED", "Facts", "Kernels", "digest", "equations_of", "read_facts"]
 
 #: The kernel interface that this runtime drives.
-INTERFACE = 6
+INTERFACE = 7
 
 #: The line above a module that holds the digest of what follows.
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
@@ -45,6 +45,7 @@ class Facts:
     defaults: tuple[float, ...]
     signs: tuple[str, ...]
     invariants: tuple[str, ...]
+    real_everywhere: bool
     rows: int
     row_order: tuple[int, ...]
     column_order: tuple[int, ...]
@@ -143,14 +144,15 @@ def read_facts(text: str, where: str) -> Facts:
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
         "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
         "coordinates": "COORDINATES", "parameters": "PARAMETERS",
-        "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS", "rows": "ROWS",
+        "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS",
+        "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
         "coordinate_order": "COORDINATE",
     }  # fmt: skip
     blocks = {
         name: value
         for name, value in constants.items()
-        if isinstance(value, int) and re.fullmatch(r"[A-Z][A-Z_]+", name)
+        if type(value) is int and re.fullmatch(r"[A-Z][A-Z_]+", name)
     }
     return Facts(
         **{field: constants[name] for field, name in names.items()},
@@ -190,7 +192,7 @@ class Kernels:
         self._text = body.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
         self._facts = facts
         self._staged = facts.by_stages and lanes == 1  # nodes are lanes, or members are
-        self._single: dict[str, int] = {}
+        self._single: dict[tuple[str, bool], int] = {}
 
     @cached_property
     def ladder(self) -> tuple[str, ...]:
@@ -225,22 +227,28 @@ class Kernels:
 
         They take any angle and meet no singular pivot, at several times the cost.
         """
+        pivoted = "newton_pivoted" if self._facts.straight else "newton"
+        names = ("prepare", "start", pivoted, "advance")
+        return self._watched(self._addresses(self._any_angle, "robust", names))
+
+    @cached_property
+    def _any_angle(self) -> str:
+        """The text with the library's sine and cosine."""
         plain = "@compiled\ndef sincos(x):\n    return sin(x), cos(x)\n\n\n"
         pattern = r"@compiled\ndef sincos\(x\):\n.*?\n\n\n"
         text = re.sub(pattern, plain, self._text, flags=re.DOTALL)
-        text = text.replace(
+        return text.replace(
             "from numba import", "from math import cos, sin\n\nfrom numba import", 1
         )
-        pivoted = "newton_pivoted" if self._facts.straight else "newton"
-        return self._watched(
-            self._addresses(text, "robust", ("prepare", "start", pivoted, "advance"))
-        )
 
-    def address(self, name: str) -> int:
-        """Give the address of one kernel."""
-        if name not in self._single:  # finding it among what is compiled takes the text's digest
-            self._single[name] = int(self._addresses(self._text, name, (name,))[0])
-        return self._single[name]
+    def address(self, name: str, *, any_angle: bool = False) -> int:
+        """Give the address of one kernel; of one that takes any angle, if that is asked for."""
+        key = name, any_angle
+        if key not in self._single:  # finding it among what is compiled takes the text's digest
+            text = self._any_angle if any_angle else self._text
+            label = f"{name}_any_angle" if any_angle else name
+            self._single[key] = int(self._addresses(text, label, (name,))[0])
+        return self._single[key]
 
     def observing(self, kernel: str, rows: int) -> int:
         """Give the address of a further kernel, whose text is compiled behind the module's.

@@ -12,6 +12,7 @@ from symsimpson.runtime.driver import (
     COUNT,
     COUNTS,
     DIMENSION,
+    ENERGY_ROW,
     INLINE,
     KERNELS,
     LANES,
@@ -39,6 +40,10 @@ SIGNATURES |= {
     "evaluate": types.void(
         types.int64, types.int64, types.int64, types.float64, WORKSPACE, PLACES,
         types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
+    ),
+    "steady": types.boolean(
+        types.int64, types.float64, WORKSPACE, PLACES, STATES, STATES, types.int64, types.int64,
+        types.float64,
     ),
 }  # fmt: skip
 #: Steps that a kernel takes in one call.
@@ -120,3 +125,33 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
         call(kernel, h, t[i], W)
         for k in range(out.shape[1]):
             out[i, k] = W[block + k, 0]
+
+
+@njit(**OPTIONS)
+def steady(energy, h, W, at, q, p, last, few, limit):
+    """Tell whether the energy at some states stays near that of the first.
+
+    No change is more than ``limit`` times the kinetic energy of most of the states. They are
+    ``few`` and the first, spread over those up to the last; the kinetic energy stands behind the
+    energy.
+    """
+    n, row = at[DIMENSION], at[ENERGY_ROW]
+    kinetic = np.empty(few + 1)
+    start, change = 0.0, 0.0
+    for i in range(few + 1):
+        place = i * last // few
+        for a in range(n):
+            W[at[POSITION] + a, 0] = q[place, a, 0]
+            W[at[MOMENTUM] + a, 0] = p[place, a, 0]
+        call(energy, h, 0.0, W)
+        if i == 0:
+            start = W[row, 0]
+        here = abs(W[row, 0] - start)
+        if not here < np.inf:
+            return False
+        change = max(change, here)
+        kinetic[i] = W[row + 1, 0]
+    enough = 0
+    for i in range(few + 1):
+        enough += change <= limit * kinetic[i]
+    return 2 * enough > few + 1

@@ -37,8 +37,8 @@ class KernelSet(Protocol):
     def newton(self) -> Any:
         """Prepare, start, newton and advance."""
 
-    def address(self, name: str) -> Any:
-        """Give one kernel."""
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        """Give one kernel; of one that takes any angle, if that is asked for."""
 
 
 class Numbers:

@@ -12,7 +12,15 @@ from symsimpson.runtime.events import Events, Question, gather, read_question, z
 from symsimpson.runtime.inputs import read_failure, read_steps
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.progress import Watcher
-from symsimpson.runtime.single import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.runtime.resolution import check_start, sampling_stride
+from symsimpson.runtime.single import (
+    begin_run,
+    look_at_step,
+    looked_at,
+    new_run,
+    raise_failure,
+    trajectory_of,
+)
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -50,21 +58,35 @@ def poincare(
     begin_run(stepper, run, *start)
     look_at_step(stepper, run, values)
     run.listener = watcher = Watcher(count, progress)
-    found, ended = [], None
+    q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
+    check_start(stepper, q, p, values)
+    stride = sampling_stride(count)
+    found, seen, ended = [], [(q[None], p[None])], None
     try:
         while run.step < count and run.alive:
             run.advance(min(run.step + PIECE, count))
             found.append(_zeros(stepper, run, values, question))
+            if stride:  # states to look at, behind those of the piece before
+                first = stride - run.first % stride
+                here = slice(first, run.step - run.first + 1, stride)
+                seen.append((run.q[here, :, 0].copy(), run.p[here, :, 0].copy()))
             run.forget()
     except KeyboardInterrupt:
         ended = Status.INTERRUPTED
     finally:
         watcher.close()
-    run.every = 0  # the states are gone, but for the last
-    last = trajectory_of(stepper, run, count, ended or run.status, values)
+    # the states are gone, but for the last and those to look at
+    run.every = stride
+    q, p = (np.concatenate(states) for states in zip(*seen, strict=True))
+    none = np.zeros(0, dtype=np.int64)
+    last = trajectory_of(stepper, run, count, ended or run.status, values, (q, p, none), 0)
+    if stride and ended is None:
+        last = looked_at(stepper, run, last, q, p)
+        sign = 1 if h > 0 else -1
+        found = [tuple(x[sign * (part[0] - last.t[-1]) <= 0] for x in part) for part in found]
     events = gather(last, question, found)
-    if last.status is not Status.SUCCESS and on_failure == "raise":
-        raise_failure(run, events)
+    if not last.success and on_failure == "raise":
+        raise_failure(run, last, events)
     return events
 
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import ConvergenceError, InputError, Interrupted, StorageError
+from symsimpson.errors import (
+    ConvergenceError,
+    InputError,
+    Interrupted,
+    ResolutionWarning,
+    StorageError,
+)
 from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
 from symsimpson.runtime.inputs import (
     read_count,
@@ -23,6 +30,7 @@ from symsimpson.runtime.inputs import (
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import NOTHING
 from symsimpson.runtime.progress import Watcher, silence
+from symsimpson.runtime.resolution import check_start, look_at_energy, sampling_stride
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
 
@@ -62,17 +70,23 @@ def integrate(
     with numbers.working(), silence() if progress is False else NOTHING:
         values = stepper._values(parameters)
         h, count, t0 = read_steps(*times, numbers)
-        stride = read_every(every)
+        # where no states are asked for, some are kept to look at
+        wanted = read_every(every)
+        stride = wanted or sampling_stride(count)
         stored = count // stride + 1 if stride else 1
         if checkpoint is not None:
             stored = buffered(stride, stored, stepper.n)
         run = new_run(stepper, values, h, t0, stride, stored)
         begin_run(stepper, run, q0, v0, p0)
+        check_start(
+            stepper, run.rows("POSITION", stepper.n), run.rows("MOMENTUM", stepper.n), values
+        )
         if count:
             look_at_step(stepper, run, values)
         keeper = None
         if checkpoint is not None:
-            keeper = _checkpoint(checkpoint, checkpoint_every, stepper, run, count, values)
+            question = question_of(stepper, run, count, values) | {"every": wanted}
+            keeper = _checkpoint(checkpoint, checkpoint_every, question, run)
         if progress or (progress is None and count > BRIEF):
             run.listener = Watcher(count, progress)
         ended, problem = None, None
@@ -86,22 +100,78 @@ def integrate(
             if isinstance(run.listener, Watcher):
                 run.listener.close()
         status = run.status if ended is None else ended
-        trajectory = trajectory_of(stepper, run, count, status, values, keeper)
+        stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
+        trajectory = trajectory_of(
+            stepper, run, count, status, values, stored_states, wanted, keeper
+        )
+        if count and status is not Status.INTERRUPTED and problem is None:
+            trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
             raise problem
-        if status is not Status.SUCCESS and on_failure == "raise":
-            raise_failure(run, trajectory)
+        if not trajectory.success and on_failure == "raise":
+            raise_failure(run, trajectory, trajectory)
     return trajectory
+
+
+def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: Reals) -> Trajectory:
+    """Look at the energy of a run; ``q`` and ``p`` are states on its way.
+
+    Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
+    """
+    if not trajectory.success and stepper._facts.real_everywhere:
+        return trajectory
+    energies = look_at_energy(stepper, run, q, p)
+    if energies is None:
+        return trajectory
+    about = trajectory.__getstate__()
+    bad = energies.first_not_real
+    if bad is not None:
+        result, good = stepper._numbers.result, max(bad - 1, 0)
+        done = good * run.every
+        if trajectory.every is None:
+            last = slice(good, good + 1)
+            about |= {"q": result(q[last]), "p": result(p[last])}
+            about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
+        else:
+            for name in ("t", "q", "p", "newton_iterations"):
+                about[name] = about[name][: good + 1]
+        message = (
+            f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
+            f"t={float(run.t0 + run.h * (done + run.every)):g}, after step {done + run.every} of "
+            f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
+            "motion left their domain, or the steps jumped a singular point: check the state "
+            "before, try a smaller h."
+        )
+        return Trajectory(
+            **about | {"steps": done, "status": Status.NOT_FINITE, "message": message}
+        )
+    left = energies.left_at
+    if left is None or not trajectory.success:
+        return trajectory
+    place, off = left
+    since = float(run.t0 + run.h * (place * run.every))
+    message = (
+        f"{stepper.system}, {stepper.scheme}: from about t={since:g} on the energy is off by "
+        f"{off:.0%} of the kinetic energy and does not come back. Something was not resolved with "
+        f"h={float(run.h):g}, as a close encounter or a fast oscillation, and what follows is "
+        "another motion.\nTake a smaller h, or a scheme of higher order."
+    )
+    warnings.warn(message, ResolutionWarning, stacklevel=4)
+    return Trajectory(**about | {"message": f"{trajectory.message} {message}"})
+
+
+def stored_by(run: Run) -> tuple[Reals, Reals, NDArray[np.int64]]:
+    """Give q, p and iterations of the states that a run has stored in memory."""
+    kept = (run.step - run.first) // run.every + 1 if run.every else 0
+    return run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
 
 
 def _checkpoint(
     path: str | os.PathLike[str],
     every: int | None,
-    stepper: Stepper,
+    question: dict[str, Any],
     run: Run,
-    count: int,
-    values: Reals,
 ) -> Checkpoint:
     if run.W.dtype != np.float64:
         raise InputError(
@@ -109,7 +179,7 @@ def _checkpoint(
             "Leave checkpoint out, or compile without precision."
         )
     steps = None if every is None else read_count("checkpoint_every", every, least=1)
-    return Checkpoint(path, question_of(stepper, run, count, values), run, steps)
+    return Checkpoint(path, question, run, steps)
 
 
 def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, stored: int) -> Run:
@@ -173,21 +243,19 @@ def trajectory_of(
     count: int,
     status: Status,
     values: Reals,
+    stored: tuple[Reals, Reals, NDArray[np.int64]],
+    every: int,
     keeper: Checkpoint | None = None,
 ) -> Trajectory:
-    """Give what a run of so many steps has come to."""
+    """Give what a run of so many steps has come to: each so-many-th state, or the last for 0."""
     done = run.step
-    if run.every:
-        kept = done // run.every + 1
-        t = run.t0 + stepper._numbers.counted(0, done + 1, run.every) * run.h
-        if keeper is not None:
-            q, p, iterations = keeper.states()
-        else:
-            q, p, iterations = run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
+    q, p, iterations = stored
+    if every:
+        t = run.t0 + stepper._numbers.counted(0, done + 1, every) * run.h
     else:
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
         q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
-        iterations = np.array([run.last_iterations], dtype=np.int64)
+        iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
     message = status.message
     if status is not Status.SUCCESS:
         time, h = float(run.t0 + run.h * done), float(run.h)
@@ -201,23 +269,26 @@ def trajectory_of(
     t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=stepper._numbers.single(run.h), steps=done,
-        every=run.every or None, status=status, message=message,
+        every=every or None, status=status, message=message,
         _stepper=stepper, _values=values,
     )  # fmt: skip
 
 
-def raise_failure(run: Run, trajectory: Trajectory | Events) -> None:
-    """Raise the error of a run that did not reach its end."""
-    status = trajectory.status
-    if status is Status.INTERRUPTED:
-        raise Interrupted(trajectory.message, trajectory=trajectory)
-    residual = run.last_correction
+def raise_failure(run: Run, ended: Trajectory, result: Trajectory | Events) -> None:
+    """Raise the error of a run that did not reach its end, with what it has come to."""
+    if ended.status is Status.INTERRUPTED:
+        raise Interrupted(ended.message, trajectory=result)
+    residual, detail = run.last_correction, ""
+    if ended.steps == run.step:  # else it is what was found afterwards
+        detail = (
+            f"The last of {run.last_iterations} iterations changed the step by a fraction of "
+            f"{residual:.1e}. "
+        )
     raise ConvergenceError(
-        f"{trajectory.message} The last of {run.last_iterations} iterations changed the step "
-        f"by a fraction of {residual:.1e}. The states before are in this error's .trajectory.",
-        trajectory=trajectory,
-        step=run.step,
-        time=float(run.t0 + run.h * run.step),
+        f"{ended.message} {detail}The states before are in this error's .trajectory.",
+        trajectory=result,
+        step=ended.steps,
+        time=float(run.t0 + run.h * ended.steps),
         residual=residual,
-        status=status,
+        status=ended.status,
     )

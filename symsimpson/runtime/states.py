@@ -69,7 +69,12 @@ class States:
     @cached_property
     def energy(self) -> NDArray[Any]:
         """H, shape (N,); computed when first asked for."""
-        return self._evaluated("energy", "ENERGY", 1)[:, 0]
+        return self._energies[:, 0]
+
+    @cached_property
+    def _energies(self) -> NDArray[Any]:
+        """H and its kinetic part, which stand in two rows, shape (N, 2)."""
+        return self._evaluated("energy", "ENERGY", 2)
 
     @cached_property
     def invariants(self) -> dict[str, NDArray[Any]]:

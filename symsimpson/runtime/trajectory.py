@@ -70,11 +70,21 @@ class Trajectory(States):
         return self.status is Status.SUCCESS
 
     @cached_property
+    def energy_scale(self) -> Any:
+        """What ``energy_error`` is relative to: |H0|, but not less than the kinetic energy.
+
+        That is its median over the stored states. H0 alone says nothing where the zero of the
+        potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
+        rest with H0 = 0 has the scale 1.
+        """
+        kinetic = np.sort(self._energies[:, 1])[len(self) // 2]
+        scale = max(abs(self.energy[0]), kinetic)
+        return scale if scale > 0 else scale * 0 + 1
+
+    @cached_property
     def energy_error(self) -> NDArray[Any]:
-        """(H - H0)/|H0|, or H - H0 where H0 = 0; shape (N + 1,)."""
-        change = self.energy - self.energy[0]
-        start = abs(self.energy[0])
-        return change / start if start > 0 else change
+        """(H - H0) / :attr:`energy_scale`, shape (N + 1,)."""
+        return (self.energy - self.energy[0]) / self.energy_scale
 
     @cached_property
     def sol(self) -> DenseOutput:

@@ -15,6 +15,7 @@ NODE_L_VV: int
 METRIC: int
 MASS: int
 ENERGY: int
+KINETIC: int
 BAND: int
 NODE_STRIDE: int
 NODE_OFFSET: int
@@ -96,4 +97,5 @@ def kinetic_energy(W, lane):
     for s in range(DIMENSION):
         a = COORDINATE[s]
         kinetic += (W[MOMENTUM + a, lane] - W[NODE_L_V + s, lane]) * W[VELOCITY + a, lane]
+    W[KINETIC, lane] = kinetic / 2
     W[ENERGY, lane] = kinetic / 2

@@ -1,0 +1,145 @@
+"""What the energy tells of a run: no success where it is not real, a warning where it is lost."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+from three_bodies import pythagorean
+
+import symsimpson as ss
+
+X = ss.coordinates("x")[0]
+#: Potentials that are not real everywhere, and motions that leave their domain.
+LEAVING = {
+    "acosh": (sp.acosh(X), 1.05, -1.0),
+    "power": (X ** sp.Rational(3, 2), 0.1, -1.0),
+    "logarithm": (sp.log(X), 0.2, -1.0),
+    "root": (-sp.sqrt(1 - X**2), 0.9, 1.0),
+}
+
+
+def particle(potential, name="particle"):
+    kinetic = X.diff() ** 2 / 2
+    return ss.MechanicalSystem(
+        name, coordinates=(X,), kinetic=kinetic, potential=potential, parameters={}
+    )
+
+
+@pytest.mark.parametrize("scheme", ["gauss6", "lobatto2"])
+@pytest.mark.parametrize("name", LEAVING)
+def test_all_arithmetics_end_alike_where_the_energy_is_not_real(name, scheme):
+    potential, q0, v0 = LEAVING[name]
+    steps = set()
+    for options in ({}, {"precision": 25}, {"precision": 25, "arithmetic": "arb"}):
+        stepper = ss.compile(particle(potential, name), scheme, **options)
+        with pytest.raises(ss.ConvergenceError) as told:
+            stepper.integrate([q0], v0=[v0], h=0.05, steps=30)
+        run = told.value.trajectory
+        assert run.status is ss.Status.NOT_FINITE
+        assert told.value.step == run.steps
+        assert len(run) == run.steps + 1
+        energies = np.array([float(x) for x in run.energy])
+        assert np.isfinite(energies).all()
+        steps.add(run.steps)
+    assert len(steps) == 1
+    assert steps.pop() < 30
+
+
+@pytest.mark.parametrize("every", [1, 3, None])
+def test_what_was_real_is_kept(every):
+    potential, q0, v0 = LEAVING["logarithm"]
+    stepper = ss.compile(particle(potential, "logarithm"), "lobatto2")
+    run = stepper.integrate([q0], v0=[v0], h=0.05, steps=33, every=every, on_failure="return")
+    assert run.status is ss.Status.NOT_FINITE
+    assert "no real value" in run.message
+    whole = stepper.integrate([q0], v0=[v0], h=0.05, steps=run.steps, every=1)
+    assert run.steps % (every or 1) == 0
+    assert (run.q[-1] == whole.q[-1]).all()
+    assert run.t[-1] == pytest.approx(0.05 * run.steps)
+    with pytest.raises(ss.ConvergenceError, match="after step"):
+        stepper.poincare("x - 0.1", [q0], v0=[v0], h=0.05, steps=33)
+
+
+def test_members_of_an_ensemble_end_as_single_runs():
+    potential, _, v0 = LEAVING["logarithm"]
+    stepper = ss.compile(particle(potential, "logarithm"), "lobatto2")
+    starts = [[0.2], [5.0], [-1.0]]
+    for every in (1, None):
+        many = stepper.ensemble(starts, v0=[v0], h=0.05, steps=20, every=every)
+        assert [ss.Status(code).name for code in many.status] == [
+            "NOT_FINITE", "SUCCESS", "BAD_INPUT"
+        ]  # fmt: skip
+        single = stepper.integrate(
+            [0.2], v0=[v0], h=0.05, steps=20, every=every, on_failure="return"
+        )
+        assert many.steps[0] == single.steps
+        assert np.isnan(many.q[2]).all()
+
+
+def test_a_potential_that_is_not_real_at_the_start_is_refused():
+    stepper = ss.compile(particle(sp.log(X), "logarithm"))
+    with pytest.raises(ss.InputError, match=r"not a finite real number at q0 = \(-1\)"):
+        stepper.integrate([-1.0], v0=[0.0], h=0.1, steps=3)
+
+
+def test_energies_that_are_real_everywhere_are_not_asked_about():
+    given = {"free": X**4 + sp.cos(X), "root": sp.sqrt(1 + X**2), "pole": 1 / X}
+    for name, potential in given.items():
+        assert ss.compile(particle(potential, name))._facts.real_everywhere, name
+    for name, (potential, *_) in LEAVING.items():
+        assert not ss.compile(particle(potential, name))._facts.real_everywhere, name
+
+
+@pytest.mark.parametrize("every", [1, 50, None])
+def test_an_encounter_that_is_not_resolved_is_warned_of(every):
+    stepper = ss.compile(pythagorean(), "simpson")
+    state = pythagorean().reference_state
+    with pytest.warns(ss.ResolutionWarning, match=r"from about t=.* does not come back") as said:
+        run = stepper.integrate(**state, h=1e-3, steps=20_000, every=every)
+    assert said[0].filename == __file__
+    assert run.success
+    assert str(said[0].message) in run.message
+    with pytest.warns(ss.ResolutionWarning):
+        stepper.poincare("x1", **state, h=1e-3, steps=20_000)
+
+
+def test_a_barrier_that_is_jumped_is_warned_of():
+    stepper = ss.compile(particle(sp.Rational(1, 100) / X, "barrier"), "lobatto8")
+    with pytest.warns(ss.ResolutionWarning):
+        run = stepper.integrate([0.1], v0=[-10.0], h=0.05, steps=40)
+    assert run.q[-1, 0] < 0
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.6, 0.9])
+def test_resolved_orbits_are_passed_in_silence(eccentricity):
+    """From the far end and from the near one, for lengths that end anywhere."""
+    stepper = ss.compile(ss.systems.kepler(), "gauss8")
+    e = eccentricity
+    for sign, turns in ((1, 3.0), (-1, 2.97), (-1, 0.53)):
+        r, v = 1 + sign * e, np.sqrt((1 - sign * e) / (1 + sign * e))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ss.ResolutionWarning)
+            h = 2 * np.pi / 2000
+            run = stepper.integrate([r, 0], v0=[0, v / r], h=h, steps=int(turns * 2000))
+        assert abs(run.energy_error).max() < 1e-3
+
+
+def test_systems_at_rest_and_small_motions_are_no_alarm():
+    stepper = ss.compile(ss.systems.pendulum())
+    for q0 in (0.0, 1e-7, np.pi):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ss.ResolutionWarning)
+            stepper.integrate([q0], v0=[0.0], h=0.1, steps=200)
+
+
+def test_energy_errors_are_relative_to_what_moves():
+    """H0 is nearly zero for a pendulum released at 90 degrees."""
+    stepper = ss.compile(ss.systems.pendulum(), "gauss8")
+    run = stepper.integrate([np.pi / 2], v0=[0.0], h=0.01, steps=1000)
+    kinetic = run.energy - stepper.energy(run.q, 0 * run.p)
+    assert abs(run.energy[0]) < 1e-14
+    assert run.energy_scale == pytest.approx(np.median(kinetic), rel=1e-2)
+    assert abs(run.energy_error).max() < 1e-9
+    resting = stepper.integrate([0.0], v0=[0.0], h=0.01, steps=10)
+    assert resting.energy_scale == abs(resting.energy[0])
