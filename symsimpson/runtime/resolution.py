@@ -2,7 +2,7 @@
 
 A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
 it at another level. So medians of blocks of states are held against the energy at the start, in
-units of the median kinetic energy. What costs an evaluation for each state is done for few of
+units of the kinetic energy that the motion has for a while. What costs an evaluation for each state is done for few of
 them, except where the energy need not be real: there each stored state is looked at.
 """
 
@@ -27,7 +27,7 @@ __all__ = ["Energies", "check_start", "energies_at", "look_at_energy", "sampling
 SAMPLES, BLOCKS = 64, 8
 #: Shorter runs are not judged.
 FEWEST = 16
-#: The energy may stay so far from where it was, in units of the median kinetic energy.
+#: The energy may stay so far from where it was, in units of the kinetic energy.
 LIMIT = 0.05
 #: Changes of the energy below this part of it are rounding.
 ROUNDING = 1e-9
@@ -60,18 +60,17 @@ class Energies:
     def left_at(self) -> tuple[int, float] | None:
         """Where a level of the energy begins that is another one, and how far it is off.
 
-        In units of the median kinetic energy; None if there is no such level.
+        In units of the kinetic energy, the largest median of a block; None if there is no such
+        level.
         """
-        total, m = self.total, self.total.size
-        if m < FEWEST:
+        if self.total.size < FEWEST:
             return None
-        change = abs(total - total[0])
-        largest = change.max()
-        unit = max(float(np.sort(self.kinetic)[m // 2]), ROUNDING * float(abs(total).max()))
-        if not largest > LIMIT * unit:
-            return None
-        for block in np.array_split(np.arange(m), BLOCKS):
-            off = abs(float(np.median(total[block])) - float(total[0])) / unit
+        blocks = np.array_split(np.arange(self.total.size), BLOCKS)
+        levels = [float(np.median(self.total[block])) for block in blocks]
+        unit = max(float(np.median(self.kinetic[block])) for block in blocks)
+        unit = max(unit, ROUNDING * float(abs(self.total).max()))
+        for block, level in zip(blocks, levels, strict=True):
+            off = abs(level - float(self.total[0])) / unit
             if off > LIMIT:
                 return int(self.places[block[0]]), off
         return None
