@@ -32,17 +32,22 @@ class Symmetry:
     ----------
     A : ndarray, shape (n, n)
     b : ndarray, shape (n,)
+    exact : ndarray of numbers of many digits, shape (n, n + 1)
+        A and b side by side.
     name : str
         The momentum, written out.
     """
 
     A: NDArray[np.float64]
     b: NDArray[np.float64]
+    exact: NDArray[Any]
     name: str
 
     def momentum(self, q: ArrayLike, p: ArrayLike) -> NDArray[Any]:
-        """Give p (A q + b) for states of shape (..., n)."""
-        terms: NDArray[Any] = np.asarray(p) * (np.asarray(q) @ self.A.T + self.b)
+        """Give p (A q + b) for states of shape (..., n), in the digits that these have."""
+        q, p = np.asarray(q), np.asarray(p)
+        A, b = (self.A, self.b) if q.dtype != object else (self.exact[:, :-1], self.exact[:, -1])
+        terms: NDArray[Any] = p * (q @ A.T + b)
         return terms.sum(axis=-1)
 
     def size(self, q: ArrayLike, p: ArrayLike) -> float:
@@ -55,7 +60,8 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     """Find the linear point symmetries of a system around a state.
 
     G = p (A q + b) is conserved if its Poisson bracket with H vanishes, a linear equation for A
-    and b at each point; as many points as there are unknowns, and some more, decide.
+    and b at each point; as many points as there are unknowns, and some more, decide. Which
+    symmetries there are is found in double precision, their generators then have many digits.
     """
     n = precise.n
     middle = np.array([float(x) for x in z])
@@ -65,17 +71,41 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     rows = []
     for _ in range(n * n + n + 4):
         point = middle + size * random.uniform(-1, 1, 2 * n)
-        gradient = precise.gradient(point).astype(np.float64)
+        gradient = precise.gradient(point)
         q, p, H_q, H_p = point[:n], point[n:], gradient[:n], gradient[n:]
         turning = np.outer(H_q, q) - np.outer(p, H_p)
         rows.append(np.concatenate([H_q, turning.ravel()]))
-    matrix = np.array(rows)
+    exact = np.array(rows)
+    matrix = exact.astype(np.float64)
     scale = np.abs(matrix).max(axis=0)
     scale[scale < RANK * scale.max()] = scale.max()
     _, singular, basis = np.linalg.svd(matrix / scale)
     null = basis[np.count_nonzero(singular > RANK * singular[0]) :] / scale
     names = precise.stepper.coordinates
-    return [Symmetry(row[n:].reshape(n, n), row[:n], _name(row, names)) for row in _reduced(null)]
+    found = []
+    for row in _reduced(null):
+        full = _refined(row, exact, precise.context)
+        generator = np.column_stack([full[n:].reshape(n, n), full[:n]])
+        found.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
+    return found
+
+
+def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> NDArray[Any]:
+    """Solve for those entries of a null vector that are no round numbers, in many digits."""
+    full = np.array([_fraction(x, context) for x in row], dtype=object)
+    open_ = np.flatnonzero([x is None for x in full])
+    if open_.size:
+        full[open_] = context.zero
+        right = -(matrix @ full)
+        solution, _ = context.qr_solve(matrix[:, open_].tolist(), right.tolist())
+        full[open_] = list(solution)
+    return full
+
+
+def _fraction(value: float, context: Any) -> Any:
+    """Give an entry as the number that it is a double of, None if it is none of few digits."""
+    twelfths = round(12 * value)
+    return context.mpf(twelfths) / 12 if value == twelfths / 12 else None
 
 
 def _reduced(rows: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,8 +2,8 @@
 
 A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
 it at another level. So medians of blocks of states are held against the energy at the start, in
-units of the kinetic energy that the motion has for a while. What costs an evaluation for each state is done for few of
-them, except where the energy need not be real: there each stored state is looked at.
+units of the kinetic energy that the motion has for a while. Few states are enough for that; but
+where the energy need not be real, each stored state is looked at.
 """
 
 from __future__ import annotations

@@ -55,6 +55,31 @@ def test_a_system_without_a_state_of_reference():
         stepper.certify(p0=[1.0, 0.0])
 
 
+@pytest.mark.parametrize("mass", [sp.Rational(11, 10), 1])
+def test_free_bodies_pass(mass):
+    """Generators of symmetries are exact, and the rounding of angular momenta grows with the way.
+
+    The generators that mix bodies of unequal masses are made of elevenths.
+    """
+    q = ss.coordinates("x1 y1 x2 y2")
+    v = [c.diff() for c in q]
+    system = ss.MechanicalSystem(
+        "free_bodies", coordinates=q, parameters={},
+        kinetic=(v[0] ** 2 + v[1] ** 2 + mass * (v[2] ** 2 + v[3] ** 2)) / 2,
+        potential=((q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2) ** 2,
+    )  # fmt: skip
+    certificate = ss.compile(system).certify(h=0.125)
+    assert certificate.passed, certificate
+    assert certificate["momenta"].what.count(",") == 3
+
+
+def test_coefficients_of_few_digits_pass_at_any_step():
+    """Errors of a small step are below those that rounding published coefficients leaves."""
+    certificate = ss.compile(ss.systems.henon_heiles(), "blanes_moan6").certify(h=0.02)
+    assert certificate.passed, certificate
+    assert certificate["order"].measured > 5.9
+
+
 class Printed(DiscreteEquations):
     """The paper's F_q as printed: h^2/12 and h^2/6 in place of h^2/24 and h^2/12.
 
