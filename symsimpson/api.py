@@ -9,6 +9,7 @@ from typing import Literal
 
 from symsimpson.codegen.pipeline import source
 from symsimpson.errors import GenerationError
+from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.checkpoint import read_question
 from symsimpson.runtime.numbers import FLOAT64
@@ -125,7 +126,7 @@ def generate(
     """
     _check_system(system)
     found = read_scheme(scheme)
-    path = Path(directory) / f"{system.name}__{found.name}.py"
+    path = read_path("directory", directory) / f"{system.name}__{found.name}.py"
     content = source(system, found).encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -162,8 +163,9 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     >>> ss.load(path)
     Stepper(pendulum, midpoint, order 2)
     """
+    place = read_path("the generated file", path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise GenerationError(
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
@@ -213,7 +215,7 @@ def resume(
     >>> bool((again.q == run.q).all())
     True
     """
-    asked = read_question(Path(path))
+    asked = read_question(read_path("the checkpoint", path))
     stepper = read_stepper(asked["source"], os.fspath(path))
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(

@@ -29,7 +29,7 @@ __all__ = [
 #: Functions of one number that modules may call, in every arithmetic.
 MATH = (
     "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    "exp", "log", "sqrt",
+    "exp", "log", "sqrt", "erf", "erfc",
 )  # fmt: skip
 #: What a kernel calls to tell whether an iteration is done.
 _JUDGES = ("judge", "question", "judge_stages", "question_stages")
@@ -110,7 +110,9 @@ def bind_float(source: str) -> SimpleNamespace:
 
 def bind_complex(source: str) -> SimpleNamespace:
     """Bind to complex numbers, for derivatives by a complex step."""
-    functions: dict[str, Any] = {name: getattr(cmath, name) for name in MATH}
+    functions: dict[str, Any] = {
+        name: getattr(cmath, name) for name in MATH if hasattr(cmath, name)
+    }
     functions["sincos"] = lambda x: (cmath.sin(x), cmath.cos(x))
     return bind(source, plain_arithmetic(functions, float))
 
@@ -138,6 +140,7 @@ def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False)
         name: real_valued(getattr(context, name)) for name in (*MATH, "atan2")
     }
     functions["pi"] = +context.pi
+    functions |= {"EULER_GAMMA": +context.euler, "CATALAN": +context.catalan}
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
     functions["power"] = real_valued(lambda a, b: a**b)
     functions["divide"] = divide
@@ -155,6 +158,7 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
 
     functions: dict[str, Any] = {name: method(name) for name in MATH}
     functions["pi"] = arb.pi()
+    functions |= {"EULER_GAMMA": arb.const_euler(), "CATALAN": arb.const_catalan()}
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
     functions["power"] = _power

@@ -1,13 +1,45 @@
-"""Texts that are written where a user asks for them."""
+"""Files that a user names: what is no name, and what cannot be written, is told in words."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
-from symsimpson.errors import StorageError
+from symsimpson.errors import InputError, StorageError
 
-__all__ = ["write_text"]
+__all__ = ["check_folder", "read_path", "write_text"]
+
+
+def read_path(what: str, value: Any) -> Path:
+    """Read the name of a file or a folder; ``what`` names it in the message.
+
+    Raises
+    ------
+    InputError
+        If it is no text and no path, or empty.
+    """
+    text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
+    if isinstance(text, str) and text and "\0" not in text:
+        return Path(text)
+    raise InputError(
+        f"{what} is {value!r}, not the name of a file or a folder.\n"
+        "Pass a text as 'folder/name', or a pathlib.Path."
+    )
+
+
+def check_folder(place: Path, what: str) -> None:
+    """Refuse to write into a folder that is not there, before anything is computed for it.
+
+    Raises
+    ------
+    StorageError
+    """
+    if not place.absolute().parent.is_dir():
+        raise StorageError(
+            f"{place}: the {what} cannot be written: there is no folder {place.parent}.\n"
+            "Make it first, or choose another place."
+        )
 
 
 def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
@@ -15,10 +47,13 @@ def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
 
     Raises
     ------
+    InputError
+        If the path is none.
     StorageError
         If the file cannot be written.
     """
-    place = Path(path)
+    place = read_path(f"the file of the {what}", path)
+    check_folder(place, what)
     try:
         place.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -26,7 +26,7 @@ from symsimpson.codegen.ir import (
     When,
 )
 from symsimpson.codegen.library import library_sources
-from symsimpson.codegen.printer import Printer
+from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.mechanics.domain import real_everywhere
 from symsimpson.schemes.scheme import Scheme
@@ -304,6 +304,7 @@ def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
 def _constants(module: Module, printer: Printer) -> str:
     exact = Printer(exact=True)
     lines = [f"{name} = {exact.doprint(value)}" for name, value in module.constants.items()]
+    lines = [*(f"{name} = {NAMED_CONSTANTS[name]!r}" for name in sorted(exact.constants)), *lines]
     printer.used |= exact.used
     return "\n".join(["# numbers that are not exact in binary", *lines, ""]) if lines else ""
 

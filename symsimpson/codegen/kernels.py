@@ -194,8 +194,9 @@ def _energy(low: Lowering) -> Kernel:
     stores = (
         Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
         Store(Row("KINETIC", 0), kinetic),
+        *(Store(Row("VELOCITY", a), v[a]) for a in range(low.n)),
     )
-    doc = "The Hamiltonian at (q, p), and its kinetic part."
+    doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
     return Kernel("energy", doc, lanes(low.statements(stores, STATE)))
 
 

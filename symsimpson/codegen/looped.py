@@ -128,10 +128,11 @@ def composed_kernels() -> list[Kernel]:
 
 
 def energy_kernel() -> Kernel:
-    """H = v.(p - a)/2 + V."""
+    """H = v.(p - a)/2 + V, and the first of the two alone."""
     body = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass",
             "kinetic_energy", "path_start", "potential")  # fmt: skip
-    return Kernel("energy", "The Hamiltonian at (q, p).", lanes(_call(name) for name in body))
+    doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
+    return Kernel("energy", doc, lanes(_call(name) for name in body))
 
 
 def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]:

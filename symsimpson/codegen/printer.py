@@ -11,13 +11,19 @@ from sympy.printing.str import StrPrinter
 
 from symsimpson.errors import GenerationError
 
-__all__ = ["FUNCTIONS", "LARGE", "Printer", "count_operations"]
+__all__ = ["FUNCTIONS", "LARGE", "NAMED_CONSTANTS", "Printer", "count_operations"]
 
 #: SymPy functions and their names in :mod:`math`; every binding supplies these names.
 FUNCTIONS = {
     sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos",
     sp.atan: "atan", sp.atan2: "atan2", sp.sinh: "sinh", sp.cosh: "cosh", sp.tanh: "tanh",
     sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh", sp.exp: "exp", sp.log: "log",
+    sp.erf: "erf", sp.erfc: "erfc",
+}  # fmt: skip
+#: Numbers without a formula: their names in a module, where they stand as doubles, and their
+#: values; a binding of more digits has its own.
+NAMED_CONSTANTS = {
+    "EULER_GAMMA": float(sp.EulerGamma.evalf(20)), "CATALAN": float(sp.Catalan.evalf(20)),
 }  # fmt: skip
 
 
@@ -28,13 +34,14 @@ LARGE = 2**53
 class Printer(StrPrinter):
     """Prints arithmetic, powers and the functions of :data:`FUNCTIONS`, and refuses the rest.
 
-    ``used`` collects the functions met. With ``exact`` set, integers in quotients become
-    ``real(...)``, so that a constant has the precision of the binding.
+    ``used`` collects the functions met, ``constants`` the named numbers. With ``exact`` set,
+    integers in quotients become ``real(...)``, so that a constant has the precision of the binding.
     """
 
     def __init__(self, *, exact: bool = False) -> None:
         super().__init__({"order": "none"})
         self.used: set[str] = set()
+        self.constants: set[str] = set()
         self._exact = exact
 
     def _print_Integer(self, expr: sp.Integer) -> str:
@@ -51,6 +58,21 @@ class Printer(StrPrinter):
     def _print_Pi(self, expr: sp.Expr) -> str:
         self.used.add("pi")
         return "pi"
+
+    def _print_EulerGamma(self, expr: sp.Expr) -> str:
+        return self._named("EULER_GAMMA")
+
+    def _print_Catalan(self, expr: sp.Expr) -> str:
+        return self._named("CATALAN")
+
+    def _named(self, name: str) -> str:
+        self.constants.add(name)
+        return name
+
+    def _print_GoldenRatio(self, expr: sp.Expr) -> str:
+        return f"({self._print(expr.expand(func=True))})"
+
+    _print_TribonacciConstant = _print_GoldenRatio
 
     def _print_Exp1(self, expr: sp.Expr) -> str:
         self.used.add("exp")

@@ -27,8 +27,10 @@ __all__ = ["fail", "read_coordinates", "read_expression", "read_name", "read_par
 #: Functions with closed-form first and second derivatives, smooth on their domain.
 SMOOTH = (
     sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.asin, sp.acos, sp.atan, sp.atan2,
-    sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh, sp.exp, sp.log,
+    sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh, sp.exp, sp.log, sp.erf, sp.erfc,
 )  # fmt: skip
+#: Functions with corners or jumps.
+ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac)
 UNEVALUATED = (sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
 NOT_FINITE = (sp.zoo, sp.nan, sp.oo, -sp.oo)
 
@@ -60,6 +62,14 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
     """Check that the coordinates are distinct functions of time."""
     if isinstance(coordinates, (AppliedUndef, sp.Symbol)):
         coordinates = (coordinates,)
+    if isinstance(coordinates, sp.MatrixBase):
+        coordinates = tuple(coordinates)
+    if isinstance(coordinates, (set, frozenset, Mapping)):
+        raise fail(
+            system,
+            f"the coordinates are a {type(coordinates).__name__}, which has no order of its own.",
+            "Numbers of a state come in the order of the coordinates. Write a tuple: (x, y).",
+        )
     if isinstance(coordinates, str) or not isinstance(coordinates, Iterable):
         raise fail(
             system,
@@ -93,7 +103,30 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
                 f"the coordinate {name} is declared {names.count(name)} times.",
                 "Each coordinate has one equation of motion. List it once.",
             )
+    check_names(system, names)
     return coordinates
+
+
+def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
+    """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
+    taken = {"t": "the time", "energy": "the energy"}
+    for name in coordinates:
+        taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
+    for name in coordinates:
+        if name in taken:
+            raise fail(
+                system,
+                f"the coordinate {name} has the name of {taken[name]}.",
+                f"run['{name}'] could be either. Give the coordinate another name.",
+            )
+    taken |= {name: f"the coordinate {name}" for name in coordinates}
+    for name in invariants:
+        if name in taken:
+            raise fail(
+                system,
+                f"the invariant {name!r} has the name of {taken[name]}.",
+                f"run[{name!r}] could be either. Give the invariant another name.",
+            )
 
 
 def read_parameters(
@@ -221,6 +254,8 @@ def check_content(
     def show(node: sp.Basic) -> str:
         return spell(node.xreplace(dict(back)))
 
+    parameters = {own for own, user in back.items() if user.is_Symbol}
+    moving = plain.free_symbols - parameters
     for node in sp.preorder_traversal(plain):
         if isinstance(node, UNEVALUATED):
             if isinstance(node, sp.Derivative) and (
@@ -252,17 +287,34 @@ def check_content(
                 f"the {what} contains {node}, which is no finite number.",
                 "Look for a division by zero or an overflow where the expression is built.",
             )
-        if node is sp.I or getattr(node, "is_extended_real", None) is False:
+        if _not_real(node):
             raise fail(
                 system,
                 f"the {what} contains {show(node)}, which is not real.",
-                "Energies are real. Look for the root or logarithm of a negative number.",
+                "Energies are real. Look for the root, power or logarithm of a negative number.",
             )
-        if node.is_Number and not abs(node) <= sys.float_info.max:
+        known = _differentiable(node)
+        if known and getattr(node, "is_number", False) and not _fits(node):
             raise fail(
                 system,
-                f"the {what} contains the number {sp.N(node, 3)}, larger than doubles can be.",
+                f"the {what} contains the number {show(node)} = {sp.N(node, 3)}, larger than "
+                "doubles can be.",
                 "Choose other units.",
+            )
+        if known:
+            continue
+        if node.free_symbols.isdisjoint(moving):
+            of = "parameters" if node.free_symbols else "numbers"
+            raise fail(
+                system,
+                f"the {what} contains {show(node)}, which is made of {of} alone, by a function "
+                "that compiled code does not have.",
+                "Evaluate it first: replace it by its value, "
+                + (
+                    "in a parameter of its own."
+                    if node.free_symbols
+                    else f"{spell(sp.N(node, 17))}."
+                ),
             )
         if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
             raise fail(
@@ -270,16 +322,40 @@ def check_content(
                 f"the {what} contains {show(node)}, which is defined by cases.",
                 "Newton's method needs two continuous derivatives. Use a smooth expression.",
             )
-        if isinstance(node, sp.Function) and not isinstance(node, SMOOTH):
-            raise fail(
-                system,
-                f"the {what} contains {show(node)}: the function {node.func.__name__} cannot be "
-                "differentiated twice and compiled.",
-                "Newton's method needs two continuous derivatives. Use a smooth form, such as "
-                "sqrt(x**2 + eps**2) for |x|, or one of "
-                + ", ".join(sorted(f.__name__ for f in SMOOTH))
-                + ".",
-            )
+        name = node.func.__name__
+        raise fail(
+            system,
+            f"the {what} contains {show(node)}: "
+            + (
+                f"the function {name} has no two continuous derivatives."
+                if isinstance(node, ROUGH)
+                else f"{name}, or its derivatives, are not among the functions of C's mathematics "
+                "library, which compiled code calls."
+            ),
+            "Use a smooth form, such as sqrt(x**2 + eps**2) for |x|, or one of "
+            + ", ".join(sorted(f.__name__ for f in SMOOTH))
+            + ".",
+        )
+
+
+def _differentiable(node: sp.Basic) -> bool:
+    """Tell whether a node can be differentiated twice and compiled, if its arguments can."""
+    if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
+        return False
+    return not isinstance(node, sp.Function) or isinstance(node, SMOOTH)
+
+
+def _not_real(node: sp.Basic) -> bool:
+    """Tell whether a node is not real, or is not for all exponents that come up."""
+    if node is sp.I or getattr(node, "is_extended_real", None) is False:
+        return True
+    return bool(isinstance(node, sp.Pow) and node.base.is_negative and not node.exp.is_integer)
+
+
+def _fits(number: sp.Basic) -> bool:
+    """Tell whether a number is one of doubles."""
+    value = number if number.is_Number else sp.N(number, 15)
+    return bool(abs(value) <= sys.float_info.max)
 
 
 def check_symbols(

@@ -58,10 +58,22 @@ def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
     tuple of sympy.Symbol
         Named ``p_<coordinate>``.
 
+    Raises
+    ------
+    ModelError
+        If something else is given.
+
     Examples
     --------
     >>> import symsimpson as ss
     >>> ss.momenta(*ss.coordinates("x y"))
     (p_x, p_y)
     """
+    for q in coordinates:
+        if not isinstance(q, AppliedUndef):
+            raise ModelError(
+                f"momenta belong to coordinates, not to {q!r}.\n"
+                "Make q1, q2 = symsimpson.coordinates('q1 q2'), and write "
+                "p1, p2 = symsimpson.momenta(q1, q2)."
+            )
     return tuple(sp.Symbol(f"p_{q.func.__name__}", real=True) for q in coordinates)

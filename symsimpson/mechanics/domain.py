@@ -11,7 +11,7 @@ __all__ = ["real_everywhere"]
 #: Functions with a real value for every real argument; poles have none, but a step meets no point.
 REAL = (
     sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.atan, sp.atan2, sp.sinh, sp.cosh, sp.tanh,
-    sp.asinh, sp.exp, sp.Abs, sp.erf,
+    sp.asinh, sp.exp, sp.Abs, sp.erf, sp.erfc,
 )  # fmt: skip
 
 

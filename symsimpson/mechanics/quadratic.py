@@ -72,6 +72,35 @@ def gyroscopic_and_potential(
     return linear, -sp.Add(*map(at_rest, terms.terms))
 
 
+def check_degenerate(
+    system: str,
+    mass: Matrix,
+    gyroscopic: Sequence[sp.Expr],
+    q: Sequence[sp.Symbol],
+    back: Mapping[sp.Basic, sp.Basic],
+) -> None:
+    """Refuse coordinates whose velocities enter L linearly alone, or not at all beside others'.
+
+    Raises
+    ------
+    ModelError
+    """
+    coupled = set().union(*(a.free_symbols for a in gyroscopic))
+    entries = mass.todok()
+    for i, x in enumerate(q):
+        massless = not any(i in place for place in entries)
+        if massless and (gyroscopic[i] != 0 or x in coupled):
+            name = spell(back[x])
+            raise fail(
+                system,
+                f"the Lagrangian is degenerate: it has no term quadratic in {name}', only ones "
+                "linear in the velocities.",
+                "Its equations of motion are of first order (point vortices, Lotka and Volterra's "
+                "equations, guiding centres), and such systems are not integrated here: they need "
+                f"another kind of step. If {name} has a mass, add its kinetic energy.",
+            )
+
+
 def check_mass_matrix(
     system: str,
     mass: Matrix,

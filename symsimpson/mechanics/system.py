@@ -16,6 +16,7 @@ from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.checks import (
+    check_names,
     fail,
     read_coordinates,
     read_expression,
@@ -25,6 +26,7 @@ from symsimpson.mechanics.checks import (
 )
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.quadratic import (
+    check_degenerate,
     check_mass_matrix,
     gyroscopic_and_potential,
     mass_matrix_of,
@@ -35,6 +37,8 @@ from symsimpson.mechanics.terms import Sum
 __all__ = ["MechanicalSystem", "Plain"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
+#: No parameters.
+NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
 Positions = Mapping[str, Sequence[Any]]
 
 
@@ -81,9 +85,9 @@ class MechanicalSystem:
         Quadratic in the velocities, T = v.M(q).v/2 with any M(q).
     potential : sympy expression
         V(q), without velocities.
-    parameters : mapping from symbol to number
-        Every other symbol of T and V, with its default value. Values are changed at run time
-        without compiling anew.
+    parameters : mapping from symbol to number, optional
+        Every other symbol of T and V, with its default value; none if there are no others. Values
+        are changed at run time without compiling anew.
     positions : mapping from str to sequence of expressions, optional
         What to draw: name to the Cartesian components of a point, one to three of them; or of a
         body, to a list of points, the corners of a closed line.
@@ -121,7 +125,7 @@ class MechanicalSystem:
     coordinates: tuple[AppliedUndef, ...] = field(kw_only=True)
     kinetic: sp.Expr = field(kw_only=True)
     potential: sp.Expr = field(kw_only=True)
-    parameters: Mapping[sp.Symbol, float] = field(kw_only=True)
+    parameters: Mapping[sp.Symbol, float] = field(kw_only=True, default_factory=dict)
     positions: Positions | None = field(kw_only=True, default=None)
     invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
     gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
@@ -150,7 +154,7 @@ class MechanicalSystem:
         name: str,
         lagrangian: sp.Expr,
         coordinates: Sequence[AppliedUndef],
-        parameters: Mapping[sp.Symbol, float],
+        parameters: Mapping[sp.Symbol, float] = NONE,
         *,
         positions: Positions | None = None,
         invariants: Mapping[str, sp.Expr] | None = None,
@@ -203,7 +207,7 @@ class MechanicalSystem:
 
     @classmethod
     def from_lagranges_method(
-        cls, name: str, lm: Any, parameters: Mapping[sp.Symbol, float]
+        cls, name: str, lm: Any, parameters: Mapping[sp.Symbol, float] = NONE
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
@@ -233,10 +237,16 @@ class MechanicalSystem:
             lagrangian, coordinates = lm._L[0], tuple(lm.q)
             extras = {"forces": list(lm.forcelist or []), "constraints": list(lm.coneqs)}
         except (AttributeError, TypeError, IndexError):
+            kane = type(lm).__name__ == "KanesMethod"
             raise fail(
                 name,
                 f"{type(lm).__name__} is not a sympy.physics.mechanics.LagrangesMethod.",
-                "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
+                "Kane's equations come without a Lagrangian, and a variational step is made of "
+                "one. Write L = sympy.physics.mechanics.Lagrangian(frame, *bodies), with the "
+                "bodies' potential_energy, and use from_lagrangian(name, L, coordinates, "
+                "parameters)."
+                if kane
+                else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
             ) from None
         for what, items in extras.items():
             if items:
@@ -360,8 +370,9 @@ def _read(
             "Move terms without velocities to the potential (with the opposite sign) and linear "
             "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
         )
-    check_mass_matrix(name, mass, s.q, s.v, s.a, s.back)
     gyroscopic, constant = gyroscopic_and_potential(linear, s.v)
+    check_degenerate(name, mass, gyroscopic, s.q, s.back)
+    check_mass_matrix(name, mass, s.q, s.v, s.a, s.back)
     terms = Sum(linear)
     if constant != 0 or any(terms.diff(s.v[i], s.v[j]) != 0 for i, j in terms.pairs(s.v)):
         raise fail(
@@ -398,6 +409,7 @@ def _read(
             name, f"invariant {key!r}", quantity, watch, (*s.q, *s.v, *s.p, *s.a)
         )
         invariants[key] = sp.sympify(quantity)
+    check_names(name, [q.func.__name__ for q in coordinates], invariants)
     plain = Plain(
         q=s.q, v=s.v, p=s.p, parameters=s.a, mass=mass, gyroscopic=gyroscopic,
         potential=potential, invariants=MappingProxyType(plain_invariants),

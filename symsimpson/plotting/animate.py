@@ -17,7 +17,6 @@ from symsimpson.plotting.axes import axes
 from symsimpson.plotting.plane import film_in_plane
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
-from symsimpson.runtime.extras import library
 
 if TYPE_CHECKING:
     from symsimpson.runtime.states import States
@@ -88,17 +87,13 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
 def plot_path(run: States, *, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
     scene = scene_of(run)
-    if ax is None and scene.spatial:
-        plt = library("matplotlib.pyplot", "a figure", "plot")
-        ax = plt.subplots(
-            figsize=(5, 5), subplot_kw={"projection": "3d"}, layout="constrained"
-        )[1]  # fmt: skip
+    in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}
+    ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
     if scene.spatial and not hasattr(ax, "set_zlim"):
         raise InputError(
             f"{run._stepper.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
-    ax = axes(ax, (4.5, 4.5))
     for k, name in enumerate(scene.names):
         ax.plot(*scene.fine[:, k].T, lw=0.7, color=f"C{k % 10}", alpha=0.8, label=name)
     for link in scene.links:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
+from symsimpson.errors import InputError
 from symsimpson.runtime.extras import library
 
 __all__ = ["axes"]
 
 
-def axes(ax: Any, size: tuple[float, float]) -> Any:
-    """Give the axes that are there, or new ones.
+def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
+    """Give the axes that are there, or new ones; ``how`` they are made.
 
     Raises
     ------
     InputError
-        If matplotlib is not installed.
+        If matplotlib is not installed, or what is there are no axes.
     """
-    if ax is not None:
-        return ax
     plt = library("matplotlib.pyplot", "a figure", "plot")
-    return plt.subplots(figsize=size, layout="constrained")[1]
+    if ax is None:
+        return plt.subplots(figsize=size, layout="constrained", **how)[1]
+    if not isinstance(ax, library("matplotlib.axes", "a figure", "plot").Axes):
+        raise InputError(
+            f"ax is {type(ax).__name__}, not axes of matplotlib.\n"
+            "Pass one of plt.subplots()[1], or leave ax out."
+        )
+    return ax

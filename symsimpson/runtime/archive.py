@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.files import check_folder, read_path
 from symsimpson.runtime.extras import library
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.structure import read_stepper
@@ -26,7 +27,7 @@ ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "s
 
 
 def _kind(path: str | os.PathLike[str]) -> tuple[Path, str]:
-    where = Path(path)
+    where = read_path("the trajectory's file", path)
     if where.suffix not in (".nc", ".zarr"):
         raise InputError(
             f"{os.fspath(path)!r} names no kind of file that is known.\n"
@@ -45,11 +46,7 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep run.q and run.p in a file of your own."
         )
-    if not where.parent.is_dir():
-        raise StorageError(
-            f"{where}: there is no folder {where.parent}.\nMake it first, or choose another place.",
-            trajectory=run,
-        )
+    check_folder(where, "trajectory")
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.runtime.ensemble import Ensemble
-from symsimpson.runtime.evaluate import evaluate, watching
+from symsimpson.runtime.evaluate import evaluate_members, watching
 from symsimpson.runtime.load import Facts, Kernels
 from symsimpson.runtime.machine import driver
 from symsimpson.runtime.observe import KINDS, Reduction, observing_kernel, reduce_values
@@ -188,7 +188,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     observing = 0
     if watched:
         observing = kernels.observing(observing_kernel(facts, task.reductions), watched)
-    energy = kernels.address("energy") if any(r.energy for r in task.reductions) else 0
+    energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
     legendre = kernels.address("legendre") if task.velocities else 0
     more = np.array(
         [legendre, observing, energy, facts.newton_unknowns == 0], dtype=np.int64
@@ -274,19 +274,12 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
 
 def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
     """Tell which members have a real energy where they begin, and at all stored states."""
-    n = stepper.n
-    real = np.zeros(task.members, dtype=np.bool_)
-    values, group = np.unique(task.parameters, axis=0, return_inverse=True)
-    for k, own in enumerate(values):
-        here = np.flatnonzero(group.ravel() == k)
-        # a momentum of zero where velocities were given: V has its value all the same
-        first = np.zeros((here.size, 1, n)) if task.velocities else task.other0[here, None]
-        q = np.concatenate([task.q0[here, None], results.q[here]], axis=1)
-        p = np.concatenate([first, results.p[here]], axis=1)
-        states = q.reshape(-1, n), p.reshape(-1, n)
-        energy = evaluate(stepper, "energy", "ENERGY", 1, *states, own)
-        real[here] = np.isfinite(energy).reshape(here.size, -1).all(axis=1)
-    return real
+    # a momentum of zero where velocities were given: V has its value all the same
+    first = 0 * task.other0 if task.velocities else task.other0
+    q = np.concatenate([task.q0[:, None], results.q], axis=1)
+    p = np.concatenate([first[:, None], results.p], axis=1)
+    energies = evaluate_members(stepper, "energy", "ENERGY", 1, q, p, task.parameters)
+    return np.asarray(np.isfinite(energies).all(axis=(1, 2)))
 
 
 def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.evaluate import evaluate_members
 from symsimpson.runtime.extras import library
+from symsimpson.runtime.quantities import Quantities
+from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:
@@ -27,8 +31,11 @@ RESERVED = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble:
+class Ensemble(Quantities):
     """What the members of an ensemble came to.
+
+    ``energy``, ``v``, ``invariants`` and quantities by name are those of a run, with one row for
+    each member; ``ensemble[3]`` gives the states of one member.
 
     Attributes
     ----------
@@ -53,6 +60,9 @@ class Ensemble:
     >>> stepper = ss.compile(ss.systems.pendulum())
     >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
     Ensemble(pendulum, simpson: 2 members, 1 states of each stored; 2 SUCCESS)
+    >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+    >>> many["theta"].shape, many.energy.shape, many[1].q.shape
+    ((2, 6), (2, 6), (6, 1))
     """
 
     t: Floats
@@ -66,6 +76,53 @@ class Ensemble:
     initial: Mapping[str, Floats]
     _stepper: Stepper = field(repr=False)
     store: str | None = None
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: int) -> States: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+        """Give a quantity of all members by its name, or the states of one member.
+
+        Names are those of a run, of what ``reduce`` asked for, and of parameters.
+
+        Raises
+        ------
+        KeyError
+            With the names that there are.
+        IndexError
+            If there is no such member.
+        """
+        try:
+            member = None if isinstance(key, bool) else operator.index(key)
+        except TypeError:
+            member = None
+        if member is None:
+            return self._named(key)
+        if not -len(self) <= member < len(self):
+            raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
+        n = self._stepper.n
+        q, p = (np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
+        return States(t=self.t, q=q, p=p, _stepper=self._stepper, _values=self._values[member])
+
+    #: Iterating over quantities or over members: neither is what everybody expects.
+    __iter__ = None
+
+    @property
+    def _values(self) -> Floats:
+        """Values of the parameters, a row for each member."""
+        columns = [self.parameters[name] for name in self._stepper.parameters]
+        return np.column_stack(columns) if columns else np.zeros((len(self), 0))
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        q, p = np.asarray(self.q), np.asarray(self.p)
+        return evaluate_members(self._stepper, kernel, block, count, q, p, self._values)
+
+    def _own(self, key: str) -> Any:
+        return self.reduced.get(key, self.parameters.get(key))
+
+    def _own_names(self) -> list[str]:
+        return [*self.reduced, *self.parameters]
 
     @property
     def message(self) -> str:

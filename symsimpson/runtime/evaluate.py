@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
@@ -31,6 +32,23 @@ def evaluate(
         return evaluate_in(W, stepper, kernel, block, count, q, p)
 
 
+def evaluate_members(
+    stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
+) -> Reals:
+    """Evaluate a kernel of the state at states of many members, each with its own parameters.
+
+    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m); gives shape (K, ..., count).
+    """
+    found = np.empty((*q.shape[:-1], count))
+    own, group = np.unique(values, axis=0, return_inverse=True)
+    for k, parameters in enumerate(own):
+        here = np.flatnonzero(group.ravel() == k)
+        some_q, some_p = (x[here].reshape(-1, stepper.n) for x in (q, p))
+        rows = evaluate(stepper, kernel, block, count, some_q, some_p, parameters)
+        found[here] = rows.reshape(found[here].shape)
+    return found
+
+
 def evaluate_in(
     W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals
 ) -> Reals:
@@ -48,7 +66,9 @@ def evaluate_in(
     found = values(q, p, any_angle=False)
     if not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
-        found[again] = values(q[again], p[again], any_angle=True)
+        again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
+        if again.any():
+            found[again] = values(q[again], p[again], any_angle=True)
     return found
 
 
@@ -69,7 +89,7 @@ def watching(
             "Compile without precision."
         )
     kernel = kernels.observing(observing_kernel(facts, found), len(found))
-    energy = kernels.address("energy") if any(one.energy for one in found) else 0
+    energy = kernels.address("energy") if any(one.energetic for one in found) else 0
     W = workspace(facts, numbers, numbers.read(values), more=len(found))
     return lambda t, q, p: _evaluated(
         stepper, W, (energy, kernel), (facts.rows, len(found)), t, q, p

@@ -70,6 +70,11 @@ def read_number(name: str, value: Any, numbers: Numbers) -> Any:
 
 def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
     """Read an array of real numbers of any shape."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise InputError(
+            f"{name} has masked entries, which have no value.\n"
+            "Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)]."
+        )
     try:
         return numbers.read(value)
     except (TypeError, ValueError, OverflowError):

@@ -53,15 +53,15 @@ class Observed:
         The quantity as it was asked for.
     text : str
         The quantity as a Python expression in names of the kernel.
-    energy : bool
-        Whether it contains the energy.
+    energetic : bool
+        Whether it contains the energy or velocities, which come from the kernel of the energy.
     wrapped : tuple of int
         Coordinates of which the turn between -pi and pi is meant.
     """
 
     expression: str
     text: str
-    energy: bool
+    energetic: bool
     wrapped: tuple[int, ...] = ()
 
 
@@ -80,10 +80,10 @@ def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...
     ------
     InputError
         If it contains something else than arithmetic, functions and the names of coordinates,
-        momenta, parameters, t and energy.
+        momenta, velocities, parameters, t and energy.
     """
     reader = _Reader(stepper, "the expression")
-    return Observed(str(expression), reader.read_any(expression), reader.energy, wrapped)
+    return Observed(str(expression), reader.read_any(expression), reader.energetic, wrapped)
 
 
 def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
@@ -112,7 +112,7 @@ def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tupl
         reader = _Reader(stepper, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
         found.append(
-            Reduction(str(pair[1]), text, reader.energy, name=str(name), kind=str(pair[0]))
+            Reduction(str(pair[1]), text, reader.energetic, name=str(name), kind=str(pair[0]))
         )
     return tuple(found)
 
@@ -122,11 +122,13 @@ class _Reader:
 
     def __init__(self, stepper: Evaluator, where: str) -> None:
         self._where = where
-        self.energy = False
+        self.energetic = False
         self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
         coordinates = stepper._coordinate_names
         self._known |= {a: f"a_{i}" for a, i in stepper._aliases.items()}
-        self._known |= {f"p_{q}": f"p_{i}" for q, i in coordinates.items()}
+        of_state = {f"{x}_{q}": f"{x}_{i}" for x in "pv" for q, i in coordinates.items()}
+        self._double = set(stepper._aliases) & {"t", "energy", *of_state}
+        self._known |= of_state
         self._known |= {q: f"q_{i}" for q, i in coordinates.items()}
         self._moving = set(coordinates)
 
@@ -172,8 +174,14 @@ class _Reader:
                     raise self._refuse("it contains a number that is too large")
                 return repr(float(number))
             case ast.Name(id=name) if name in self._known:
-                self.energy |= name == "energy"
+                self._check_single(name)
+                self.energetic |= self._known[name].startswith(("energy", "v_"))
                 return self._known[name]
+            case ast.Call(
+                func=ast.Name(id="Derivative"),
+                args=[ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")]), ast.Name(id="t")],
+            ) if name in self._moving:
+                return self._write(ast.Name(id=f"v_{name}"))  # SymPy's velocity
             case ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")], keywords=[]) if (
                 name in self._moving
             ):
@@ -197,6 +205,11 @@ class _Reader:
                 return f"({self._write(left)} {_SIGNS[type(op)]} {self._write(right)})"
         raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
 
+    def _check_single(self, name: str) -> None:
+        """Refuse a name that means a parameter and something else."""
+        if name in self._double:
+            raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
+
 
 def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
     """Write a kernel that puts the quantities into the rows behind the workspace's others."""
@@ -211,6 +224,7 @@ def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
     ]
     rows = [(f"q_{i}", f"POSITION + {i}") for i in range(facts.n)]
     rows += [(f"p_{i}", f"MOMENTUM + {i}") for i in range(facts.n)]
+    rows += [(f"v_{i}", f"VELOCITY + {i}") for i in range(facts.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(facts.parameters))]
     rows.append(("energy", "ENERGY"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]

@@ -17,6 +17,7 @@ from symsimpson.errors import (
     ResolutionWarning,
     StorageError,
 )
+from symsimpson.files import check_folder, read_path
 from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
 from symsimpson.runtime.inputs import (
     read_count,
@@ -85,6 +86,8 @@ def integrate(
             look_at_step(stepper, run, values)
         keeper = None
         if checkpoint is not None:
+            checkpoint = read_path("checkpoint", checkpoint)
+            check_folder(checkpoint, "checkpoint")
             question = question_of(stepper, run, count, values) | {"every": wanted}
             keeper = _checkpoint(checkpoint, checkpoint_every, question, run)
         if progress or (progress is None and count > BRIEF):

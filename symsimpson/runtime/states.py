@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, cast, overload
+from typing import TYPE_CHECKING, Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.extras import library
+from symsimpson.runtime.quantities import Quantities
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -19,7 +20,7 @@ __all__ = ["States"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class States:
+class States(Quantities):
     """States of one system at some times: part of a run, or places between its steps.
 
     Attributes
@@ -35,8 +36,8 @@ class States:
     >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
     >>> run[10:20]
     States(pendulum, simpson: 10 states, 1 <= t <= 1.9)
-    >>> run[10:20]["theta"].shape
-    (10,)
+    >>> run[10:20]["theta"].shape, run[-1].t
+    ((10,), array([5.]))
     """
 
     #: Whether one state follows another, so that a line may connect them.
@@ -56,71 +57,43 @@ class States:
         """Values of the parameters that the run used, by name."""
         return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
 
-    @cached_property
-    def v(self) -> NDArray[Any]:
-        """Velocities, shape (N, n); computed when first asked for."""
-        return self._evaluated("start", "VELOCITY", self._stepper.n)
-
     @property
     def y(self) -> NDArray[Any]:
         """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N)."""
         return np.concatenate([self.q, self.p], axis=1).T
 
-    @cached_property
-    def energy(self) -> NDArray[Any]:
-        """H, shape (N,); computed when first asked for."""
-        return self._energies[:, 0]
-
-    @cached_property
-    def _energies(self) -> NDArray[Any]:
-        """H and its kinetic part, which stand in two rows, shape (N, 2)."""
-        return self._evaluated("energy", "ENERGY", 2)
-
-    @cached_property
-    def invariants(self) -> dict[str, NDArray[Any]]:
-        """The system's named invariants, each of shape (N,)."""
-        names = self._stepper.invariants
-        if not names:
-            return {}
-        found = self._evaluated("invariants", "INVARIANT", len(names))
-        return {name: found[:, i] for i, name in enumerate(names)}
-
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
     @overload
-    def __getitem__(self, key: slice) -> States: ...
+    def __getitem__(self, key: int | slice | NDArray[Any] | list[int]) -> States: ...
     def __getitem__(self, key: Any) -> NDArray[Any] | States:
-        """Give a quantity by its name, shape (N,), or the states of a slice.
+        """Give a quantity by its name, shape (N,), or some of the states.
 
         Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
-        "t" and "energy".
+        "t" and "energy". A number gives one state, a slice or an array as numpy takes them more.
 
         Raises
         ------
         KeyError
             With the names that there are.
+        IndexError
+            If there is no such state.
         """
-        if isinstance(key, slice):
-            return States(
-                t=self.t[key], q=self.q[key], p=self.p[key], _stepper=self._stepper,
-                _values=self._values,
-            )  # fmt: skip
-        coordinates = self._stepper._coordinate_names
-        key = str(key).removesuffix("(t)")  # a coordinate of SymPy
-        if key in coordinates:  # a user's names come first
-            return self.q[:, coordinates[key]]
-        for prefix in "pv":
-            if key.startswith(f"{prefix}_") and key[2:] in coordinates:
-                return cast(NDArray[Any], getattr(self, prefix)[:, coordinates[key[2:]]])
-        if key in self._stepper.invariants:
-            return self.invariants[key]
-        if key in ("t", "energy"):
-            return cast(NDArray[Any], getattr(self, key))
-        every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
-        raise KeyError(
-            f"there is no {key!r}. There are {', '.join([*every, *self._stepper.invariants])}, "
-            "t and energy"
-        )
+        if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
+            return self._named(key)
+        some: Any = key
+        if not isinstance(key, (slice, np.ndarray, list)):
+            try:
+                number = operator.index(key)
+            except TypeError:
+                return self._named(key)
+            if not -len(self) <= number < len(self):
+                raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
+            some = [number]
+        return States(
+            t=self.t[some], q=self.q[some], p=self.p[some], _stepper=self._stepper,
+            _values=self._values,
+        )  # fmt: skip
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed

@@ -181,8 +181,8 @@ class Stepper(Evaluator):
             states after whole steps, or "first": the time at which the expression first becomes
             positive, NaN if it never does, by a straight line through the values before and after
             a step. Where that is too coarse, :meth:`Trajectory.events` of single members is exact
-            to rounding. The expression, a text or of SymPy, may contain coordinates, ``p_`` and a
-            coordinate, parameters, ``t`` and ``energy``.
+            to rounding. The expression, a text or of SymPy, may contain what those of
+            :meth:`Trajectory.events` do.
         store : path, optional
             A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
             or was begun by the same call, which then computes only what is missing.

@@ -14,11 +14,13 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.files import check_folder, read_path
 from symsimpson.runtime.blocks import Results, Task, ensemble_of, run_blocks
 from symsimpson.runtime.ensemble import Ensemble, names_in_dataset
 from symsimpson.runtime.extras import library
@@ -115,12 +117,11 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
     """
     library("xarray", "store=", "data")  # the store is laid out as a dataset
     zarr = library("zarr", "store=", "data")
-    if not isinstance(path, (str, os.PathLike)):
-        raise InputError(
-            f"store is {type(path).__name__}, not a path.\nPass the name of a folder or a URL."
-        )
-    place = os.fspath(path)
-    place = place if "://" in place else os.path.abspath(place)
+    read_path("store", path)
+    place = os.fspath(cast("str | os.PathLike[str]", path))
+    if "://" not in place:
+        check_folder(Path(place), "store")
+        place = os.path.abspath(place)
     question = _question(stepper, task)
     with said(place, "opened"):
         try:

@@ -138,7 +138,8 @@ class Trajectory(States):
         Parameters
         ----------
         expression : SymPy expression, equation or str
-            In coordinates, ``p_`` and a coordinate, parameters, ``t`` and ``energy``.
+            In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
+            or ``q1.diff()``), parameters, ``t`` and ``energy``.
         direction : {0, 1, -1}
             Both ways, or only where it goes up, or down, with the run.
         wrap : True, or names of coordinates

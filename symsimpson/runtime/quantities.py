@@ -1,0 +1,83 @@
+"""Quantities of states, by attribute and by name; of one run, or of all members of an ensemble."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Quantities"]
+
+
+class Quantities:
+    """What follows from positions and momenta of shape (..., n); computed when first asked for."""
+
+    t: NDArray[Any]
+    q: Any
+    p: Any
+    _stepper: Stepper
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        """Give a block of rows at all states, shape (..., count)."""
+        raise NotImplementedError
+
+    @cached_property
+    def v(self) -> NDArray[Any]:
+        """Velocities, in the shape of q."""
+        return self._evaluated("start", "VELOCITY", self._stepper.n)
+
+    @property
+    def energy(self) -> NDArray[Any]:
+        """H, in the shape of q without the last axis."""
+        return self._energies[..., 0]
+
+    @cached_property
+    def _energies(self) -> NDArray[Any]:
+        """H and its kinetic part, which stand in two rows, shape (..., 2)."""
+        return self._evaluated("energy", "ENERGY", 2)
+
+    @cached_property
+    def invariants(self) -> dict[str, NDArray[Any]]:
+        """The system's named invariants, each in the shape of the energy."""
+        names = self._stepper.invariants
+        if not names:
+            return {}
+        found = self._evaluated("invariants", "INVARIANT", len(names))
+        return {name: found[..., i] for i, name in enumerate(names)}
+
+    def _own(self, key: str) -> Any:
+        """Give a quantity of a name that only this kind of result knows; None if it is none."""
+        return None
+
+    def _own_names(self) -> list[str]:
+        return []
+
+    def _named(self, key: Any) -> NDArray[Any]:
+        """Give a quantity by its name, a user's names first.
+
+        Raises
+        ------
+        KeyError
+            With the names that there are.
+        """
+        coordinates = self._stepper._coordinate_names
+        key = str(key).removesuffix("(t)")  # a coordinate of SymPy
+        if key in coordinates:
+            return np.asarray(self.q[..., coordinates[key]])
+        if (found := self._own(key)) is not None:
+            return cast(NDArray[Any], found)
+        for prefix in "pv":
+            if key.startswith(f"{prefix}_") and key[2:] in coordinates:
+                return np.asarray(getattr(self, prefix)[..., coordinates[key[2:]]])
+        if key in self._stepper.invariants:
+            return self.invariants[key]
+        if key in ("t", "energy"):
+            return cast(NDArray[Any], getattr(self, key))
+        every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
+        every += [*self._stepper.invariants, *self._own_names()]
+        raise KeyError(f"there is no {key!r}. There are {', '.join(every)}, t and energy")
