@@ -11,9 +11,9 @@ from symsimpson.codegen.pipeline import source
 from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.progress import waiting
 from symsimpson.runtime.checkpoint import read_question
 from symsimpson.runtime.numbers import FLOAT64
-from symsimpson.runtime.progress import waiting
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.runtime.structure import read_stepper
 from symsimpson.runtime.trajectory import Trajectory
@@ -30,6 +30,7 @@ def compile(
     exploit: str | Iterable[str] = "all",
     precision: int | None = None,
     arithmetic: Literal["mpmath", "arb"] = "mpmath",
+    progress: bool | None = None,
 ) -> Stepper:
     """Derive, emit and compile the integrator of a system.
 
@@ -49,6 +50,9 @@ def compile(
         SymPy numbers or as numbers of mpmath; a float stands for the binary number that it is.
     arithmetic : {"mpmath", "arb"}
         What computes with many digits; "arb" is python-flint, many times as fast.
+    progress : bool, optional
+        Whether to tell what is waited for (needs tqdm); None tells after two seconds, in a
+        terminal or a notebook.
 
     Returns
     -------
@@ -81,7 +85,7 @@ def compile(
 
         numbers = read_precision(precision, arithmetic)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
-    with waiting(f"deriving {found.name} for {system.name}"):
+    with waiting(f"deriving {found.name} for {system.name}", progress):
         text = source(system, found, exploit)
     return Stepper(
         text,

@@ -24,12 +24,12 @@ from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.progress import waiting
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.runtime.evaluate import evaluate_equations
 from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.numbers import FLOAT64
-from symsimpson.runtime.progress import waiting
 from symsimpson.runtime.trajectory import Trajectory
 
 if TYPE_CHECKING:

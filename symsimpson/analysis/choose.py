@@ -17,7 +17,7 @@ from symsimpson.analysis.stability.frequency import largest_frequency, largest_s
 from symsimpson.api import compile as compile_system
 from symsimpson.errors import InputError
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.progress import waiting
+from symsimpson.progress import waiting
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme

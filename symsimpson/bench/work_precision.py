@@ -19,7 +19,7 @@ from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.progress import waiting
+from symsimpson.progress import waiting
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["work_precision"]

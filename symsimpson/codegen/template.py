@@ -10,7 +10,7 @@ import sympy as sp
 
 from symsimpson.codegen.levels import Graph, Level
 from symsimpson.discrete.jet import Jet
-from symsimpson.mechanics.system import Plain
+from symsimpson.mechanics.plain import Plain
 
 __all__ = ["JetTemplate", "Point"]
 

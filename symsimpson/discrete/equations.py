@@ -32,7 +32,8 @@ from symsimpson.discrete.reductions import (
     reduce,
 )
 from symsimpson.errors import SchemeError
-from symsimpson.mechanics.system import MechanicalSystem, Plain
+from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 

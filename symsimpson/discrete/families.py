@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
-from symsimpson.mechanics.system import Plain
+from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.terms import Sum
 
 __all__ = ["Family", "families", "neighbours", "ordering"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import sympy as sp
 
 if TYPE_CHECKING:
-    from symsimpson.mechanics.system import Plain
+    from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Jet", "derive_jet"]
 

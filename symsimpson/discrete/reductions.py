@@ -29,8 +29,8 @@ import sympy as sp
 
 from symsimpson.discrete.factors import Factors, factorise
 from symsimpson.errors import GenerationError
+from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import Structure, Subsystem
-from symsimpson.mechanics.system import Plain
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 

@@ -12,7 +12,8 @@ from symsimpson.mechanics.independence import Simplifier, fix, vanishes
 from symsimpson.mechanics.terms import Sum, connected
 
 if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem, Plain
+    from symsimpson.mechanics.plain import Plain
+    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["Structure", "Subsystem", "analyse"]
 

@@ -5,26 +5,26 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cached_property, partial
+from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.checks import (
     check_names,
     fail,
     read_coordinates,
-    read_expression,
     read_name,
     read_parameters,
     spell,
 )
 from symsimpson.mechanics.coordinates import momenta
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import (
     check_degenerate,
     check_mass_matrix,
@@ -33,42 +33,14 @@ from symsimpson.mechanics.quadratic import (
 )
 from symsimpson.mechanics.structure import Structure, analyse
 from symsimpson.mechanics.terms import Sum
+from symsimpson.progress import waiting
 
-__all__ = ["MechanicalSystem", "Plain"]
+__all__ = ["MechanicalSystem"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
 Positions = Mapping[str, Sequence[Any]]
-
-
-@dataclass(frozen=True)
-class Plain:
-    """A system in plain symbols: L = v.M(q).v/2 + a(q).v - V(q).
-
-    ``q``, ``v``, ``p`` and ``parameters`` are real symbols with names of our own, so that nothing
-    that is derived from them depends on what a user calls things.
-    """
-
-    q: tuple[sp.Symbol, ...]
-    v: tuple[sp.Symbol, ...]
-    p: tuple[sp.Symbol, ...]
-    parameters: tuple[sp.Symbol, ...]
-    mass: Matrix
-    gyroscopic: tuple[sp.Expr, ...]
-    potential: sp.Expr
-    invariants: Mapping[str, sp.Expr]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _unfrozen(self)
-
-
-def _unfrozen(value: Any) -> tuple[Any, ...]:
-    """Tell pickle to call the constructor again; what is read-only is handed over as a dict."""
-    given = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
-    plain = {k: dict(x) if isinstance(x, Mapping) else x for k, x in given.items()}
-    kind: Any = type(value)
-    return partial(kind, **plain), ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,7 +107,8 @@ class MechanicalSystem:
         name = read_name(self.name)
         coordinates = read_coordinates(name, self.coordinates)
         parameters = read_parameters(name, self.parameters, coordinates)
-        plain, positions, invariants = _read(name, coordinates, parameters, self)
+        with waiting(f"reading {name}"):
+            plain, positions, invariants = _read(name, coordinates, parameters, self)
         for key, value in {
             "coordinates": coordinates,
             "kinetic": sp.sympify(self.kinetic),
@@ -183,12 +156,12 @@ class MechanicalSystem:
         """
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
-        symbols = _Symbols(functions, read_parameters(name, parameters, functions))
-        plain = read_expression(
-            name, "Lagrangian", lagrangian, symbols.replace, (*symbols.q, *symbols.v, *symbols.a)
-        )
-        mass = mass_matrix_of(name, "Lagrangian", plain, symbols.v, symbols.back)
-        linear, potential = gyroscopic_and_potential(plain, symbols.v)
+        symbols = Symbols(functions, read_parameters(name, parameters, functions))
+        allowed = (*symbols.q, *symbols.v, *symbols.a)
+        with waiting(f"reading {name}"):
+            plain = read_expression(name, "Lagrangian", lagrangian, symbols.replace, allowed)
+            mass = mass_matrix_of(name, "Lagrangian", plain, symbols.v, symbols.back)
+            linear, potential = gyroscopic_and_potential(plain, symbols.v)
         n = len(symbols.v)
         pairs = ((i, j) for i in range(n) for j in range(n))
         kinetic = sp.Add(*(mass[i, j] * symbols.v[i] * symbols.v[j] for i, j in pairs)) / 2
@@ -267,7 +240,7 @@ class MechanicalSystem:
     @cached_property
     def mass_matrix(self) -> Matrix:
         """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
-        back = _Symbols(self.coordinates, self.parameters).back
+        back = Symbols(self.coordinates, self.parameters).back
         return Matrix(self.plain.mass.xreplace(dict(back)))
 
     @property
@@ -278,7 +251,8 @@ class MechanicalSystem:
     @cached_property
     def structure(self) -> Structure:
         """What the system has and lacks, and what the generator therefore skips."""
-        return analyse(self)
+        with waiting(f"analysing {self.name}"):
+            return analyse(self)
 
     @cached_property
     def digest(self) -> str:
@@ -304,7 +278,7 @@ class MechanicalSystem:
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unfrozen(self)
+        return unfrozen(self)
 
     def __repr__(self) -> str:
         names = ", ".join(q.func.__name__ for q in self.coordinates)
@@ -316,37 +290,6 @@ class MechanicalSystem:
         return system(self)
 
 
-class _Symbols:
-    """The user's symbols and the plain ones that stand for them, both ways."""
-
-    def __init__(
-        self, coordinates: Sequence[AppliedUndef], parameters: Mapping[sp.Symbol, float]
-    ) -> None:
-        t = dynamicsymbols._t
-        n = len(coordinates)
-        self.q = tuple(sp.Symbol(f"q_{i}", real=True) for i in range(n))
-        self.v = tuple(sp.Symbol(f"v_{i}", real=True) for i in range(n))
-        self.p = tuple(sp.Symbol(f"p_{i}", real=True) for i in range(n))
-        self.a = tuple(_real(f"a_{i}", a) for i, a in enumerate(parameters))
-        self.replace: dict[sp.Basic, sp.Symbol] = {
-            **{q.diff(t): v for q, v in zip(coordinates, self.v, strict=True)},
-            **dict(zip(coordinates, self.q, strict=True)),
-            **dict(zip(parameters, self.a, strict=True)),
-        }
-        self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
-
-    def restore(self, plain: sp.Expr) -> sp.Expr:
-        """Write a plain expression in the user's symbols."""
-        return plain.xreplace(self.back)
-
-
-def _real(name: str, user: sp.Symbol) -> sp.Symbol:
-    """Give a real symbol with the sign that the user's symbol is assumed to have."""
-    signs = ("positive", "negative", "nonnegative", "nonpositive", "nonzero")
-    assumed = {sign: True for sign in signs if getattr(user, f"is_{sign}")}
-    return sp.Symbol(name, real=True, **assumed)
-
-
 def _read(
     name: str,
     coordinates: tuple[AppliedUndef, ...],
@@ -354,7 +297,7 @@ def _read(
     given: MechanicalSystem,
 ) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
     """Check the energies and write them in plain symbols."""
-    s = _Symbols(coordinates, parameters)
+    s = Symbols(coordinates, parameters)
     read = read_expression
     kinetic = read(name, "kinetic energy", given.kinetic, s.replace, (*s.q, *s.v, *s.a))
     potential = read(name, "potential", given.potential, s.replace, (*s.q, *s.a))

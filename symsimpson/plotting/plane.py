@@ -7,9 +7,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from symsimpson.extras import library
 from symsimpson.plotting.scene import Scene
-from symsimpson.runtime.extras import library
-from symsimpson.runtime.progress import Progress
+from symsimpson.progress import Progress
 
 __all__ = ["film_in_plane"]
 

@@ -8,7 +8,8 @@ from typing import Any
 
 import sympy as sp
 
-from symsimpson.mechanics.system import MechanicalSystem, Plain
+from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["FirstOrder", "canonical", "reduced_top", "second_order"]
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.extras import library
 from symsimpson.files import check_folder, read_path
-from symsimpson.runtime.extras import library
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.structure import read_stepper
 from symsimpson.runtime.trajectory import Trajectory

@@ -32,6 +32,8 @@ __all__ = ["Results", "Task", "ensemble_of", "run_blocks"]
 PATIENCE = 0.02
 #: Numbers in a line of the cache.
 CACHE_LINE = 8
+#: Fast sines and cosines have a value for angles up to here.
+FAST_SINES = 5e8
 #: Steps of a block before their cost is known.
 FIRST_BUDGET = 2000
 
@@ -238,9 +240,11 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
     What a member comes to then is what a single run of it comes to. So are those at whose stored
     states the energy is not real.
     """
-    good = np.isin(results.codes[:, 0], (Status.SUCCESS, Status.BAD_INPUT))
+    status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
+    good = status == Status.SUCCESS
     if not stepper._facts.real_everywhere:
-        good &= _real(stepper, task, results) | (results.codes[:, 0] == Status.BAD_INPUT)
+        good &= _real(stepper, task, results)
+    good |= (status == Status.BAD_INPUT) & small
     for member in np.flatnonzero(~good):
         given = {task.given: task.other0[member]}
         try:

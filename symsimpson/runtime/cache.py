@@ -30,7 +30,7 @@ import numba
 import numpy as np
 
 from symsimpson.errors import GenerationError
-from symsimpson.runtime.progress import waiting
+from symsimpson.progress import waiting
 
 __all__ = ["cache_folder", "compiled", "whereabouts"]
 

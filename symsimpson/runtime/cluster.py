@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.extras import library
+from symsimpson.progress import Progress
 from symsimpson.runtime.blocks import Task, lanes_for, run_blocks
 from symsimpson.runtime.ensemble import names_in_dataset
-from symsimpson.runtime.extras import library
 from symsimpson.runtime.load import digest
 from symsimpson.runtime.observe import read_reductions
-from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.store import Store, members_of, said, write_chunk
 from symsimpson.runtime.structure import read_stepper
 

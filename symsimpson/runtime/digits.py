@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from symsimpson.binding import bind, bind_arb, bind_mpmath
 from symsimpson.errors import InputError
-from symsimpson.runtime.extras import library
+from symsimpson.extras import library
 from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.load import Facts
 from symsimpson.runtime.machine import driver_text

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from symsimpson.progress import Progress
 from symsimpson.runtime.blocks import Task, run_blocks
 from symsimpson.runtime.cluster import check_client, run_on_cluster
 from symsimpson.runtime.ensemble import Ensemble
-from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.store import open_store, run_missing
 
 if TYPE_CHECKING:

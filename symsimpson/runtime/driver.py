@@ -184,7 +184,7 @@ def watch(kernels, h, t, W, at):
     if W[at[STATUS], 0] == 0.0 and not small:
         step_back(W, at, 0)
         W[at[SCALE], 0] = W[at[COUNT], 0]
-        W[at[STATUS], 0] = STEP_TOO_LARGE
+        W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
 
 
 @njit(**OPTIONS)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.extras import library
 from symsimpson.runtime.evaluate import evaluate_members
-from symsimpson.runtime.extras import library
 from symsimpson.runtime.quantities import Quantities
 from symsimpson.runtime.states import States
 from symsimpson.runtime.status import Status

@@ -212,9 +212,11 @@ class Kernels:
             return np.insert(self._addresses(self._text, "step", _EXPLICIT), 2, 0)
         return self._watched(self._addresses(self._text, "step", _NEWTON))
 
-    def _watched(self, kernels: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _watched(self, kernels: NDArray[np.int64], *, any_angle: bool = False) -> NDArray[np.int64]:
         """Add the energy where Newton's method takes what stages could not solve."""
-        return np.append(kernels, [1, self.address("energy")]) if self._staged else kernels
+        if not self._staged:
+            return kernels
+        return np.append(kernels, [1, self.address("energy", any_angle=any_angle)])
 
     @cached_property
     def stages(self) -> NDArray[np.int64]:
@@ -229,7 +231,7 @@ class Kernels:
         """
         pivoted = "newton_pivoted" if self._facts.straight else "newton"
         names = ("prepare", "start", pivoted, "advance")
-        return self._watched(self._addresses(self._any_angle, "robust", names))
+        return self._watched(self._addresses(self._any_angle, "robust", names), any_angle=True)
 
     @cached_property
     def _any_angle(self) -> str:

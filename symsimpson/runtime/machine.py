@@ -99,13 +99,18 @@ class Run:
         self._rung, self._rung_until = 0, -1
         self._stretch = numbers.stretch
 
-    def begin(self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool) -> None:
-        """Begin at (q, p), or at (q, v)."""
+    def begin(
+        self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False
+    ) -> None:
+        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed."""
         layout, n = self.facts.layout, self.facts.n
         legendre = 0
         second = layout["MOMENTUM"]
+        if any_angle:
+            self._rung, self._rung_until = len(self._ladder) - 1, FALLBACK_STRETCH
         if velocity:
-            legendre, second = self.kernels.address("legendre"), layout["VELOCITY"]
+            legendre = self.kernels.address("legendre", any_angle=any_angle)
+            second = layout["VELOCITY"]
         self._column[layout["POSITION"] : layout["POSITION"] + n] = q
         self._column[second : second + n] = other
         self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from symsimpson.progress import Watcher
 from symsimpson.runtime.events import Events, Question, gather, read_question, zeros
 from symsimpson.runtime.inputs import read_failure, read_steps
 from symsimpson.runtime.machine import Run
-from symsimpson.runtime.progress import Watcher
 from symsimpson.runtime.resolution import check_start, sampling_stride
 from symsimpson.runtime.single import (
     begin_run,

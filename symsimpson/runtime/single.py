@@ -18,6 +18,7 @@ from symsimpson.errors import (
     StorageError,
 )
 from symsimpson.files import check_folder, read_path
+from symsimpson.progress import Watcher, silence
 from symsimpson.runtime.checkpoint import Checkpoint, buffered, question_of
 from symsimpson.runtime.inputs import (
     read_count,
@@ -30,7 +31,6 @@ from symsimpson.runtime.inputs import (
 )
 from symsimpson.runtime.machine import Run
 from symsimpson.runtime.numbers import NOTHING
-from symsimpson.runtime.progress import Watcher, silence
 from symsimpson.runtime.resolution import check_start, look_at_energy, sampling_stride
 from symsimpson.runtime.status import Status
 from symsimpson.runtime.trajectory import Trajectory
@@ -221,8 +221,11 @@ def begin_run(
     q = read_vector("q0", q0, stepper.coordinates, numbers)
     other = read_vector(name, given, stepper.coordinates, numbers)
     run.begin(q, other, velocity=name == "v0")
-    pivot = float(run.value("MASS_PIVOT"))
-    if pivot < 0 or not numbers.all_finite(run.rows("VELOCITY", stepper.n)):
+    pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
+    if not numbers.all_finite(velocities):  # fast sines have no value for huge angles
+        run.begin(q, other, velocity=name == "v0", any_angle=True)
+        pivot = float(run.value("MASS_PIVOT"))
+    if pivot < 0 or not numbers.all_finite(velocities):
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"

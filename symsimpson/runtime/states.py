@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.extras import library
+from symsimpson.extras import library
 from symsimpson.runtime.quantities import Quantities
 
 if TYPE_CHECKING:

@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.extras import library
 from symsimpson.files import check_folder, read_path
+from symsimpson.progress import Progress
 from symsimpson.runtime.blocks import Results, Task, ensemble_of, run_blocks
 from symsimpson.runtime.ensemble import Ensemble, names_in_dataset
-from symsimpson.runtime.extras import library
 from symsimpson.runtime.load import digest
-from symsimpson.runtime.progress import Progress
 from symsimpson.runtime.status import Status
 
 if TYPE_CHECKING:

@@ -6,7 +6,10 @@ import time
 import pytest
 
 import symsimpson as ss
-from symsimpson.runtime import cache, progress
+from symsimpson import api, progress
+from symsimpson.codegen.pipeline import source
+from symsimpson.mechanics import system as system_module
+from symsimpson.runtime import cache
 
 
 @pytest.fixture
@@ -31,6 +34,7 @@ def told(monkeypatch):
     for module in (tqdm, tqdm.auto):
         monkeypatch.setattr(module, "tqdm", Bar)
     monkeypatch.setattr(progress, "DELAY", 0.01)
+    monkeypatch.setattr(progress, "watched", lambda: True)
     return shown
 
 
@@ -69,3 +73,51 @@ def test_compiling_and_deriving_are_told_of(told, monkeypatch, tmp_path):
     told.clear()
     silent.integrate([1.0], v0=[0.0], h=0.01, steps=3, progress=False)
     assert told == []
+
+
+def test_declarations_are_told_of(told, monkeypatch):
+    slow = system_module._read
+
+    def slower(*given):
+        time.sleep(0.2)
+        return slow(*given)
+
+    monkeypatch.setattr(system_module, "_read", slower)
+    ss.systems.pendulum()
+    assert told == ["reading pendulum"]
+
+
+def test_bars_are_drawn_one_at_a_time(told):
+    with progress.Progress(10, True, "outer"):
+        with progress.Progress(10, True, "inner") as inner:
+            inner.add(3)
+        watcher = progress.Watcher(10, None)
+        time.sleep(0.02)
+        watcher(5)
+        watcher.close()
+    with progress.Progress(10, True, "next"):
+        pass
+    assert told == ["outer", "next"]
+
+
+def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
+    monkeypatch.setattr(progress, "watched", lambda: False)
+    system = ss.systems.pendulum()
+    with progress.waiting("a file"):
+        time.sleep(0.1)
+    ss.compile(system, "gauss4").integrate([1.0], v0=[0.0], h=0.01, steps=30_000)
+    assert told == []
+    with progress.waiting("asked for", True):
+        while not told:
+            time.sleep(0.01)
+    ss.compile(system, "gauss4").integrate([1.0], v0=[0.0], h=0.01, steps=3, progress=True)
+    assert told == ["asked for", "step"]
+
+
+def test_compile_takes_progress(told, monkeypatch):
+    monkeypatch.setattr(api, "source", lambda *given: time.sleep(0.2) or source(*given))
+    system = ss.systems.pendulum()
+    ss.compile(system, "gauss6", progress=False)
+    assert told == []
+    ss.compile(system, "gauss6", progress=True)
+    assert told == ["deriving gauss6 for pendulum"]

@@ -1,12 +1,14 @@
-"""A bar on what takes longer than two seconds, if tqdm is there.
+"""A bar on what takes longer than two seconds, if tqdm is there and somebody looks.
 
-``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1 all of them.
+A bar is drawn in a terminal or a notebook, one at a time; into a file or a pipe only where it is
+asked for. ``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1 all of them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib.util
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -15,7 +17,7 @@ from types import TracebackType
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.extras import library
+from symsimpson.extras import library
 
 __all__ = ["Progress", "Watcher", "silence", "waiting"]
 
@@ -25,6 +27,13 @@ DELAY = 2.0
 
 #: Whether nothing is to be shown; or something is shown already that this is part of.
 _silent: ContextVar[bool] = ContextVar("silent", default=False)
+#: Held by the bar that is drawn, in whatever thread: two would be drawn over each other.
+_drawn = threading.Lock()
+
+
+def watched() -> bool:
+    """Tell whether somebody sees what is drawn: in a terminal or a notebook."""
+    return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
 
 
 @contextlib.contextmanager
@@ -38,13 +47,14 @@ def silence(wanted: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def waiting(what: str) -> Iterator[None]:
-    """Tell after two seconds what is being waited for, and for how long."""
-    if _silent.get():
-        yield
+def waiting(what: str, wanted: bool | None = None) -> Iterator[None]:
+    """Tell after two seconds what is being waited for, and for how long; at once if wanted."""
+    if _silent.get() or wanted is False or not (wanted or watched()):
+        with silence(wanted is False):
+            yield
         return
     done = threading.Event()
-    shown = threading.Thread(target=_tell, args=(what, done), daemon=True)
+    shown = threading.Thread(target=_tell, args=(what, done, wanted), daemon=True)
     shown.start()
     try:
         with silence():
@@ -54,11 +64,12 @@ def waiting(what: str) -> Iterator[None]:
         shown.join()
 
 
-def _tell(what: str, done: threading.Event) -> None:
-    if done.wait(DELAY):
+def _tell(what: str, done: threading.Event, wanted: bool | None) -> None:
+    if done.wait(0.0 if wanted else DELAY):
         return
-    with Progress(0, None, look="{desc}: {elapsed}", what=what) as bar:
-        while not done.wait(0.5):
+    with Progress(0, True, look="{desc}: {elapsed}", what=what) as bar:
+        # a file keeps all that is ever drawn: there, once is enough
+        while not done.wait(0.5 if watched() else None):
             bar.refresh()
 
 
@@ -85,7 +96,7 @@ class Progress:
         self._lock = threading.Lock()
         self._bar: Any = None
         self._at_once = wanted is True
-        if wanted is False:
+        if wanted is False or not (wanted or watched()):
             return
         # without widgets tqdm.auto would warn that there are none
         widgets = importlib.util.find_spec("ipywidgets") is not None
@@ -95,10 +106,11 @@ class Progress:
             if wanted:
                 raise
             return
-        delay = 0.0 if wanted or look else DELAY
-        self._bar = bars.tqdm(
-            total=total, unit=unit, delay=delay, leave=False, bar_format=look, desc=what
-        )
+        if _drawn.acquire(blocking=False):
+            self._bar = bars.tqdm(
+                total=total, unit=unit, delay=0.0 if wanted else DELAY, leave=False,
+                bar_format=look, desc=what, mininterval=0.1 if watched() else 10.0,
+            )  # fmt: skip
 
     def add(self, count: int) -> None:
         """Count what is done."""
@@ -124,6 +136,8 @@ class Progress:
             if self._at_once:
                 self._bar.refresh()
             self._bar.close()
+            self._bar = None
+            _drawn.release()
 
 
 class Watcher:
@@ -139,7 +153,7 @@ class Watcher:
         self._done += steps
         if self._bar is not None:
             self._bar.add(steps)
-        elif time.monotonic() - self._since > DELAY:
+        elif time.monotonic() - self._since > DELAY and watched():
             self._bar = Progress(self._total, None, "step")
             self._bar.add(self._done)
 
