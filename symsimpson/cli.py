@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import re
 import sys
 import time
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from symsimpson import __version__
-from symsimpson.errors import GenerationError, InputError, SymsimpsonError
+from symsimpson.errors import (
+    GenerationError,
+    InputError,
+    ResolutionWarning,
+    StabilityWarning,
+    SymsimpsonError,
+)
+from symsimpson.files import check_folder
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -27,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
     options = _parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
-        return int(options.run(options))
+        with _warnings_in_words():
+            return int(options.run(options))
     except SymsimpsonError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 130 if isinstance(error, KeyboardInterrupt) else 1
@@ -36,6 +46,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 1
+
+
+@contextlib.contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Print our own warnings as errors are printed, each once, without a place in the code."""
+    with warnings.catch_warnings():
+        shown: set[str] = set()
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if str(message) not in shown:
+                print(f"{category.__name__}: {message}", file=sys.stderr)
+            shown.add(str(message))
+
+        warnings.showwarning = show
+        for category in (StabilityWarning, ResolutionWarning):
+            warnings.simplefilter("always", category)
+        yield
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -202,10 +229,12 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
     if options.out and Path(options.out).suffix not in (".npz", ".csv"):
         raise InputError(f"--out {options.out}: unknown format.\nUse a name in .npz or .csv.")
+    if options.out:
+        check_folder(Path(options.out), "table")
     t_end = 10.0 if options.t_end is None and options.steps is None else options.t_end
     begin = time.perf_counter()
     stepper = compile_system(system, options.scheme)
-    stepper.integrate(**state, h=options.h, steps=1)
+    stepper.integrate(**state, h=options.h, steps=1, on_failure="return")  # compiles
     ready = time.perf_counter()
     run = stepper.integrate(
         **state, h=options.h, t_end=t_end, steps=options.steps, every=options.every
@@ -294,6 +323,8 @@ def _bench(options: argparse.Namespace) -> int:
             raise InputError(
                 f"--{name} {path}: unknown format.\nUse a name in {' or '.join(known)}."
             )
+        if path:
+            check_folder(Path(path), "record" if name == "out" else "figure")
     before = WorkPrecision.load(options.against) if options.against else None
     found = work_precision(
         _find(options.system), options.schemes, options.peers or "installed",

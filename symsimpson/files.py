@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError, StorageError
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.trajectory import Trajectory
 
 __all__ = ["check_folder", "read_path", "write_text"]
 
@@ -28,7 +31,9 @@ def read_path(what: str, value: Any) -> Path:
     )
 
 
-def check_folder(place: Path, what: str) -> None:
+def check_folder(
+    place: Path, what: str, done: str = "written", trajectory: Trajectory | None = None
+) -> None:
     """Refuse to write into a folder that is not there, before anything is computed for it.
 
     Raises
@@ -37,8 +42,9 @@ def check_folder(place: Path, what: str) -> None:
     """
     if not place.absolute().parent.is_dir():
         raise StorageError(
-            f"{place}: the {what} cannot be written: there is no folder {place.parent}.\n"
-            "Make it first, or choose another place."
+            f"{place}: the {what} cannot be {done}: there is no folder {place.parent}.\n"
+            "Make it first, or choose another place.",
+            trajectory=trajectory,
         )
 
 

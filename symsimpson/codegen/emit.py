@@ -28,7 +28,7 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.mechanics.domain import real_everywhere
+from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["INTERFACE", "emit"]
@@ -199,7 +199,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> str:
         "DEFAULTS": tuple(float(value) for value in system.parameters.values()),
         "SIGNS": tuple(signs),
         "INVARIANTS": names.invariants,
-        "REAL_EVERYWHERE": _real_everywhere(equations),
+        "REAL_EVERYWHERE": has_real_energy(equations.plain),
     }
     lines = []
     for name, value in facts.items():
@@ -213,13 +213,6 @@ def _facts(equations: DiscreteEquations, module: Module) -> str:
             "",
         ]
     )
-
-
-def _real_everywhere(equations: DiscreteEquations) -> bool:
-    """Tell whether the energy is real at all states, so that nobody need look."""
-    plain = equations.plain
-    entries = plain.mass.todok().values()
-    return real_everywhere([*entries, *plain.gyroscopic, plain.potential])
 
 
 def _layout(module: Module) -> str:

@@ -6,13 +6,21 @@ from collections.abc import Iterable
 
 import sympy as sp
 
-__all__ = ["real_everywhere"]
+from symsimpson.mechanics.plain import Plain
+
+__all__ = ["has_real_energy", "real_everywhere"]
 
 #: Functions with a real value for every real argument; poles have none, but a step meets no point.
 REAL = (
     sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.atan, sp.atan2, sp.sinh, sp.cosh, sp.tanh,
     sp.asinh, sp.exp, sp.Abs, sp.erf, sp.erfc,
 )  # fmt: skip
+
+
+def has_real_energy(plain: Plain) -> bool:
+    """Tell whether the energy is real at all states, so that nobody need look."""
+    entries = plain.mass.todok().values()
+    return real_everywhere([*entries, *plain.gyroscopic, plain.potential])
 
 
 def real_everywhere(expressions: Iterable[sp.Expr]) -> bool:

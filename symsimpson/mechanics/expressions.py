@@ -7,6 +7,7 @@ matters and what to do; none of them changes anything.
 from __future__ import annotations
 
 import difflib
+import random
 import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -19,7 +20,7 @@ from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.mechanics.checks import fail, spell
 
-__all__ = ["read_expression"]
+__all__ = ["read_expression", "same_number"]
 
 #: Functions with closed-form first and second derivatives, smooth on their domain.
 SMOOTH = (
@@ -147,7 +148,7 @@ def check_content(
             system,
             f"the {what} contains {show(node)}: "
             + (
-                f"the function {name} has no two continuous derivatives."
+                f"the function {name} cannot be differentiated twice."
                 if isinstance(node, ROUGH)
                 else f"{name}, or its derivatives, are not among the functions of C's mathematics "
                 "library, which compiled code calls."
@@ -224,3 +225,14 @@ def check_symbols(
             f"Give it a value: parameters={{..., {symbol.name}: 1.0}}, "
             "or make it a coordinate with symsimpson.coordinates.",
         )
+
+
+def same_number(given: sp.Expr, *others: sp.Expr) -> bool:
+    """Tell whether an expression is one of others, or has its value at some random point."""
+    if given in others:
+        return True
+    generator = random.Random(1)
+    symbols = sorted(set().union(*(one.free_symbols for one in (given, *others))), key=str)
+    point = {x: sp.Rational(generator.randint(100, 999), 700) for x in symbols}
+    values = [one.evalf(30, subs=point) for one in (given, *others)]
+    return any(abs(values[0] - value) < sp.Float("1e-20") for value in values[1:] if value.is_Float)

@@ -23,7 +23,7 @@ from symsimpson.mechanics.checks import (
     spell,
 )
 from symsimpson.mechanics.coordinates import momenta
-from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.expressions import read_expression, same_number
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import (
     check_degenerate,
@@ -352,7 +352,13 @@ def _read(
             name, f"invariant {key!r}", quantity, watch, (*s.q, *s.v, *s.p, *s.a)
         )
         invariants[key] = sp.sympify(quantity)
-    check_names(name, [q.func.__name__ for q in coordinates], invariants)
+    names = [q.func.__name__ for q in coordinates]
+    momentum = [a + row for a, row in zip(gyroscopic, mass * sp.Matrix(s.v), strict=True)]
+    written_out = {
+        f"p_{x}" for x, p, value in zip(names, s.p, momentum, strict=True)
+        if f"p_{x}" in invariants and same_number(plain_invariants[f"p_{x}"], p, value)
+    }  # fmt: skip
+    check_names(name, names, [key for key in invariants if key not in written_out])
     plain = Plain(
         q=s.q, v=s.v, p=s.p, parameters=s.a, mass=mass, gyroscopic=gyroscopic,
         potential=potential, invariants=MappingProxyType(plain_invariants),

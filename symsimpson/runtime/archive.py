@@ -46,7 +46,7 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep run.q and run.p in a file of your own."
         )
-    check_folder(where, "trajectory")
+    check_folder(where, "trajectory", trajectory=run)
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})

@@ -18,6 +18,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -57,8 +58,8 @@ def cache_folder() -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = folder.lstat()
         writable = os.access(folder, os.W_OK)
-    except OSError:
-        return _temporary_folder()
+    except OSError as error:
+        return _temporary_folder(folder, str(error.strerror or error))
     foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
     if not stat.S_ISDIR(found.st_mode) or foreign or (os.name == "posix" and found.st_mode & 0o077):
         raise GenerationError(
@@ -66,12 +67,18 @@ def cache_folder() -> Path:
             "Files in it are executed, so nobody else may write there. "
             f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
         )
-    return folder if writable else _temporary_folder()
+    return folder if writable else _temporary_folder(folder, "it cannot be written to")
 
 
 @cache
-def _temporary_folder() -> Path:
-    """Give a private folder for this process alone, where no other can be had."""
+def _temporary_folder(folder: Path, why: str) -> Path:
+    """Give a private folder for this process alone, where no other can be had; say so once."""
+    warnings.warn(
+        f"the cache folder {folder} cannot be used ({why}): each process compiles anew.\n"
+        f"Name a folder of your own in ${_VARIABLE}.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
     holder = tempfile.TemporaryDirectory(prefix="symsimpson-")
     _results["temporary folder"] = holder  # removed when the process ends
     return Path(holder.name)

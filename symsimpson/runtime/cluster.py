@@ -46,6 +46,11 @@ def check_client(client: Any, store: object) -> None:
             f"client is {type(client).__name__}, not a synchronous client of dask.distributed.\n"
             "Pass client=distributed.Client(...)."
         )
+    if client.status != "running":
+        raise InputError(
+            f"the client is {client.status}: it has no scheduler to send tasks to.\n"
+            "Make a new one, distributed.Client(...), and use it before it is closed."
+        )
     if store is None:
         raise InputError(
             "client= needs store=, which the workers write to.\n"

@@ -131,9 +131,9 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
 def steady(energy, h, W, at, q, p, last, few, limit):
     """Tell whether the energy at some states stays near that of the first.
 
-    No change is more than ``limit`` times the kinetic energy of most of the states. They are
-    ``few`` and the first, spread over those up to the last; the kinetic energy stands behind the
-    energy.
+    No change is more than ``limit`` times the kinetic energy of most of the states, nor more than
+    that of some of the first ones. They are ``few`` and the first, spread over those up to the
+    last; the kinetic energy stands behind the energy.
     """
     n, row = at[DIMENSION], at[ENERGY_ROW]
     kinetic = np.empty(few + 1)
@@ -151,7 +151,8 @@ def steady(energy, h, W, at, q, p, last, few, limit):
             return False
         change = max(change, here)
         kinetic[i] = W[row + 1, 0]
-    enough = 0
+    enough, early = 0, False
     for i in range(few + 1):
         enough += change <= limit * kinetic[i]
-    return 2 * enough > few + 1
+        early = early or (8 * i < few and change <= limit * kinetic[i])
+    return early and 2 * enough > few + 1

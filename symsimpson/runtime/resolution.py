@@ -29,6 +29,8 @@ SAMPLES, BLOCKS = 64, 8
 FEWEST = 16
 #: The energy may stay so far from where it was, in units of the kinetic energy.
 LIMIT = 0.05
+#: At the end, where a block is only begun, so many states may stay so far from it.
+LAST, LAST_LIMIT = 4, 0.1
 #: Changes of the energy below this part of it are rounding.
 ROUNDING = 1e-9
 
@@ -65,15 +67,21 @@ class Energies:
         """
         if self.total.size < FEWEST:
             return None
+        start, change = self.total[0], abs(self.total - self.total[0])
         blocks = np.array_split(np.arange(self.total.size), BLOCKS)
-        levels = [float(np.median(self.total[block])) for block in blocks]
-        unit = max(float(np.median(self.kinetic[block])) for block in blocks)
-        unit = max(unit, ROUNDING * float(abs(self.total).max()))
-        for block, level in zip(blocks, levels, strict=True):
-            off = abs(level - float(self.total[0])) / unit
+        # an energy that grows without bound must not hide itself in what it is compared with
+        floor = ROUNDING * max(abs(start), float(np.median(abs(self.total))))
+        unit = max(floor, *(float(np.median(self.kinetic[block])) for block in blocks))
+        for block in blocks:
+            level = abs(float(np.median(self.total[block])) - start)
+            # a fall that begins with the damage makes the kinetic energy of later blocks large
+            so_far = max(floor, float(self.kinetic[: block[-1] + 1].max()))
+            off = level / min(unit, so_far)
             if off > LIMIT:
                 return int(self.places[block[0]]), off
-        return None
+        end = self.total.size - LAST
+        off = float(np.median(change[end:])) / max(unit, float(np.median(self.kinetic[end:])))
+        return (int(self.places[end]), off) if off > LAST_LIMIT else None
 
 
 def energies_at(stepper: Stepper, run: Run, q: Reals, p: Reals, places: Places) -> Energies:

@@ -120,7 +120,7 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
     read_path("store", path)
     place = os.fspath(cast("str | os.PathLike[str]", path))
     if "://" not in place:
-        check_folder(Path(place), "store")
+        check_folder(Path(place), "store", "opened")
         place = os.path.abspath(place)
     question = _question(stepper, task)
     with said(place, "opened"):
