@@ -10,6 +10,7 @@ import sympy as sp
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.weighted import WeightedRows, bend, unit_row, weighted_residual
 from symsimpson.discrete.reductions import Coupled
 
 __all__ = ["CoupledSolver", "Explicit", "Solver", "constant_mass_velocity", "node_point"]
@@ -94,19 +95,24 @@ def node_point(
     section, names = f"node {i}", low.names.coordinates
 
     def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
-        return sp.Add(*(row[k] * low.increments[k - 1][a] for k in range(1, d + 1)))
+        return sp.Add(*(row[k] * bend(low, k, a) for k in range(1, d) if row[k] != 0))
 
     v = [NOTHING] * low.n
     if moving:
         for a in coordinates:
-            v[a] = define(f"v_{names[a]}_{i}", combined(B, a) / h, section)
+            v[a] = define(f"v_{names[a]}_{i}", (low.increments[-1][a] + combined(B, a)) / h, section)
     if low.equations.at_start(i):
         return Point(str(i), low.q, tuple(v))
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
         return Point(end.suffix, end.q, tuple(v))
     q = [NOTHING] * low.n
+    place = unit_row(A)
     for a in coordinates:
-        q[a] = define(f"{names[a]}_{i}", low.q[a] + combined(A, a), section)
+        if place is None:
+            shift = scheme.quadrature.nodes[i] * low.increments[-1][a] + combined(A, a)
+        else:
+            shift = low.increments[place - 1][a]
+        q[a] = define(f"{names[a]}_{i}", low.q[a] + shift, section)
     return Point(str(i), tuple(q), tuple(v))
 
 
@@ -129,8 +135,6 @@ class CoupledSolver:
         momentum: list[dict[int, sp.Expr]] = []
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
-            if what == "L_v":
-                return momentum[i][index[0]]
             return low.template.entry(points[i], f"node {i}", what, *index)
 
         for i, point in enumerate(points):  # all entries of a node together, for the reader
@@ -150,11 +154,10 @@ class CoupledSolver:
                 for b in group:
                     entry(i, "L_qv", a, b)
                     entry(i, "L_qq", a, b)
-        right = []
-        for k in part.rows:
-            for a in group:
-                value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
-                right.append(-define(f"R_{k}_{names[a]}", value, "residual D_k L_d"))
+        weighted = WeightedRows(
+            low, lambda i, a: entry(i, "L_q", a), lambda i, a: momentum[i][a]
+        )
+        right = weighted_residual(low, weighted, part.rows, group)
         matrix = [
             [
                 define(
@@ -193,4 +196,5 @@ class CoupledSolver:
         for i in range(eqs.scheme.stages):
             for a in self.coordinates:
                 entry(i, "L_q", a)
-        return {a: eqs.impulse(a, entry) for a in self.coordinates}
+        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+        return {a: weighted.impulse(a) for a in self.coordinates}

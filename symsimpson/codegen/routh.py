@@ -12,6 +12,7 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.weighted import WeightedRows, weighted_residual
 from symsimpson.discrete.reductions import Routh
 
 __all__ = ["RouthSolver"]
@@ -76,11 +77,10 @@ class RouthSolver:
                 for b in part.coordinates:
                     entry(i, "L_qv", a, b)
                     entry(i, "L_qq", a, b)
-        right = []
-        for k in part.rows:
-            for a in part.coordinates:
-                value = eqs.derivative(k, a, entry) + (low.p[a] if k == 0 else 0)
-                right.append(-define(f"R_{k}_{names[a]}", value, "residual D_k L_d"))
+        weighted = WeightedRows(
+            low, lambda i, a: entry(i, "L_q", a), lambda i, a: entry(i, "L_v", a)
+        )
+        right = weighted_residual(low, weighted, part.rows, part.coordinates)
         tangent = _Tangent(self, nodes)
         matrix = []
         for k in part.rows:
@@ -106,14 +106,15 @@ class RouthSolver:
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
         """Give p1 - p0; the cyclic momenta stay."""
-        low, eqs = self._low, self._low.equations
+        low = self._low
         self._nodes = self._solved_nodes(end)
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             section = f"node {i}, all velocities known"
             return low.template.entry(self._nodes[i].point, section, what, *index)
 
-        return {a: eqs.impulse(a, entry) for a in self.coordinates}
+        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+        return {a: weighted.impulse(a) for a in self.coordinates}
 
     def cyclic_increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 of the cyclic coordinates: h sum_i b_i v_y(q_i)."""

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
 from symsimpson.codegen.coupled import constant_mass_velocity, node_point
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.weighted import WeightedRows, bend
 from symsimpson.discrete.reductions import Separable
 
 __all__ = ["SeparableSolver"]
 
 
 class SeparableSolver:
-    """Rows sum_m S_km M X_m / h + h sum_i b_i A_ik L_q(q_i) + p0 [k = 0] = 0, combined by tests."""
+    """Rows sum_m S_km M Y_m + h sum_i A_ik (h b_i L_q(q_i)) = 0 of the bends Y, combined by tests.
+
+    Only the matrix is written in combined factors. Of the rows each is evaluated by itself, with
+    the same rounded S and A wherever they stand; the one of X_d, too, where that is no unknown.
+    """
 
     def __init__(self, low: Lowering, part: Separable) -> None:
         self._low, self._part = low, part
@@ -40,44 +45,81 @@ class SeparableSolver:
         """Give right-hand side and matrix of a Newton iteration."""
         low, part, h = self._low, self._part, self._low.equations.h
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
-        scheme = low.equations.scheme
-        used = [
-            i
-            for i in range(scheme.stages)
-            if any(self._force_factor(test, i) != 0 for test in part.tests)
-        ]
-        points = {i: node_point(low, i, group, moving=False) for i in used}
-
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
-            return low.template.entry(points[i], f"node {i}", what, *index)
-
-        for i in used:
+        scheme, points = low.equations.scheme, self._points()
+        for i, point in points.items():
             for a in group:
-                entry(i, "L_q", a)
+                low.template.entry(point, f"node {i}", "L_q", a)
                 for b in group:
-                    entry(i, "L_qq", a, b)
+                    low.template.entry(point, f"node {i}", "L_qq", a, b)
         right, matrix = [], []
-        mass = {(a, b): self._mass(a, b) for a in group for b in group}
         for number, test in enumerate(part.tests):
             for a in group:
-                terms = [test[0] * low.p[a]]
-                for m in part.columns:
-                    factor = self._inertia_factor(test, m) / h
-                    terms += [factor * mass[a, b] * low.increments[m - 1][b] for b in group]
-                terms += [h * self._force_factor(test, i) * entry(i, "L_q", a) for i in used]
-                residual = define(f"R_{number}_{names[a]}", sp.Add(*terms), "residual")
-                right.append(-residual)
+                terms = [c * self._row(k, a) for k, c in enumerate(test) if c != 0]
+                right.append(-define(f"R_{number}_{names[a]}", sp.Add(*terms), "residual"))
                 row = []
                 for m, b in self.unknowns:
-                    terms = [self._inertia_factor(test, m) * mass[a, b] / h]
-                    for i in used:
+                    terms = [self._inertia_factor(test, m) * self._mass(a, b)]
+                    for i, point in points.items():
                         factor = sp.radsimp(self._force_factor(test, i) * scheme.A[i][m])
                         if factor != 0:
-                            terms.append(h * factor * entry(i, "L_qq", a, b))
+                            slope = low.template.entry(point, f"node {i}", "L_qq", a, b)
+                            terms.append(h**2 * factor * slope)
                     name = f"J_{number}_{names[a]}_{m}_{names[b]}"
                     row.append(define(name, sp.Add(*terms), "Jacobian"))
                 matrix.append(row)
         return right, matrix
+
+    def _points(self) -> dict[int, Point]:
+        """Give the nodes whose forces enter the rows."""
+        tests, last = self._part.tests, self._part.last
+        rows = range(self._low.equations.scheme.degree + 1)
+        if last is not None:
+            tests = (*tests, tuple(sp.Integer(k == last) for k in rows))
+        return {
+            i: node_point(self._low, i, self.coordinates, moving=False)
+            for i in range(self._low.equations.scheme.stages)
+            if any(self._force_factor(test, i) != 0 for test in tests)
+        }
+
+    def _row(self, k: int, a: int) -> sp.Expr:
+        """Give a row by itself, h times D_k L_d."""
+        low, h, points = self._low, self._low.equations.h, self._points()
+        define, name = low.graph.define, f"R_{k}_{low.names.coordinates[a]}_alone"
+
+        def force(i: int, b: int) -> sp.Expr:
+            # at the end of the path the force is in no row: what it adds to p1 it takes from D_0
+            if i not in points:
+                return sp.S.Zero
+            return low.template.entry(points[i], f"node {i}", "L_q", b)
+
+        weighted = WeightedRows(low, force)
+        if k > 0:
+            return define(name, self._inertia(k, a) + h * weighted.row(k, a), "residual")
+        moved = self._moved([x[-1] for x in zip(*low.increments, strict=True)], a, "X")
+        rows = [self._row(m, a) for m in range(1, low.equations.scheme.degree)]
+        value = h * weighted.start(a) - moved - weighted.rest(rows)
+        return define(name, value, "residual")
+
+    def _moved(self, x: Sequence[sp.Expr], a: int, wish: str) -> sp.Expr:
+        """Give M x, component a."""
+        terms = [self._mass(a, b) * x[b] for b in self.coordinates]
+        name = f"M_{self._low.names.coordinates[a]}_{wish}"
+        return self._low.graph.define(name, sp.Add(*terms), "residual")
+
+    def _inertia(self, k: int, a: int) -> sp.Expr:
+        """Give sum_m S_km M Y_m, 0 < k, m < d: straight paths are in none of these rows."""
+        low, d = self._low, self._low.equations.scheme.degree
+        terms = []
+        for m in range(1, d):
+            bends = {b: bend(low, m, b) for b in self.coordinates}
+            x = [bends.get(b, sp.S.Zero) for b in range(low.n)]
+            terms.append(self._stiffness[k][m] * self._moved(x, a, f"Y{m}"))
+        name = f"inertia_{k}_{low.names.coordinates[a]}"
+        return low.graph.define(name, sp.Add(*terms), "residual")
+
+    @property
+    def _stiffness(self) -> tuple[tuple[sp.Expr, ...], ...]:
+        return self._low.equations.scheme.stiffness
 
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
@@ -89,61 +131,52 @@ class SeparableSolver:
         """
         if not self.carried:
             return {}
-        low = self._low
-        scheme, section = low.equations.scheme, "end of the path"
-
-        def force(i: int, point: Point, a: int) -> sp.Expr:
-            terms = [low.template.entry(point, f"node {i}", "L_q", a)]
-            for m, b in self.unknowns:
-                slope = low.template.entry(point, f"node {i}", "L_qq", a, b)
-                terms.append(scheme.A[i][m] * slope * changes[m, b])
-            return low.graph.define(
-                f"Lq_{low.names.coordinates[a]}_{i}_new", sp.Add(*terms), section
-            )
-
-        new = {(m, b): low.increments[m - 1][b] + changes[m, b] for m, b in self.unknowns}
-        return self._end_of_path(force, new)
+        low, last, d = self._low, self._part.last, self._low.equations.scheme.degree
+        assert last is not None
+        h, scheme, section = low.equations.h, low.equations.scheme, "end of the path"
+        names, group = low.names.coordinates, self.coordinates
+        unit = tuple(sp.Integer(k == last) for k in range(d + 1))
+        impulses = []
+        for a in group:
+            terms = [self._row(last, a)]
+            for i, point in self._points().items():
+                factor = self._force_factor(unit, i)
+                if factor == 0:
+                    continue
+                slopes = [
+                    scheme.A[i][m] * low.template.entry(point, f"node {i}", "L_qq", a, b)
+                    * changes[m, b]
+                    for m, b in self.unknowns
+                ]  # fmt: skip
+                terms.append(h**2 * factor * sp.Add(*slopes))
+            impulses.append(low.graph.define(f"impulse_{names[a]}", sp.Add(*terms), section))
+        moved = constant_mass_velocity(low, group, impulses, "dv", section)
+        scale = sp.radsimp(-1 / self._stiffness[last][d])
+        found: dict[tuple[int, int], sp.Expr] = {}
+        for number, a in enumerate(group):
+            terms = [
+                sp.radsimp(scale * self._stiffness[last][m]) * changes[m, a]
+                for m in self._part.columns
+            ]
+            change = sp.Add(scale * moved[number], *terms)
+            value = low.increments[d - 1][a] + change
+            found[d, a] = low.graph.define(f"{names[a]}_X{d}_new", value, section)
+        return found
 
     def increments(self) -> Mapping[int, sp.Expr]:
         """Give q1 - q0 at the solution."""
         low, d = self._low, self._low.equations.scheme.degree
         if self._part.last is None or self.carried:
             return {a: low.increments[d - 1][a] for a in self.coordinates}
+        # a straight path: h M^-1 (p0 + h b_0 L_q(q0))
+        points, section = self._points(), "end of the path"
 
-        def force(i: int, point: Point, a: int) -> sp.Expr:
-            return low.template.entry(point, f"node {i}", "L_q", a)
+        def force(i: int, b: int) -> sp.Expr:
+            return low.template.entry(points[i], f"node {i}", "L_q", b) if i in points else 0
 
-        return {a: value for (_, a), value in self._end_of_path(force, {}).items()}
-
-    def _end_of_path(
-        self,
-        force: Callable[[int, Point, int], sp.Expr],
-        X: Mapping[tuple[int, int], sp.Expr],
-    ) -> dict[tuple[int, int], sp.Expr]:
-        """Solve the row left over for X_d."""
-        low, h, last = self._low, self._low.equations.h, self._part.last
-        assert last is not None
-        scheme, group, section = low.equations.scheme, self.coordinates, "end of the path"
-        d = scheme.degree
-        test = tuple(sp.Integer(k == last) for k in range(d + 1))
-        used = [i for i in range(scheme.stages) if self._force_factor(test, i) != 0]
-        points = {i: node_point(low, i, group, moving=False) for i in used}
-        impulses = []
-        for a in group:
-            terms = [h * self._force_factor(test, i) * force(i, points[i], a) for i in used]
-            name = f"impulse_{low.names.coordinates[a]}"
-            impulses.append(low.graph.define(name, sp.Add(test[0] * low.p[a], *terms), section))
-        velocity = constant_mass_velocity(low, group, impulses, "dv", section)
-        scale = sp.radsimp(-1 / scheme.stiffness[last][d])
-        found: dict[tuple[int, int], sp.Expr] = {}
-        for number, a in enumerate(group):
-            terms = [
-                sp.radsimp(scale * scheme.stiffness[last][m]) * X[m, a] for m in self._part.columns
-            ]
-            value = sp.Add(scale * h * velocity[number], *terms)
-            name = f"{low.names.coordinates[a]}_X{d}_new"
-            found[d, a] = low.graph.define(name, value, section)
-        return found
+        momenta = [WeightedRows(low, force).start(a) for a in self.coordinates]
+        v = constant_mass_velocity(low, self.coordinates, momenta, "dv", section)
+        return {a: low.equations.h * x for a, x in zip(self.coordinates, v, strict=True)}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
         """Give p1 - p0 = h sum_i b_i L_q(q_i)."""
@@ -156,7 +189,8 @@ class SeparableSolver:
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
-        return {a: eqs.impulse(a, entry) for a in self.coordinates}
+        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+        return {a: weighted.impulse(a) for a in self.coordinates}
 
     def _mass(self, a: int, b: int) -> sp.Expr:
         return self._low.template.entry(self._low.start_point(), "mass", "M", a, b)

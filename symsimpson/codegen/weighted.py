@@ -1,0 +1,136 @@
+"""Residuals and impulses in which every rounded number enters as it does in one L_d.
+
+A step is symplectic if its equations are the derivatives of one function L_d, whatever the function
+is. So the numbers for h b_i, c_i, A_ik, B_ik and 1/h may be rounded, but they have to be the same
+numbers in the path and in the residual: forces and momenta at nodes are multiplied by h b_i first,
+and then by entries of the tables; products of tables would be rounded anew, and let the energy
+drift. With the bends Y_k = X_k - c_k X_d of the path from a straight line,
+
+    q_i = q0 + c_i X_d + sum_k A_ik Y_k,    v_i = (X_d + sum_k B_ik Y_k)/h,    0 < k < d,
+
+the row of q0 takes no differences of tables, and no large numbers that cancel:
+
+    p0 + sum_i h b_i L_q - sum_i c_i h b_i L_q - (1/h) sum_i h b_i L_v = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.lower import Lowering
+
+__all__ = ["WeightedRows", "bend", "unit_row", "weighted_residual"]
+
+#: Gives L_q or L_v at a node: ``value(i, a)``.
+AtNode = Callable[[int, int], sp.Expr]
+
+
+def unit_row(row: Sequence[sp.Expr]) -> int | None:
+    """Give the control point at which a node stands, None if at none.
+
+    Examples
+    --------
+    >>> import sympy as sp
+    >>> unit_row([sp.S.Zero, sp.S.One]), unit_row([sp.S.Half, sp.S.Half])
+    (1, None)
+    """
+    places = [k for k, x in enumerate(row) if x != 0]
+    return places[0] if len(places) == 1 and row[places[0]] == 1 else None
+
+
+def bend(low: Lowering, k: int, a: int) -> sp.Expr:
+    """Give Y_k = X_k - c_k X_d, 0 < k < d."""
+    X = low.increments
+    value = X[k - 1][a] - low.equations.scheme.points[k] * X[-1][a]
+    return low.graph.define(f"{low.names.coordinates[a]}_Y{k}", value, "path")
+
+
+class WeightedRows:
+    """D_k L_d and p1 - p0 for coordinates, from L_q and L_v at the nodes."""
+
+    def __init__(self, low: Lowering, force: AtNode, momentum: AtNode | None = None) -> None:
+        self._low, self._force, self._momentum = low, force, momentum
+        self._scheme = low.equations.scheme
+
+    def _weighted(self, name: str, i: int, a: int, value: sp.Expr) -> sp.Expr:
+        low = self._low
+        weight = low.equations.h * self._scheme.quadrature.weights[i]
+        return low.graph.define(
+            f"{name}_{low.names.coordinates[a]}_{i}_w", weight * value, f"node {i}, weighted"
+        )
+
+    def _forces(self, a: int) -> list[sp.Expr]:
+        """Give h b_i L_q at the nodes."""
+        return [
+            self._weighted("Lq", i, a, self._force(i, a)) for i in range(self._scheme.stages)
+        ]  # fmt: skip
+
+    def _momenta(self, a: int) -> list[sp.Expr]:
+        """Give h b_i L_v at the nodes; none where M is constant and the rows have its inertia."""
+        momentum = self._momentum
+        if momentum is None:
+            return []
+        return [
+            self._weighted("Lv", i, a, momentum(i, a)) for i in range(self._scheme.stages)
+        ]  # fmt: skip
+
+    def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
+        return self._low.graph.define(wish, value, "residual D_k L_d")
+
+    def row(self, k: int, a: int) -> sp.Expr:
+        """Give D_k L_d for 0 < k < d."""
+        A, B = self._scheme.A, self._scheme.B
+        forces = sp.Add(*(A[i][k] * f for i, f in enumerate(self._forces(a))))
+        momenta = sp.Add(*(B[i][k] * p for i, p in enumerate(self._momenta(a))))
+        name = self._low.names.coordinates[a]
+        return forces + self._define(f"Lv_{k}_{name}", momenta) / self._low.equations.h
+
+    def start(self, a: int) -> sp.Expr:
+        """Give p0 and what q0 adds where the bends are held, p0 + D_0 L_d + sum (1 - c_k) D_k L_d.
+
+        The forces are added up first: 1 - c_i need not be what rounding makes of it.
+        """
+        low, points = self._low, self._scheme.points
+        name = low.names.coordinates[a]
+        whole: list[sp.Expr] = [low.p[a]]
+        shares: list[sp.Expr] = []
+        for i, force in enumerate(self._forces(a)):
+            place = unit_row(self._scheme.A[i])
+            c = self._scheme.quadrature.nodes[i] if place is None else points[place]
+            exact = c.is_Rational and c.q & (c.q - 1) == 0
+            whole.append((1 - c) * force if exact else force)
+            if not exact:
+                shares.append(c * force)
+        inertia = self._define(f"Lv_{name}", sp.Add(*self._momenta(a)))
+        forces = self._define(f"Lq_{name}", sp.Add(*shares))
+        return self._define(f"p_{name}_0", sp.Add(*whole)) - forces - inertia / low.equations.h
+
+    def rest(self, rows: Sequence[sp.Expr]) -> sp.Expr:
+        """Give sum (1 - c_k) D_k L_d, by which the row above differs from that of q0 alone.
+
+        Elimination is stable with that; at the solution it is zero, whatever the factors are.
+        """
+        points = self._scheme.points[1:]
+        return sp.Add(*((1 - c) * row for c, row in zip(points, rows, strict=False)))
+
+    def impulse(self, a: int) -> sp.Expr:
+        """Give p1 - p0."""
+        return sp.Add(*self._forces(a))
+
+
+def weighted_residual(
+    low: Lowering, rows: WeightedRows, order: Sequence[int], group: Sequence[int]
+) -> list[sp.Expr]:
+    """Give the right-hand side of a Newton iteration: rows in an order in which 0 comes last."""
+    define, names = low.graph.define, low.names.coordinates
+    found: dict[tuple[int, int], sp.Expr] = {}
+    for k in order:
+        for a in group:
+            if k > 0:
+                value = rows.row(k, a)
+            else:
+                value = rows.start(a) - rows.rest([found[m, a] for m in sorted(order) if m > 0])
+            found[k, a] = define(f"R_{k}_{names[a]}", value, "residual D_k L_d")
+    return [-found[k, a] for k in order for a in group]
