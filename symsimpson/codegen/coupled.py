@@ -100,7 +100,8 @@ def node_point(
     v = [NOTHING] * low.n
     if moving:
         for a in coordinates:
-            v[a] = define(f"v_{names[a]}_{i}", (low.increments[-1][a] + combined(B, a)) / h, section)
+            slope = low.increments[-1][a] + combined(B, a)
+            v[a] = define(f"v_{names[a]}_{i}", slope / h, section)
     if low.equations.at_start(i):
         return Point(str(i), low.q, tuple(v))
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
@@ -154,9 +155,7 @@ class CoupledSolver:
                 for b in group:
                     entry(i, "L_qv", a, b)
                     entry(i, "L_qq", a, b)
-        weighted = WeightedRows(
-            low, lambda i, a: entry(i, "L_q", a), lambda i, a: momentum[i][a]
-        )
+        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a), lambda i, a: momentum[i][a])
         right = weighted_residual(low, weighted, part.rows, group)
         matrix = [
             [

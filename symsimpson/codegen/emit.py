@@ -49,7 +49,7 @@ _SHOWN = 40
 _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
-NEGLIGIBLE = 2.0**-106  # the next correction would be lost in the rounding of the residual
+NEGLIGIBLE = 2.0**-112  # what the next correction would be has a sign and adds up: below rounding
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
@@ -58,8 +58,8 @@ SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held ag
 """
 _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
-LOST = 2.0**-120  # what is left at nodes has a sign and adds up: far below rounding
-ROUNDING = 2.0**-104  # corrections below this are made of rounding
+LOST = 2.0**-132  # what is left at nodes has a sign and adds up: far below rounding
+ROUNDING = 2.0**-110  # corrections below this are made of rounding
 """
 
 
@@ -273,7 +273,7 @@ def _made(equations: DiscreteEquations, module: Module) -> str:
     kind, s, d = scheme.quadrature.kind, scheme.stages, scheme.degree
     lines = []
     if not scheme.exact:
-        names = "POINTS, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
+        names = "POINTS, PLACES, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
         lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')

@@ -64,6 +64,8 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
         )
     else:
         rows = _all_rows(storage, degree)
+    if isinstance(part, Separable) and part.last is not None:
+        rows = (*_end_of_path(), *rows)
     newton: tuple[Statement, ...] = (
         *rows,
         _call("solve_pivoted"),
@@ -73,11 +75,7 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
     following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), QUESTION)
     closing: tuple[Statement, ...] = ()
     if isinstance(part, Separable) and part.last is not None:
-        closing = (
-            _call("clear_momentum"),
-            _nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
-            _call("end_path", "W", "h", "lane"),
-        )
+        closing = _end_of_path()
     advance = (
         *closing,
         _call("clear_momentum"),
@@ -103,6 +101,15 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
         Kernel("advance", "Close a step by compensated sums, then predict the next increments.",
                step),
     ]  # fmt: skip
+
+
+def _end_of_path() -> tuple[Statement, ...]:
+    """Find X_d where it is no unknown."""
+    return (
+        _call("clear_momentum"),
+        _nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
+        _call("end_path", "W", "h", "lane"),
+    )
 
 
 def composed_kernels() -> list[Kernel]:
@@ -154,17 +161,23 @@ def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]
         "TEST_STIFFNESS": tuple(
             tuple(inertia(test, m) for m in part.columns) for test in part.tests
         ),
+        "TEST_ROWS": tuple(
+            tuple(
+                sp.radsimp(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
+            )
+            for test in part.tests
+        ),
+        "STIFFNESS": tuple(row[1:d] for row in S[1:d]) or ((sp.S.Zero,),),
         "TEST_FORCE": tuple(tuple(force(test, i) for test in part.tests) for i in nodes),
         "FORCE_NODES": tuple(i for i in nodes if any(force(test, i) != 0 for test in part.tests)),
     }
     if part.last is not None:
         test = tuple(sp.Integer(k == part.last) for k in range(d + 1))
-        scale = sp.radsimp(-1 / S[part.last][d])
+        scale = sp.radsimp(-1 / S[part.last][d]) if part.last else sp.S.One
         tables |= {
             "LAST_START": test[0],
             "LAST_SCALE": scale,
-            "LAST_FORCE": tuple(force(test, i) for i in nodes),
+            "LAST": part.last,
             "LAST_NODES": tuple(i for i in nodes if force(test, i) != 0),
-            "LAST_INCREMENT": tuple(sp.radsimp(scale * S[part.last][m]) for m in range(1, d)),
         }
     return tables

@@ -146,7 +146,7 @@ class StageKernels:
                    "path")
             for a in range(n)
         ]  # fmt: skip
-        v = [define(f"v_{names[a]}_j", self._rate * self._own[a], "path") for a in range(n)]
+        v = [self._velocity(a) for a in range(n)]
         point = Point("j", tuple(q), tuple(v))
         kicks = [
             Store(
@@ -194,6 +194,16 @@ class StageKernels:
 
     def _held(self, k: int) -> Row:
         return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
+
+    def _velocity(self, a: int) -> sp.Expr:
+        """Give a node's velocity: what gives its share of q1 - q0 to the last digit.
+
+        With a rounded 1/(h b_j) alone, forces would belong to another velocity than momenta.
+        """
+        define, name = self._low.graph.define, self._low.names.coordinates[a]
+        first = define(f"v_{name}_j_first", self._rate * self._own[a], "path")
+        lost = define(f"dq_{name}_j_lost", self._own[a] - self._share * first, "path")
+        return define(f"v_{name}_j", first + self._rate * lost, "path")
 
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""

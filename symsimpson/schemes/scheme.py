@@ -122,6 +122,7 @@ class Scheme:
             return {}
         return {
             "POINTS": self.points,
+            "PLACES": self.quadrature.nodes,
             "WEIGHTS": self.quadrature.weights,
             "END_SLOPE": self.end_slope,
             "START_SLOPE": self.correction,

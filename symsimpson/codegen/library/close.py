@@ -22,8 +22,11 @@ METRIC: int
 COORDINATE: tuple[int, ...]
 LAST_START: float
 LAST_SCALE: float
-LAST_FORCE: tuple[float, ...]
-LAST_INCREMENT: tuple[float, ...]
+LAST: int
+STIFFNESS: tuple[tuple[float, ...], ...]
+BASIS: tuple[tuple[float, ...], ...]
+POINTS: tuple[float, ...]
+PLACES: tuple[float, ...]
 RESIDUAL: int
 SURPRISE_SQUARED: int
 PREDICTED: int
@@ -43,21 +46,30 @@ def accumulate(W, h, node, lane):
 def accumulate_last(W, h, node, lane):
     """Add the forces at a node to the row that gives the end of the path."""
     for s in range(DIMENSION):
-        W[RESIDUAL + COORDINATE[s], lane] += h * LAST_FORCE[node] * W[NODE_L_Q + s, lane]
+        force = h * WEIGHTS[node] * W[NODE_L_Q + s, lane]
+        if LAST == 0:
+            W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
+        else:
+            W[RESIDUAL + COORDINATE[s], lane] += BASIS[node][LAST] * force
 
 
 @compiled
 def end_path(W, h, lane):
-    """Find X_d from its row: a velocity, and what the other increments add."""
+    """Find X_d from its row: a velocity, and what the bends of the path add.
+
+    It is corrected, not made anew: so a rounded factor does not make it differ from the solution.
+    """
     for s in range(DIMENSION):
         a = COORDINATE[s]
         W[NODE_VELOCITY + s, lane] = W[RESIDUAL + a, lane] + LAST_START * W[MOMENTUM + a, lane]
     solve_mass(W, lane)
     for a in range(DIMENSION):
-        value = LAST_SCALE * h * W[VELOCITY + a, lane]
-        for m in range(DEGREE - 1):
-            value += LAST_INCREMENT[m] * W[INCREMENT + m * DIMENSION + a, lane]
-        W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] = value
+        end = INCREMENT + (DEGREE - 1) * DIMENSION + a
+        value = h * W[VELOCITY + a, lane]
+        for m in range(1, DEGREE):
+            bend = W[INCREMENT + (m - 1) * DIMENSION + a, lane] - POINTS[m] * W[end, lane]
+            value += STIFFNESS[LAST - 1][m - 1] * bend
+        W[end, lane] = value if LAST == 0 else W[end, lane] + LAST_SCALE * value
 
 
 @compiled

@@ -122,6 +122,7 @@ def path_tables(kind, nodes, degree):
     ahead = [basis(points, one + x) for x in points[1:]]
     return (
         row(points),
+        row(c),
         row(b),
         tuple(row(basis(points, x)) for x in c),
         tuple(row(slopes(points, x)) for x in c),

@@ -20,6 +20,7 @@ RESIDUAL: int
 MISMATCH_SQUARED: int
 PREDICTED: int
 POINTS: tuple[float, ...]
+PLACES: tuple[float, ...]
 BASIS: tuple[tuple[float, ...], ...]
 BASIS_SLOPE: tuple[tuple[float, ...], ...]
 EXTRAPOLATION: tuple[tuple[float, ...], ...]
@@ -29,17 +30,19 @@ START_SLOPE: tuple[float, ...]
 
 @compiled
 def path(W, h, node, lane):
-    """Position and velocity of the path at a node."""
+    """Position and velocity of the path at a node: those of a straight line, and of its bends."""
+    rate = 1 / h
     for s in range(DIMENSION):
         a = COORDINATE[s]
-        q = real(0)
-        v = real(0)
-        for k in range(DEGREE):
-            increment = W[INCREMENT + k * DIMENSION + a, lane]
-            q += BASIS[node][k + 1] * increment
-            v += BASIS_SLOPE[node][k + 1] * increment
+        last = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane]
+        q = PLACES[node] * last
+        v = last
+        for k in range(1, DEGREE):
+            bend = W[INCREMENT + (k - 1) * DIMENSION + a, lane] - POINTS[k] * last
+            q += BASIS[node][k] * bend
+            v += BASIS_SLOPE[node][k] * bend
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + q
-        W[NODE_VELOCITY + s, lane] = v / h
+        W[NODE_VELOCITY + s, lane] = rate * v
 
 
 @compiled
