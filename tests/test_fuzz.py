@@ -3,6 +3,7 @@
 import ast
 
 import numpy as np
+import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
 from strategies import names, runs, states, systems
@@ -38,6 +39,7 @@ def test_any_input_is_run_or_refused(asked):
 
 @settings(max_examples=12, **BUDGET)
 @given(systems(), states(4))
+@pytest.mark.slow
 def test_any_system_makes_a_symplectic_step(system, numbers):
     """The derivative of a step by a complex step, for whatever structure is found."""
     text = source(system, "simpson")

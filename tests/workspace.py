@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
           "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
+
+
+def sweep(values, fast=1):
+    """Parameters of a test: the first ones for the fast line, all others for the slow part."""
+    values = list(values)
+    return [*values[:fast], *(
+        pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=pytest.mark.slow)
+        for x in values[fast:]
+    )]  # fmt: skip
 
 
 def block(module, name, size):

@@ -49,7 +49,7 @@ _SHOWN = 40
 _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
-NEGLIGIBLE = 2.0**-112  # what the next correction would be has a sign and adds up: below rounding
+NEGLIGIBLE = 2.0**-110  # what the next correction would be has a sign and adds up: below rounding
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt

@@ -74,25 +74,18 @@ class DiscreteEquations:
         return part
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
-        """Give the factor of a derivative of L at node i in D_k L_d or in D_k D_m L_d.
+        """Give the factor of a second derivative of L at node i in D_k D_m L_d.
 
-        ``"impulse"`` is that of L_q in p1 - p0.
+        What the equations themselves are made of stands in :mod:`symsimpson.codegen.weighted`.
         """
         b, A, B = self.scheme.quadrature.weights[i], self.scheme.A[i], self.scheme.B[i]
         factors = {
-            "impulse": self.h * b,
-            "L_q": self.h * b * A[k],
-            "L_v": b * B[k],
             "L_qq": self.h * b * A[k] * A[m],
             "L_qv": b * A[k] * B[m],
             "L_vq": b * B[k] * A[m],
             "L_vv": b * B[k] * B[m] / self.h,
         }
         return sp.radsimp(factors[what])
-
-    def derivative(self, k: int, a: int, entry: Entry) -> sp.Expr:
-        """Give D_k L_d, component a, from the entries of the jets at the nodes."""
-        return self._sum([("L_q", "L_q", (a,)), ("L_v", "L_v", (a,))], entry, k)
 
     def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> sp.Expr:
         """Give D_m D_k L_d, components a and b."""
@@ -103,10 +96,6 @@ class DiscreteEquations:
             ("L_vv", "L_vv", (a, b)),
         ]
         return self._sum(parts, entry, k, m)
-
-    def impulse(self, a: int, entry: Entry) -> sp.Expr:
-        """Give p1 - p0, component a."""
-        return self._sum([("impulse", "L_q", (a,))], entry)
 
     def _sum(
         self,

@@ -102,7 +102,7 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
     """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
-    taken = {"t": "the time", "energy": "the energy"}
+    taken = {"energy": "the energy"}
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:
@@ -112,7 +112,7 @@ def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[st
                 f"the coordinate {name} has the name of {taken[name]}.",
                 f"run['{name}'] could be either. Give the coordinate another name.",
             )
-    taken |= {name: f"the coordinate {name}" for name in coordinates}
+    taken |= {"t": "the time", **{name: f"the coordinate {name}" for name in coordinates}}
     for name in invariants:
         if name in taken:
             raise fail(

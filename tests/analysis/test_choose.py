@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
@@ -14,7 +15,7 @@ STATE = PENDULUM.reference_state
 TRUTH = np.array([-0.248608400375483644278, -0.613578116238233122889])
 
 
-@pytest.mark.parametrize("error", [1e-3, 1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("error", sweep([1e-6, 1e-3, 1e-9, 1e-12]))
 def test_errors_of_the_state(error):
     choice = ss.choose(PENDULUM, **STATE, t_end=10, error=error)
     run = choice.stepper.integrate(**STATE, h=choice.h, t_end=10, every=None)
@@ -32,8 +33,8 @@ class EverySecond:
         self.perf_counter = iter(range(10**6)).__next__
 
 
-@pytest.mark.parametrize("scheme", ["simpson", "gauss8", "gauss12", "gauss16"])
-@pytest.mark.parametrize("error", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "gauss12", "gauss16"]))
+@pytest.mark.parametrize("error", sweep([1e-6, 1e-3, 1e-9]))
 def test_no_more_work_than_needed(error, scheme, monkeypatch):
     """With a good part fewer steps, the error is too large, or iterations outweigh them."""
     monkeypatch.setattr("symsimpson.analysis.choose.time", EverySecond())

@@ -147,6 +147,7 @@ def test_the_command(tmp_path, capsys):
     assert main([*given, "--against", figure]) == 1
 
 
+@pytest.mark.slow
 def test_ensembles_are_compared(monkeypatch):
     monkeypatch.setattr(ensembles, "MEMBERS", 64)
     monkeypatch.setattr(ensembles, "REPEATS", 1)

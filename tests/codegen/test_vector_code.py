@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from numba import cfunc
-from workspace import new_workspace
+from workspace import new_workspace, sweep
 
 import symsimpson as ss
 from symsimpson.binding import bind_float
@@ -24,7 +24,7 @@ def kernels(text, lanes):
     return compiled(text.replace("LANES = 1\n", f"LANES = {lanes}\n"), f"lanes{lanes}", build)
 
 
-@pytest.mark.parametrize("scheme", ["simpson", "midpoint"])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 def test_eight_lanes_are_packed(scheme):
     _, made = kernels(source(ss.systems.double_pendulum(), scheme), 8)
     for name in ("newton", "advance"):

@@ -2,6 +2,7 @@
 
 import pytest
 import sympy as sp
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.discrete.factors import factorise
@@ -74,7 +75,7 @@ def test_factors_of_the_top_have_no_subtraction():
     assert factors.moving[1][0].subs(theta, 0) == 0
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 4])
+@pytest.mark.parametrize("size", sweep([1, 2, 3, 4], 2))
 def test_factors_multiply_to_the_matrix(size):
     q = sp.symbols(f"q0:{size + 1}", real=True)
     root = sp.Matrix(size, size, lambda i, j: sp.cos(q[i] + j) + (4 if i == j else 0))
@@ -87,6 +88,7 @@ def test_factors_multiply_to_the_matrix(size):
     assert all(abs(entry.evalf(30)) < 1e-25 for entry in gap)
 
 
+@pytest.mark.slow
 def test_factors_that_grow_without_end_are_given_up():
     size = 12
     q = sp.symbols(f"q0:{size}", real=True)

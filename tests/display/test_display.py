@@ -57,6 +57,7 @@ def shown():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_html_is_whole_and_holds_what_matters(shown):
     expected = {
         "stepper": "iterated over 3 stages",

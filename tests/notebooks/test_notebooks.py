@@ -4,6 +4,7 @@ import gc
 from pathlib import Path
 
 import pytest
+from workspace import sweep
 
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
@@ -12,7 +13,7 @@ def test_there_are_notebooks():
     assert list(NOTEBOOKS.glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sweep(sorted(NOTEBOOKS.glob("*.ipynb"))), ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_notebook(path):
     nbformat = pytest.importorskip("nbformat")

@@ -109,6 +109,7 @@ def test_damage_is_mended(warm, pattern, how):
     assert run(folder) == [value, []]
 
 
+@pytest.mark.slow
 def test_processes_may_start_at_once(tmp_path):
     folder = tmp_path / "cache"
     results = [finish(process) for process in [start(folder) for _ in range(3)]]
@@ -133,6 +134,7 @@ def test_a_folder_open_to_others_is_refused(tmp_path, monkeypatch):
         cache_folder()
 
 
+@pytest.mark.slow
 def test_every_damage_is_seen(warm):
     """200 bits flipped and files cut short, anywhere in the cache."""
     folder, _ = warm

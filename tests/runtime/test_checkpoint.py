@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.machine import Run
@@ -53,9 +54,9 @@ def ended(monkeypatch):
     monkeypatch.undo()
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", sweep(SYSTEMS))
 @pytest.mark.parametrize(
-    "scheme", ["midpoint", "simpson", "gauss8", "lobatto6", "blanes_moan6", "lobatto2"]
+    "scheme", sweep(["simpson", "gauss8", "midpoint", "lobatto6", "blanes_moan6", "lobatto2"], 2)
 )
 def test_resumed_runs_have_the_same_bits(name, scheme, path, ended, monkeypatch):
     """Strides, places of checkpoints, and ends in all combinations: 12 for each pair."""
@@ -95,6 +96,7 @@ def test_the_same_call_goes_on(path, ended, monkeypatch):
         stepper.integrate(**given | {"steps": STEPS + 1}, checkpoint=path)
 
 
+@pytest.mark.slow
 def test_after_newton_took_over(path, ended, monkeypatch):
     """What the ladder of kernels remembers is kept."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}
@@ -129,6 +131,7 @@ def written(path):
         return None
 
 
+@pytest.mark.slow
 def test_kill_at_any_moment(path):
     """20 times, by a signal that nothing can catch."""
     system = SYSTEMS["double_pendulum"]

@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import pytest
 import sympy as sp
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.runtime import blocks as module
@@ -87,7 +88,7 @@ def test_stored_states(stepper, every):
     "make", [ss.systems.harmonic_oscillator, ss.systems.lagrange_top, ss.systems.kepler,
              lambda: ss.systems.fermi_pasta_ulam(8), ss.systems.n_pendulum]
 )  # fmt: skip
-@pytest.mark.parametrize("scheme", ["simpson", "midpoint"])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 def test_every_form_of_code(make, scheme):
     system = make()
     given = system.reference_state

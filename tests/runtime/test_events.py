@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 import sympy.physics.mechanics
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.runtime import section
@@ -37,7 +38,7 @@ def test_direction_and_kinds_of_expression(pendulum):
     assert (run.events("theta", direction=-1).t == every.t[::2]).all()
     (theta,) = ss.coordinates("theta")
     assert (run.events(theta).t == every.t).all()
-    assert (run.events(sp.Eq(sp.sin(theta), 0)).t - every.t).max() < 1e-13
+    assert np.abs(run.events(sp.Eq(sp.sin(theta), 0)).t - every.t).max() < 1e-13
     later = run.events("t - 3.125")
     assert abs(later.t[0] - 3.125) < 1e-14
     assert len(later) == 1
@@ -63,7 +64,7 @@ def test_wrapped_angles_are_not_crossed_where_they_jump(pendulum):
 
 
 @pytest.mark.parametrize("place", ["3", "2.5", "3.1", "3.14", "-3.1", "3.141592653589793"])
-@pytest.mark.parametrize("h", [0.1, -0.1, 0.01])
+@pytest.mark.parametrize("h", sweep([0.1, -0.1, 0.01]))
 def test_wrapped_zeros_near_the_seam_are_all_found(pendulum, place, h):
     run = pendulum.integrate([1.0], v0=[10.0], h=h, steps=round(20 / abs(h)))
     turns = abs(run.events(f"sin((theta - ({place}))/2)").t)
@@ -135,7 +136,37 @@ def test_zeros_at_stored_states_are_counted_once(pendulum):
                     patch.setattr(section, "PIECE", piece)
                     found = pendulum.poincare(shifted, [1.0], v0=[0.0], h=0.05, steps=20)
                 assert found.t.tolist() == [run.t[k]]
-        break
+
+
+def test_velocities_in_expressions(pendulum):
+    """A turning point is where velocity and momentum are zero; in ensembles, too."""
+    (theta,) = ss.coordinates("theta")
+    run = swing(pendulum)
+    turning = run.events("p_theta")
+    for expression in ("v_theta", theta.diff(), sp.Eq(2 * theta.diff(), 0)):
+        assert np.abs(run.events(expression).t - turning.t).max() < 1e-12
+    section = pendulum.poincare(theta.diff(), [1.0], v0=[0.0], h=0.05, steps=400)
+    assert np.abs(section.t - turning.t).max() < 1e-12
+    many = pendulum.ensemble(
+        [[1.0], [0.5]], v0=[0.0], h=0.05, steps=400, reduce={"fastest": ("max", theta.diff())}
+    )
+    assert many["fastest"][0] == run["v_theta"].max()
+    top = ss.compile(ss.systems.double_pendulum())
+    path = top.integrate([0.8, 1.0], v0=[0.0, 0.1], h=0.01, steps=300)
+    zeros = path.events("v_q2")
+    assert np.abs(zeros["v_q2"]).max() < 1e-12 * np.abs(path["v_q2"]).max()
+    assert len(zeros) > 3
+
+
+def test_a_name_of_two_quantities_is_refused():
+    (x,), p_x = ss.coordinates("x"), sp.Symbol("p_x", positive=True)
+    system = ss.MechanicalSystem(
+        "twofold", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=p_x * x**2,
+        parameters={p_x: 2.0},
+    )  # fmt: skip
+    run = ss.compile(system).integrate([1.0], v0=[0.0], h=0.05, steps=60)
+    with pytest.raises(ss.InputError, match="'p_x' is a parameter, and the name of another"):
+        run.events("p_x")
 
 
 def test_energy_in_an_expression(pendulum):

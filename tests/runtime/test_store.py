@@ -247,6 +247,7 @@ def sent(client, monkeypatch):
     return arguments
 
 
+@pytest.mark.slow
 def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}

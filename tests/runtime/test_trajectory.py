@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 
@@ -31,8 +32,8 @@ def test_invariants_have_names():
         assert (run[name] == run.invariants[name]).all()
 
 
-@pytest.mark.parametrize("scheme", ["simpson", "gauss8", "kahan_li8"])
-@pytest.mark.parametrize("system", [PENDULUM, TOP, ss.systems.fermi_pasta_ulam()])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "kahan_li8"]))
+@pytest.mark.parametrize("system", sweep([PENDULUM, TOP, ss.systems.fermi_pasta_ulam()]))
 def test_velocities(system, scheme):
     """They are those whose momenta are the run's, by the mass matrix."""
     try:

@@ -5,6 +5,7 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.codegen import kernels
@@ -31,7 +32,7 @@ def test_unknown_name():
         ss.composition("yoshida5")
 
 
-@pytest.mark.parametrize("name", COMPOSITIONS)
+@pytest.mark.parametrize("name", sweep(COMPOSITIONS))
 @pytest.mark.parametrize(
     ("system", "t_end"), [(ss.systems.pendulum(), 2), (CHAIN, 0.25)], ids=["pendulum", "chain"]
 )
@@ -64,7 +65,7 @@ def test_kicks_and_drifts(name):
     assert run.newton_iterations.sum() == 0
 
 
-@pytest.mark.parametrize("name", ["suzuki4", "blanes_moan6", "kahan_li8"])
+@pytest.mark.parametrize("name", sweep(["suzuki4", "blanes_moan6", "kahan_li8"]))
 def test_loops_are_straight_lines(name, monkeypatch):
     """Kernels with loops, as large systems get them, and the solution of another scheme."""
     given = {**CHAIN.reference_state, "h": 0.001, "steps": 500, "every": None}

@@ -6,6 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 from oracle import nodes_and_weights
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.binding import bind_mpmath
@@ -36,7 +37,7 @@ def end(system, scheme, steps, t_end, precision=50):
     return np.concatenate([run.q[0], run.p[0]])
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", sweep(SCHEMES))
 @pytest.mark.parametrize(
     ("system", "t_end"), [(PENDULUM, "0.125"), (TOP, "0.125")], ids=["pendulum", "top"]
 )
@@ -89,7 +90,8 @@ def runge_kutta_step(system, kind, stages, h):
 
 
 @pytest.mark.parametrize(
-    ("kind", "stages"), [("gauss", 2), ("gauss", 3), ("gauss", 6), ("lobatto", 3), ("lobatto", 5)]
+    ("kind", "stages"),
+    sweep([("gauss", 2), ("gauss", 3), ("gauss", 6), ("lobatto", 3), ("lobatto", 5)], 2),
 )
 def test_as_many_nodes_as_degrees_are_runge_kutta_methods(kind, stages):
     """Gauss methods, and Lobatto IIIA-IIIB, to 1e-30 in 64 digits."""
@@ -102,7 +104,7 @@ def test_as_many_nodes_as_degrees_are_runge_kutta_methods(kind, stages):
         assert max(abs(x - y) for x, y in zip(found, oracle, strict=True)) < 1e-30
 
 
-@pytest.mark.parametrize("scheme", ["gauss6", "gauss12", "lobatto_3_3", "lobatto_5_5"])
+@pytest.mark.parametrize("scheme", sweep(["gauss6", "gauss12", "lobatto_3_3", "lobatto_5_5"]))
 @pytest.mark.parametrize("system", [PENDULUM, TOP], ids=["pendulum", "top"])
 def test_stages_solve_the_equations(system, scheme):
     """The kernels over stages, run in 40 digits, come to what Newton's method comes to."""
@@ -138,7 +140,7 @@ def test_stages_solve_the_equations(system, scheme):
             assert max(gaps) < 1e-34 * scale
 
 
-@pytest.mark.parametrize("scheme", BY_STAGES)
+@pytest.mark.parametrize("scheme", sweep(BY_STAGES))
 @pytest.mark.parametrize("name", ["double_pendulum", "lagrange_top", "heavy_top", "kepler",
                                   "henon_heiles", "ellipsoid_geodesic"])  # fmt: skip
 def test_compiled_stages_against_many_digits(name, scheme):
@@ -154,7 +156,7 @@ def test_compiled_stages_against_many_digits(name, scheme):
         assert gap < 2e-13 * max(1.0, np.abs(values.astype(float)).max())
 
 
-@pytest.mark.parametrize("scheme", BY_STAGES)
+@pytest.mark.parametrize("scheme", sweep(BY_STAGES))
 @pytest.mark.parametrize(("system", "h"), [(PENDULUM, 0.05), (TOP, 0.05)], ids=["pendulum", "top"])
 def test_stages_are_reversible(system, h, scheme):
     stepper = ss.compile(system, scheme)
@@ -185,7 +187,7 @@ def test_the_trapezoidal_rule_is_stoermer_verlet():
     assert run.newton_iterations.sum() == 0
 
 
-@pytest.mark.parametrize("scheme", BY_STAGES)
+@pytest.mark.parametrize("scheme", sweep(BY_STAGES))
 def test_stages_keep_cyclic_momenta(scheme):
     run = ss.compile(TOP, scheme).integrate(**TOP.reference_state, h=0.01, steps=500)
     assert np.ptp(run.p[:, [0, 2]], axis=0).max() == 0.0
@@ -214,6 +216,7 @@ def test_newton_takes_over_where_stages_do_not_converge(rungs):
     assert not rungs
 
 
+@pytest.mark.slow
 def test_what_stages_cannot_solve_is_never_a_false_success():
     """Steps far too large: what is called a success has about its energy."""
     stepper = ss.compile(PENDULUM, "gauss16")

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.order import observed_orders
@@ -105,7 +106,7 @@ PENDULUM_ENERGY = {
 
 
 @pytest.mark.parametrize("scheme", ["simpson", "midpoint", "rk4"])
-@pytest.mark.parametrize(("power", "end"), PENDULUM_ENERGY)
+@pytest.mark.parametrize(("power", "end"), sweep(PENDULUM_ENERGY))
 def test_table_of_the_double_pendulum(power, end, scheme):
     """Energy error for l = g/omega^2 (as corrected) and l = g/omega (as printed)."""
     printed = PENDULUM_ENERGY[power, end][scheme]
@@ -146,7 +147,7 @@ NUTATION = {
 }
 
 
-@pytest.mark.parametrize("periods", NUTATION)
+@pytest.mark.parametrize("periods", sweep(NUTATION))
 def test_table_of_nutation(periods):
     for method, printed in NUTATION[periods].items():
         steps = 0.05 / 2.0 ** np.arange(len(printed.split()))
@@ -174,7 +175,7 @@ ENERGY = {
 }
 
 
-@pytest.mark.parametrize("method", ENERGY)
+@pytest.mark.parametrize("method", sweep(ENERGY))
 def test_table_of_energy(method):
     for periods, printed in ENERGY[method].items():
         compare([energy_error(method, 0.05 / 2**k, periods) for k in range(4)], printed)
@@ -193,7 +194,7 @@ CUSPS = {
 }
 
 
-@pytest.mark.parametrize("end", CUSPS)
+@pytest.mark.parametrize("end", sweep(CUSPS))
 def test_convergence_on_the_top_with_cusps(end):
     """Simpson on the complete system, RK4 on the reduced one, and the exact nutation."""
     system = ss.systems.lagrange_top_cusps()
@@ -241,6 +242,7 @@ def test_claim_momenta_are_preserved_exactly():
         assert np.ptp(momenta[:, [0, 2]], axis=0).max() == 0
 
 
+@pytest.mark.slow
 def test_claim_order_four_is_kept_while_midpoint_falls_to_zero_and_rk4_passes_six():
     orders = {
         method: observed_orders([nutation_error(method, 0.05 / 2**k, periods) for k in range(4)])

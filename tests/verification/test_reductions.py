@@ -4,7 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from random_systems import random_state, structured_system
-from workspace import begin, block, new_workspace, state
+from workspace import begin, block, new_workspace, state, sweep
 
 import symsimpson as ss
 from symsimpson.binding import bind_float, bind_mpmath
@@ -48,8 +48,8 @@ def gap(system, scheme, q, p, h, steps=STEPS):
     return (np.abs(ends[0] - ends[1]) / size).max()
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("name", ss.systems.CATALOGUE)
+@pytest.mark.parametrize("scheme", sweep(SCHEMES))
+@pytest.mark.parametrize("name", sweep(ss.systems.CATALOGUE, 3))
 def test_catalogue(name, scheme):
     system = ss.systems.CATALOGUE[name]()
     given = system.reference_state
@@ -60,9 +60,9 @@ def test_catalogue(name, scheme):
     assert gap(system, scheme, given["q0"], p, 0.005) < 1e-12
 
 
-@pytest.mark.parametrize("start", range(0, 200, 10))
+@pytest.mark.parametrize("start", sweep(range(0, 200, 4)))
 def test_planted_structure(start):
-    for seed in range(start, start + 10):
+    for seed in range(start, start + 4):
         system, planted = structured_system(seed)
         check_found(system, planted)
         q, v = random_state(seed, system.n)
@@ -80,7 +80,7 @@ def check_found(system, planted):
         assert any(not s.constant_mass and not s.cyclic for s in found.subsystems)
 
 
-@pytest.mark.parametrize("seed", range(0, 200, 10))
+@pytest.mark.parametrize("seed", sweep(range(0, 200, 10)))
 def test_planted_structure_compiled(seed):
     system, _ = structured_system(seed)
     q, v = random_state(seed, system.n)
@@ -95,17 +95,22 @@ def test_planted_structure_compiled(seed):
 
 @pytest.mark.parametrize("exploit", ["cyclic", ("cyclic", "decoupled"), ["linear", "sparse"]])
 def test_some_findings_alone(exploit):
-    system, planted = structured_system(3)
-    assert planted
-    q, v = random_state(3, system.n)
+    """On the first systems of which they make other code than no findings and than all."""
+    for seed in range(40):
+        system, _ = structured_system(seed)
+        texts = [source(system, "simpson", chosen) for chosen in ((), exploit, "all")]
+        if len(set(texts)) == 3:
+            break
+    assert len(set(texts)) == 3
+    q, v = random_state(seed, system.n)
     ends = []
-    for chosen in ((), exploit):
-        module = bind_float(source(system, "simpson", chosen))
+    for text in texts[:2]:
+        module = bind_float(text)
         ends.append(run(module, begin(module, q, v, system.parameters.values(), 0.02), 0.02, 50))
     assert np.abs(ends[0] - ends[1]).max() < 1e-12 * np.abs(ends[0]).max()
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_top_near_the_vertical(scheme):
     """Where the mass matrix is nearly singular the reduced path keeps the digits."""
     system, h = ss.systems.lagrange_top(), 0.01
@@ -143,7 +148,7 @@ def test_cyclic_momenta_do_not_change_a_bit():
             assert np.ptp(found.p[:, names.index(coordinate)]) == 0
 
 
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_linear_systems_do_not_drift(scheme):
     """A step is q1 = a q + b p, p1 = c q + a p: p^2 - c q^2 / b stands still but for rounding."""
     stepper = ss.compile(ss.systems.harmonic_oscillator(), scheme)
@@ -180,7 +185,7 @@ def test_linear_system_against_its_matrix():
             assert abs(a - b) < mp.mpf(10) ** -36
 
 
-@pytest.mark.parametrize("every", [1, 7, 100, None])
+@pytest.mark.parametrize("every", [2, 7, 100, None])
 def test_steps_in_one_call_are_steps_one_by_one(every):
     system = ss.systems.harmonic_oscillator()
     stepper = ss.compile(system)
@@ -220,7 +225,7 @@ def test_chain_costs_grow_with_its_length():
     assert dense.iteration > 2 * short.iteration
 
 
-@pytest.mark.parametrize("scheme", [*SCHEMES, "lobatto2", "lobatto6"])
+@pytest.mark.parametrize("scheme", sweep([*SCHEMES, "lobatto2", "lobatto6"]))
 def test_chain(scheme):
     """Sixteen coordinates: loops, bands and another order against the general path."""
     system = ss.systems.fermi_pasta_ulam(8)
@@ -228,6 +233,7 @@ def test_chain(scheme):
     assert gap(system, scheme, given["q0"], given["v0"], 0.002, steps=5) < 1e-13
 
 
+@pytest.mark.slow
 def test_chain_with_a_mass_that_depends_on_q():
     import sympy as sp
 
