@@ -120,7 +120,7 @@ def check_content(
                 system,
                 f"the {what} contains the number {show(node)} = {sp.N(node, 3)}, larger than "
                 "doubles can be.",
-                "Choose other units.",
+                "Choose other units, or a smaller factor.",
             )
         if known:
             continue

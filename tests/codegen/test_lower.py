@@ -1,5 +1,6 @@
 """What is computed once, and lines in an order that no hash decides."""
 
+import mpmath
 import numpy as np
 import pytest
 import sympy as sp
@@ -67,3 +68,38 @@ def test_numbers_that_no_double_holds_are_refused():
     )  # fmt: skip
     with pytest.raises(ss.GenerationError, match="larger than doubles can be"):
         ss.compile(tiny)
+
+
+@pytest.mark.parametrize(
+    ("constant", "value"),
+    [(sp.EulerGamma, mpmath.euler), (sp.Catalan, mpmath.catalan), (sp.GoldenRatio, mpmath.phi),
+     (sp.TribonacciConstant, "1.8392867552141611325518525646532866004241787460975")],
+)  # fmt: skip
+def test_constants_of_sympy_have_all_digits(constant, value):
+    (x,) = ss.coordinates("x")
+    system = ss.MechanicalSystem(
+        "constant", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=constant * x**4 / 4
+    )
+    for digits, options in ((15, {}), (40, {"precision": 40}),
+                            (40, {"precision": 40, "arithmetic": "arb"})):  # fmt: skip
+        energy = ss.compile(system, "midpoint", **options).energy([[2]], [[0]])[0]
+        with mpmath.workdps(45):
+            exact = 4 * mpmath.mpf(value)
+            assert abs(mpmath.mpf(energy) - exact) < mpmath.mpf(10) ** (1 - digits)
+
+
+@pytest.mark.parametrize("function", [sp.erf, sp.erfc])
+def test_the_error_function_is_taken(function):
+    """A step in double precision, and the same in 30 digits; V'' by an independent library."""
+    (x,) = ss.coordinates("x")
+    system = ss.MechanicalSystem(
+        "error_function", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=function(x)
+    )
+    runs = [
+        ss.compile(system, **options).integrate([0.3], v0=[0.1], h=0.05, steps=20)
+        for options in ({}, {"precision": 30}, {"precision": 30, "arithmetic": "arb"})
+    ]
+    for run in runs:
+        assert abs(float(run.q[-1, 0] - runs[1].q[-1, 0])) < 1e-14
+    exact = mpmath.erf(0.3) if function is sp.erf else mpmath.erfc(0.3)
+    assert abs(runs[0].energy[0] - float(exact) - 0.005) < 1e-15

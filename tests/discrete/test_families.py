@@ -3,6 +3,7 @@
 import random
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import sympy as sp
 
@@ -63,6 +64,34 @@ def test_terms_of_other_signs_and_orders_are_one_family():
     )  # fmt: skip
     found = families(chain.structure.plain)
     assert sorted(len(family.coordinates) for family in found) == [5, 6]
+
+
+def ring(constant, n=5):
+    """Rotors on a ring, each coupled to the next; the constant is how everybody writes it."""
+    a, K = ss.coordinates(f"a0:{n}"), sp.Symbol("K", positive=True)
+    potential = K * sum(constant - sp.cos(a[i] - a[(i + 1) % n]) for i in range(n))
+    return ss.MechanicalSystem(
+        "ring", coordinates=a, kinetic=sum(x.diff() ** 2 for x in a) / 2, potential=potential,
+        parameters={K: 1.5},
+    )  # fmt: skip
+
+
+def test_what_contains_no_coordinate_is_a_family_of_its_own():
+    plain = ring(1).structure.plain
+    found = families(plain)
+    assert [f.coefficients for f in found if f.coordinates == ((),)] == [
+        ((-5 * plain.parameters[0],),)
+    ]
+    assert sp.expand(total(found, plain) - lagrangian(plain)) == 0
+
+
+def test_loops_over_families_take_constants():
+    """The constant moves the energy, and nothing else."""
+    state = {"q0": [0.1, 0.2, 0.3, -0.1, 0.0], "v0": [0.0] * 5, "h": 0.1, "steps": 20}
+    runs = [ss.compile(ring(constant), "lobatto6").integrate(**state) for constant in (1, 0)]
+    assert "FAMILY_3" in ss.compile(ring(1), "lobatto6").source
+    assert (runs[0].q == runs[1].q).all()
+    assert np.allclose(runs[0].energy - runs[1].energy, 5 * 1.5, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -118,6 +118,18 @@ def test_declarations(changes):
 
 
 START = PENDULUM.reference_state
+MASKED = np.ma.array([0.1, 0.2], mask=[False, True])
+
+
+def swing(q0=(0.1, 0.2), **more):
+    return ss.compile(PENDULUM).integrate(q0, p0=[0, 0], h=0.01, steps=2, **more)
+
+
+def swarm(**more):
+    given = {"q0": [[0.1, 0.2]] * 3, "p0": [0, 0], "h": 0.01, "steps": 2} | more
+    return ss.compile(PENDULUM).ensemble(given.pop("q0"), **given)
+
+
 FALL = declare(potential=-1 / x)
 OTHERS = {
     "scheme": (lambda: ss.compile(PENDULUM, "rk4"), ss.SchemeError, "no scheme 'rk4'"),
@@ -142,6 +154,22 @@ OTHERS = {
     "place": (lambda: ss.generate(PENDULUM, "midpoint", "/proc/nowhere"), ss.GenerationError,
               "cannot be written"),
     "checkpoint": (lambda: ss.resume("/missing"), ss.StorageError, "no whole checkpoint"),
+    "no checkpoint": (lambda: ss.resume(3), ss.InputError, "the checkpoint is 3, not the name"),
+    "empty checkpoint": (lambda: swing(checkpoint=""), ss.InputError, "checkpoint is ''"),
+    "checkpoint nowhere": (lambda: swing(checkpoint="/no/run"), ss.StorageError, "no folder /no"),
+    "no file": (lambda: ss.load(None), ss.InputError, "generated file is None"),
+    "no directory": (lambda: ss.generate(PENDULUM, directory=None), ss.InputError, "is None"),
+    "no trajectory": (lambda: ss.open_trajectory(3), ss.InputError, "file is 3"),
+    "saved to a number": (lambda: swing().save(3), ss.InputError, "file is 3"),
+    "store nowhere": (lambda: swarm(store="/no/such/store"), ss.StorageError, "no folder /no/such"),
+    "store without a name": (lambda: swarm(store=""), ss.InputError, "store is ''"),
+    "momenta of a text": (lambda: ss.momenta("q1"), ss.ModelError, "not to 'q1'"),
+    "momenta of a pair": (lambda: ss.momenta((x, y)), ss.ModelError, "momenta.q1, q2."),
+    "masked state": (lambda: swing(MASKED), ss.InputError, "q0 has masked entries"),
+    "masked members": (lambda: swarm(q0=np.ma.array([[0.1, 0.2]], mask=[[True, False]])), ss.InputError, "q0 has masked entries"),
+    "axes": (lambda: swing().plot(ax=3), ss.InputError, "ax is int, not axes"),
+    "axes of the energy": (lambda: swing().plot_energy(ax="x"), ss.InputError, "ax is str"),
+    "axes of paths": (lambda: swing().plot_path(ax=[]), ss.InputError, "ax is list"),
     "wanted error": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=0), ss.InputError,
                      "error is 0"),
     "time": (lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3), ss.InputError,

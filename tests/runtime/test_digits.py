@@ -138,11 +138,11 @@ def test_interrupt_keeps_whole_steps(monkeypatch):
 
     monkeypatch.setattr(Run, "_stretch_until", interrupted)
     with pytest.raises(ss.Interrupted) as caught:
-        stepper.integrate([1.0, 2.0], p0=[0, 0], h=0.01, steps=10**6, every=None)
+        stepper.integrate([1.0, 2.0], p0=[0, 0], h=0.01, steps=60, every=None)
     monkeypatch.undo()
     partial = caught.value.trajectory
     again = stepper.integrate([1.0, 2.0], p0=[0, 0], h=0.01, steps=partial.steps, every=None)
-    assert partial.steps >= 7
+    assert 7 <= partial.steps < 60
     assert (partial.q == again.q).all()
     assert (partial.p == again.p).all()
 

@@ -1,0 +1,89 @@
+"""Quantities by attribute, by name and by number: of runs, and of all members of an ensemble."""
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+
+SYSTEM = ss.systems.spherical_pendulum()
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(SYSTEM)
+
+
+@pytest.fixture(scope="module")
+def run(stepper):
+    return stepper.integrate(**SYSTEM.reference_state, h=0.02, steps=50, every=10)
+
+
+@pytest.fixture(scope="module")
+def many(stepper):
+    q0, v0 = (SYSTEM.reference_state[name] for name in ("q0", "v0"))
+    return stepper.ensemble(
+        [q0, np.add(q0, 0.1), q0], v0=v0, h=0.02, steps=50, every=10,
+        parameters={"g": [9.81, 9.81, 4.0]}, reduce={"highest": ("max", "theta")},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [0, 3, -1, np.int64(3), np.int32(-2)])
+def test_a_number_gives_a_state(run, number):
+    state = run[number]
+    assert type(state) is ss.States
+    assert (state.q == run.q[[number]]).all()
+    assert state.t[0] == run.t[number]
+    assert state.energy[0] == run.energy[number]
+
+
+def test_arrays_give_some_states(run):
+    assert (run[[0, 2]].q == run.q[[0, 2]]).all()
+    assert (run[run.t > 0.5].p == run.p[run.t > 0.5]).all()
+    assert len(run[::2]) == 3
+
+
+@pytest.mark.parametrize("number", [6, -7, np.int64(100)])
+def test_numbers_of_no_state(run, many, number):
+    with pytest.raises(IndexError, match="there are 6, from 0 on"):
+        run[number]
+    with pytest.raises(IndexError, match="there is no member"):
+        many[number]
+
+
+@pytest.mark.parametrize("key", ["nothing", 1.5, True, None])
+def test_names_of_nothing(run, many, key):
+    for found in (run, many):
+        with pytest.raises(KeyError, match="There are theta, phi, p_theta"):
+            found[key]
+    with pytest.raises(KeyError, match="highest"):
+        many["nothing"]
+
+
+def test_members_have_what_runs_have(run, many):
+    for name in ("theta", "p_phi", "v_theta", "energy", *run.invariants):
+        assert many[name].shape == (3, 6)
+        assert (many[name][0] == run[name]).all()
+    assert many.v.shape == many.q.shape
+    assert (many.v[0] == run.v).all()
+    assert (many["t"] == run.t).all()
+    assert many["highest"].shape == (3,)
+    assert (many["g"] == [9.81, 9.81, 4.0]).all()
+
+
+def test_each_member_has_parameters_of_its_own(stepper, many):
+    member = many[2]
+    assert type(member) is ss.States
+    assert member.parameters["g"] == 4.0
+    alone = stepper.energy(many.q[2], many.p[2], parameters={"g": 4.0})
+    assert (many.energy[2] == alone).all()
+    assert (member.energy == alone).all()
+    assert many.energy[2, 0] != many.energy[0, 0]
+
+
+def test_last_states_alone(stepper):
+    q0, v0 = (SYSTEM.reference_state[name] for name in ("q0", "v0"))
+    found = stepper.ensemble([q0, q0], v0=v0, h=0.02, steps=50)
+    assert found["theta"].shape == found.energy.shape == (2,)
+    assert found[1].q.shape == (1, 2)
+    assert (found[1].q[0] == found.q[1]).all()
+    assert found[-1].t[0] == 1.0
