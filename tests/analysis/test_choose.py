@@ -68,6 +68,7 @@ def test_longer_runs_take_smaller_steps():
     assert "grew like t^" in long.reason
 
 
+@pytest.mark.slow
 def test_the_fastest_oscillation_bounds_the_step():
     spring = ss.systems.harmonic_oscillator()
     assert largest_frequency(spring, [0.3], [1.0, 400.0]) == pytest.approx(20.0)
@@ -101,6 +102,7 @@ def test_wrong_input(given, message):
         ss.choose(PENDULUM, **asked)
 
 
+@pytest.mark.slow
 def test_explicit_schemes_are_tried_where_there_are_such_steps():
     henon = ss.systems.henon_heiles()
     choice = ss.choose(henon, **henon.reference_state, t_end=50, error=1e-4)

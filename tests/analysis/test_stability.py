@@ -71,8 +71,10 @@ def test_momenta_are_watched_over_many_steps():
 
 @pytest.mark.parametrize(
     ("scheme", "edges"),
-    [("simpson", np.array([2 * 2**0.5, 2 * 3**0.5, 2 * 6**0.5])), ("midpoint", np.array([])),
-     ("lobatto6", np.array([3.1127, 10**0.5, 30**0.5])), ("gauss4", np.array([]))],
+    sweep([
+        ("simpson", np.array([2 * 2**0.5, 2 * 3**0.5, 2 * 6**0.5])), ("midpoint", np.array([])),
+        ("lobatto6", np.array([3.1127, 10**0.5, 30**0.5])), ("gauss4", np.array([])),
+    ]),
 )  # fmt: skip
 def test_limits_of_the_linear_oscillator(scheme, edges):
     found, theory = linear_limits(scheme), theory_limits(scheme)

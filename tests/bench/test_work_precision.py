@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.bench import ensembles
@@ -19,6 +20,7 @@ def problem(request):
     return make_problem(ss.systems.CATALOGUE[request.param](), None, 1.0)
 
 
+@pytest.mark.slow
 def test_the_solution_knows_its_error(problem):
     assert problem.solution_error < 1e-12
     stepper = ss.compile(problem.system, "gauss8")
@@ -30,7 +32,7 @@ def test_the_solution_knows_its_error(problem):
     np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+@pytest.mark.parametrize("name", sweep(PROGRAMS))
 def test_a_peer_solves_the_problem(problem, name):
     if name != "runge-kutta":
         pytest.importorskip(name)

@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.codegen.levels import Level
@@ -44,7 +45,7 @@ def test_a_sine_that_something_is_divided_by_keeps_its_digits():
 @pytest.mark.parametrize(
     "number", [sp.Integer(10) ** 20, sp.Rational(1.38e-23), sp.Rational(0.1) ** 3, sp.factorial(30)]
 )
-@pytest.mark.parametrize("scheme", ["midpoint", "gauss8"])
+@pytest.mark.parametrize("scheme", sweep(["midpoint", "gauss8"]))
 def test_numbers_beyond_64_bits(number, scheme):
     (x,) = ss.coordinates("x")
     k = sp.Symbol("k")
@@ -88,7 +89,7 @@ def test_constants_of_sympy_have_all_digits(constant, value):
             assert abs(mpmath.mpf(energy) - exact) < mpmath.mpf(10) ** (1 - digits)
 
 
-@pytest.mark.parametrize("function", [sp.erf, sp.erfc])
+@pytest.mark.parametrize("function", sweep([sp.erf, sp.erfc]))
 def test_the_error_function_is_taken(function):
     """A step in double precision, and the same in 30 digits; V'' by an independent library."""
     (x,) = ss.coordinates("x")

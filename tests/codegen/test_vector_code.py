@@ -54,6 +54,7 @@ def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     assert single <= 30  # the judgement of an iteration
 
 
+@pytest.mark.slow
 def test_lanes_do_not_know_of_each_other():
     """A lane's bits are the same whatever the other lanes do, converged or diverging."""
     text = source(ss.systems.double_pendulum())

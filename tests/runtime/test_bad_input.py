@@ -166,7 +166,7 @@ OTHERS = {
     "momenta of a text": (lambda: ss.momenta("q1"), ss.ModelError, "not to 'q1'"),
     "momenta of a pair": (lambda: ss.momenta((x, y)), ss.ModelError, "momenta.q1, q2."),
     "masked state": (lambda: swing(MASKED), ss.InputError, "q0 has masked entries"),
-    "masked members": (lambda: swarm(q0=np.ma.array([[0.1, 0.2]], mask=[[True, False]])), ss.InputError, "q0 has masked entries"),
+    "masked members": (lambda: swarm(q0=MASKED[None]), ss.InputError, "q0 has masked entries"),
     "axes": (lambda: swing().plot(ax=3), ss.InputError, "ax is int, not axes"),
     "axes of the energy": (lambda: swing().plot_energy(ax="x"), ss.InputError, "ax is str"),
     "axes of paths": (lambda: swing().plot_path(ax=[]), ss.InputError, "ax is list"),

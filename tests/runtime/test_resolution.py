@@ -27,7 +27,7 @@ def particle(potential, name="particle"):
     )
 
 
-@pytest.mark.parametrize("scheme", ["lobatto2", "gauss6"])
+@pytest.mark.parametrize("scheme", sweep(["lobatto2", "gauss6"]))
 @pytest.mark.parametrize("name", sweep(LEAVING))
 def test_all_arithmetics_end_alike_where_the_energy_is_not_real(name, scheme):
     potential, q0, v0 = LEAVING[name]
