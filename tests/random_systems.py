@@ -37,6 +37,7 @@ def drawn_system(pick, name, *, gyroscopic=False):
         kinetic += sum(u * term() / 3 for u in pick.sample(v, pick.randint(1, n))) ** 2
     potential = sum((term() for _ in range(pick.randint(1, 4))), sp.S.Zero)
     linear = sum((u * term() / 5 for u in v), sp.S.Zero) if gyroscopic else sp.S.Zero
+    potential += pick.choice([sp.S.Zero, sp.Rational(2, 3), k, -w * k / 3])  # no coordinate in it
     return ss.MechanicalSystem(
         name, coordinates=q, kinetic=kinetic, potential=potential,
         gyroscopic=linear, parameters={m: 1.25, k: 0.5, w: 1.5},
