@@ -49,13 +49,15 @@ _SHOWN = 40
 _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
-NEGLIGIBLE = 2.0**-110  # what the next correction would be has a sign and adds up: below rounding
+NEGLIGIBLE = {negligible}
 QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
 """
+#: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
+_NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
 LOST = 2.0**-132  # what is left at nodes has a sign and adds up: far below rounding
@@ -101,7 +103,10 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     if module.newton_unknowns:
         # a straight path leaves rest with the velocity it ends with
-        thresholds = _THRESHOLDS.format(unresolved=1.0 if equations.scheme.degree == 1 else 0.12)
+        thresholds = _THRESHOLDS.format(
+            negligible=_NEGLIGIBLE[equations.scheme.degree > 2],
+            unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
+        )
         if "STRIDE" in module.tables:
             thresholds += _STAGE_THRESHOLDS
         constants = f"{constants}\n{thresholds}" if constants else thresholds

@@ -31,7 +31,7 @@ class Quantities:
         """Velocities, in the shape of q."""
         return self._evaluated("start", "VELOCITY", self._stepper.n)
 
-    @property
+    @cached_property
     def energy(self) -> NDArray[Any]:
         """H, in the shape of q without the last axis."""
         return self._energies[..., 0]
