@@ -55,7 +55,7 @@ def test_numbers_are_compared_where_bytes_are_not():
     text = source(system, "midpoint")
     end = end_of_five_steps(system, text)
     assert end == end_of_five_steps(system, text)
-    assert end != end_of_five_steps(system, text.replace("h/2", "h/3"))
+    assert end != end_of_five_steps(system, text.replace("_X1/2", "_X1/3"))
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_a_module_runs_without_sympy_and_symsimpson():
 def test_an_edited_file_is_refused(tmp_path):
     text = (GENERATED / "pendulum__midpoint.py").read_text("utf-8")
     for name, edited, message in (
-        ("edited", text.replace("h/2", "h/3", 1), "does not match the digest"),
+        ("edited", text.replace("_X1/2", "_X1/3", 1), "does not match the digest"),
         ("foreign", "import os\n", "no module that symsimpson generated"),
     ):
         path = tmp_path / f"{name}.py"
