@@ -6,10 +6,10 @@ import mpmath
 import numpy as np
 import pytest
 from oracle import nodes_and_weights
-from workspace import sweep
+from workspace import new_workspace, sweep
 
 import symsimpson as ss
-from symsimpson.binding import bind_mpmath
+from symsimpson.binding import bind_float, bind_mpmath
 from symsimpson.codegen.pipeline import source
 from symsimpson.reference import canonical
 from symsimpson.runtime.digits import MOST_BY_STAGES
@@ -102,6 +102,20 @@ def test_as_many_nodes_as_degrees_are_runge_kutta_methods(kind, stages):
         run = stepper.integrate(**PENDULUM.reference_state, h=h, steps=1, every=None)
         found = [*run.q[0], *run.p[0]]
         assert max(abs(x - y) for x, y in zip(found, oracle, strict=True)) < 1e-30
+
+
+@pytest.mark.parametrize(("momentum", "seen"), [(0.0, False), (0.02, True)])
+def test_stages_look_at_the_velocities_of_cyclic_coordinates(momentum, seen):
+    """Of the top as a plane pendulum they are none: what is told of them is not of theta."""
+    module = bind_float(source(TOP, "gauss6"))
+    h, p = 0.01, [momentum, 0.01, momentum / 2]
+    W = new_workspace(module, [0.0, 0.5, 0.0], p, TOP.parameters.values())
+    module.prepare(h, 0.0, W)
+    module.start_stages(h, 0.0, W)
+    for _ in range(20):
+        module.iterate(h, 0.0, W)
+    module.advance_stages(h, 0.0, W)
+    assert (W[module.CYCLIC_MISMATCH_SQUARED, 0] > 0) == seen
 
 
 @pytest.mark.parametrize("scheme", sweep(["gauss6", "gauss12", "lobatto_3_3", "lobatto_5_5"]))
