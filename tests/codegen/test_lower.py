@@ -4,9 +4,10 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from workspace import new_workspace, sweep
 
 import symsimpson as ss
+from symsimpson.binding import bind_float
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.pipeline import source
@@ -40,6 +41,24 @@ def test_a_sine_that_something_is_divided_by_keeps_its_digits():
         potential=g / sp.sin(x - y) ** 2 + sp.cos(x) + sp.cos(y), parameters={g: 1.0},
     )  # fmt: skip
     assert "sincos(angle" in source(system, ss.SIMPSON)
+
+
+@pytest.mark.parametrize("function", [sp.sin, sp.cos, sp.tan])
+def test_signs_taken_out_of_angles_are_not_lost(function):
+    """An angle may change its sign once what is inside it has a name."""
+    x, y = ss.coordinates("x y")
+    for inner in (sp.sin(y), sp.cos(y), sp.exp(y)):
+        for angle in (x - inner, inner - x):
+            system = ss.MechanicalSystem(
+                "signs", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+                potential=function(angle), parameters={},
+            )  # fmt: skip
+            module = bind_float(source(system, "midpoint"))
+            W = new_workspace(module, [0.3, 0.8], [0.0, 0.0], [])
+            module.prepare(0.1, 0.0, W)
+            module.energy(0.1, 0.0, W)
+            truth = float(function(angle).subs({x: 0.3, y: 0.8}))
+            assert W[module.ENERGY, 0] == pytest.approx(truth, rel=1e-14)
 
 
 @pytest.mark.parametrize(
