@@ -6,6 +6,7 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
+import sympy as sp
 from random_systems import random_state, random_system
 from workspace import begin, block, new_workspace, state, sweep, take_step
 
@@ -94,6 +95,53 @@ def test_arithmetics_agree(name):
     results.append(np.concatenate(stepper.step(q, p, 0.01)))
     for other in results[1:]:
         np.testing.assert_allclose(results[0], other, rtol=0, atol=1e-13)
+
+
+def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
+    """Five coordinates, each coupled to each, and a linear term in the velocities."""
+    x = ss.coordinates("x0:5")
+    v = [c.diff() for c in x]
+    kinetic = sum((2 + i + sp.cos(a)) * u**2 for i, (a, u) in enumerate(zip(x, v, strict=True)))
+    kinetic += sum(sp.cos(x[i] - x[j]) * v[i] * v[j] / 4 for i in range(5) for j in range(i))
+    system = ss.MechanicalSystem(
+        "coupled", coordinates=x, kinetic=kinetic / 2, potential=sum(a**4 for a in x),
+        gyroscopic=sum((i + sp.sin(x[i - 1])) * u for i, u in enumerate(v)), parameters={},
+    )  # fmt: skip
+    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    equations = discretise(system, ss.SIMPSON, ())
+    module = bind_float(emit(equations, kernels.lower(equations)))
+    W = new_workspace(module, [0.1, 0.5, -0.4, 0.8, -0.2], [0.0] * 5, [])
+    velocity = W[block(module, "VELOCITY", 5), 0] = np.array([0.3, -0.7, 0.2, 1.1, -0.5])
+    module.prepare(0.1, 0.0, W)
+    module.legendre(0.1, 0.0, W)
+    W[block(module, "VELOCITY", 5), 0] = 0.0
+    module.energy(0.1, 0.0, W)
+    np.testing.assert_allclose(W[block(module, "VELOCITY", 5), 0], velocity, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("measures", "doubt"),
+    [
+        ({}, 0),
+        ({"SURPRISE_SQUARED": 1.5}, 1),
+        ({"SURPRISE_SQUARED": 1.5, "SCALE": 0.0}, 0),  # the first step has nothing to compare with
+        ({"MISMATCH_SQUARED": 4.5}, 1),
+        ({"MISMATCH_SQUARED": 4.5, "INCREMENT_SQUARED": 1.5}, 0),
+        ({"CYCLIC_SPREAD": 0.6}, 3),
+        ({"CYCLIC_SPREAD": 0.6, "CYCLIC_MISMATCH_SQUARED": 1e30}, 2),
+    ],
+)
+def test_what_is_in_doubt(measures, doubt):
+    """Surprises, lost velocities and masses that change, one at a time."""
+    module = bind_mpmath(source(ss.systems.lagrange_top()), judging=True)
+    W = np.zeros((module.ROWS, 1))
+    quiet = {"SCALE": 1.0, "INCREMENT_SQUARED": 0.5, "SURPRISE_SQUARED": 0.5, "ACTIVE": 1.0}
+    for name, value in (quiet | measures).items():
+        W[getattr(module, name), 0] = value
+    module.question(W, 0)
+    assert W[module.IN_DOUBT, 0] == doubt
+    known, increment = ((quiet | measures)[k] for k in ("SCALE", "INCREMENT_SQUARED"))
+    assert W[module.SCALE, 0] == (known if doubt == 1 else max(known, increment))
 
 
 @pytest.mark.slow
