@@ -25,8 +25,9 @@ def read_path(what: str, value: Any) -> Path:
     text = os.fspath(value) if isinstance(value, (str, os.PathLike)) else None
     if isinstance(text, str) and text and "\0" not in text:
         return Path(text)
+    given = "empty" if isinstance(text, str) and not text else type(value).__name__
     raise InputError(
-        f"{what} is {value!r}, not the name of a file or a folder.\n"
+        f"{what} is {given}, not the name of a file or a folder.\n"
         "Pass a text as 'folder/name', or a pathlib.Path."
     )
 

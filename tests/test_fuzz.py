@@ -23,6 +23,7 @@ STEPPERS = [ss.compile(PENDULUM, scheme) for scheme in ("simpson", "midpoint", "
 
 @settings(max_examples=400, **BUDGET)
 @given(runs(2))
+@pytest.mark.slow
 def test_any_input_is_run_or_refused(asked):
     """Finite states and a status, or a typed error with its remedy; nothing else."""
     for stepper in STEPPERS:
@@ -67,6 +68,7 @@ def test_any_system_makes_a_symplectic_step(system, numbers):
 
 @settings(max_examples=60, **BUDGET)
 @given(names.filter(lambda name: "\0" not in name), names)  # SymPy refuses it as a function
+@pytest.mark.slow
 def test_any_name_is_text(first, second):
     """Whatever symbols are called, the module is one of ours, and its parameters identifiers."""
     q = sp.Function(first)(dynamicsymbols._t)

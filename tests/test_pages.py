@@ -4,13 +4,14 @@ import re
 from pathlib import Path
 
 import pytest
+from workspace import sweep
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", "notebooks/README.md", "notebooks/coming_from.md",
          "symsimpson/ARCHITECTURE.md", "symsimpson/CHANGES.md"]  # fmt: skip
 
 
-@pytest.mark.parametrize("page", ["README.md", "notebooks/coming_from.md"])
+@pytest.mark.parametrize("page", sweep(["notebooks/coming_from.md", "README.md"]))
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

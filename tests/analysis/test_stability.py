@@ -61,6 +61,7 @@ def test_oversolved_steps_are_the_same_steps(stepper):
     assert oversolved(linear) is linear
 
 
+@pytest.mark.slow
 def test_momenta_are_watched_over_many_steps():
     top = ss.systems.lagrange_top()
     found = energy_drift(ss.compile(top), 0.005, 10**6, spread=0.01)

@@ -62,10 +62,10 @@ def check_equations(seed):
             assert abs(jacobian[r, a, c, b] - truth) < 2e-13 * size, (seed, k, a, m, b)
 
 
-@pytest.mark.parametrize("start", sweep(range(0, 60, 5)))
+@pytest.mark.parametrize("start", sweep(range(0, 60, 2)))
 def test_newton_solves_the_equations(start):
     """One Newton correction, in fixed order and pivoted, is that of residual and Jacobian."""
-    for seed in range(start, start + 5):
+    for seed in range(start, start + 2):
         system = random_system(seed)
         module = bind_float(source(system, SCHEMES[seed % 5], ()))
         q, v = random_state(seed, system.n)

@@ -37,8 +37,8 @@ def test_eight_lanes_are_packed(scheme):
 
 @pytest.mark.parametrize(
     ("name", "scheme", "least"),
-    [("double_pendulum", "gauss8", 80), ("double_pendulum", "gauss16", 80),
-     ("lagrange_top", "gauss16", 80), ("henon_heiles", "gauss12", 40)],
+    sweep([("double_pendulum", "gauss16", 80), ("double_pendulum", "gauss8", 80),
+           ("lagrange_top", "gauss16", 80), ("henon_heiles", "gauss12", 40)]),
 )  # fmt: skip
 def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     """Both loops over nodes, although the second one is short: compilers like to unroll it."""

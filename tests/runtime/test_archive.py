@@ -26,7 +26,7 @@ def run_of(name, scheme, **options):
 
 
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
-@pytest.mark.parametrize(("name", "scheme", "options"), sweep(CASES, 2))
+@pytest.mark.parametrize(("name", "scheme", "options"), sweep(CASES))
 def test_what_is_opened_is_what_was_saved(tmp_path, name, scheme, options, ending):
     run = run_of(name, scheme, **options)
     path = tmp_path / f"run.{ending}"

@@ -13,6 +13,8 @@ from symsimpson.runtime.cache import _intact, cache_folder
 
 CODE = """
 import json, sys, time
+from workspace import sweep
+
 import symsimpson as ss
 (x,) = ss.coordinates("x")
 import sympy as sp
@@ -94,8 +96,8 @@ def damage(path, how):
 
 @pytest.mark.parametrize(
     ("pattern", "how"),
-    [("*/**/*.nbc", "cut"), ("*/**/*.nbi", "flip"), ("*/digests.json", "empty"),
-     ("*/*.py", "remove"), ("*/**/*.nbc", "flip")],
+    sweep([("*/**/*.nbc", "cut"), ("*/**/*.nbi", "flip"), ("*/digests.json", "empty"),
+           ("*/*.py", "remove"), ("*/**/*.nbc", "flip")]),
 )  # fmt: skip
 def test_damage_is_mended(warm, pattern, how):
     folder, value = warm

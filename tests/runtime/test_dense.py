@@ -155,6 +155,7 @@ def test_part_of_a_step_that_fails_is_said(monkeypatch):
         run.sol(0.005)
 
 
+@pytest.mark.slow
 def test_where_the_motion_is_hardly_resolved_parts_are_divided(monkeypatch):
     """Near a pole of its coordinates the rigid body turns as fast as its step allows."""
     from symsimpson.runtime.interpolate import DenseOutput

@@ -235,7 +235,7 @@ def test_zeros_after_the_last_stored_state_are_found(pendulum):
     assert np.abs(whole.t - part.events("theta").t).max() < 1e-12
 
 
-@pytest.mark.parametrize("name", ["lambda", "x'", "class"])
+@pytest.mark.parametrize("name", sweep(["lambda", "x'", "class"]))
 def test_symbols_of_any_name(name):
     """As SymPy has them; a text with them could be read as something else."""
     (x,), k = ss.coordinates("x"), sp.Symbol(name)

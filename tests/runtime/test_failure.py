@@ -24,7 +24,13 @@ def one_dimensional(name, potential):
 
 @pytest.mark.parametrize(
     ("name", "potential"),
-    [("centre", lambda x: -1 / x), ("well", lambda x: -1 / x**2), ("blow_up", lambda x: -(x**4))],
+    sweep(
+        [
+            ("centre", lambda x: -1 / x),
+            ("well", lambda x: -1 / x**2),
+            ("blow_up", lambda x: -(x**4)),
+        ]
+    ),
 )
 def test_singular_motion_ends_with_a_status(name, potential):
     stepper = ss.compile(one_dimensional(name, potential))
