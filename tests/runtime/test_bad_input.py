@@ -158,7 +158,7 @@ OTHERS = {
     "empty checkpoint": (lambda: swing(checkpoint=""), ss.InputError, "checkpoint is empty"),
     "checkpoint nowhere": (lambda: swing(checkpoint="/no/run"), ss.StorageError, "no folder /no"),
     "no file": (lambda: ss.load(None), ss.InputError, "generated file is NoneType"),
-    "no directory": (lambda: ss.generate(PENDULUM, directory=None), ss.InputError, "directory is NoneType"),
+    "no directory": (lambda: ss.generate(PENDULUM, directory=None), ss.InputError, "is NoneType"),
     "no trajectory": (lambda: ss.open_trajectory(3), ss.InputError, "file is int"),
     "saved to a number": (lambda: swing().save(3), ss.InputError, "file is int"),
     "store nowhere": (lambda: swarm(store="/no/such/store"), ss.StorageError, "no folder /no/such"),

@@ -7,14 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+from workspace import sweep
 
 from symsimpson.errors import GenerationError
 from symsimpson.runtime.cache import _intact, cache_folder
 
 CODE = """
 import json, sys, time
-from workspace import sweep
-
 import symsimpson as ss
 (x,) = ss.coordinates("x")
 import sympy as sp
