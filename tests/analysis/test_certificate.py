@@ -199,8 +199,8 @@ def test_it_is_written_and_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "momenta"),
-    [("double_pendulum", []), ("lagrange_top", ["p_phi", "p_psi"]),
-     ("spherical_pendulum", ["p_phi"]), ("cart_pole", ["p_x"])],
+    sweep([("lagrange_top", ["p_phi", "p_psi"]), ("double_pendulum", []),
+           ("spherical_pendulum", ["p_phi"]), ("cart_pole", ["p_x"])]),
 )  # fmt: skip
 def test_linear_symmetries(name, momenta):
     system = ss.systems.CATALOGUE[name]()

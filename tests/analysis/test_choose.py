@@ -60,6 +60,7 @@ def test_errors_of_the_energy():
     assert "until t =" in choice.reason  # a part was run
 
 
+@pytest.mark.slow
 def test_longer_runs_take_smaller_steps():
     short, long = (
         ss.choose(PENDULUM, **STATE, t_end=t, error=1e-6, schemes=["gauss8"]) for t in (50, 2000)

@@ -111,6 +111,7 @@ def test_no_wrong_path_past_a_pole_is_a_success(scheme, phase):
     assert all(one.energy_error < 0.01 for one in singular)  # before the step is lost
 
 
+@pytest.mark.slow
 def test_a_pole_unresolved_is_an_error_with_all_states_before():
     stepper = ss.compile(ss.systems.spherical_pendulum())
     given = {"q0": [0.5, 0.0], "v0": [-3.0, 0.1], "h": 0.02, "steps": 100}
@@ -128,6 +129,7 @@ def test_a_pole_unresolved_is_an_error_with_all_states_before():
     assert fine.q[:, 0].min() < 0.02  # it passed
 
 
+@pytest.mark.slow
 def test_masses_of_cyclic_coordinates_that_change_much_are_no_failure():
     """The top's loops come within 2.7 degrees of the pole, where M changes tenfold in a step."""
     top = ss.systems.lagrange_top()

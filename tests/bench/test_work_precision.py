@@ -15,7 +15,9 @@ from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
 
 
-@pytest.fixture(scope="module", params=["double_pendulum", "lagrange_top", "fermi_pasta_ulam"])
+@pytest.fixture(
+    scope="module", params=sweep(["double_pendulum", "lagrange_top", "fermi_pasta_ulam"])
+)
 def problem(request):
     return make_problem(ss.systems.CATALOGUE[request.param](), None, 1.0)
 

@@ -79,6 +79,7 @@ def test_html_is_whole_and_holds_what_matters(shown):
         assert repr(value)
 
 
+@pytest.mark.slow
 def test_hostile_names_stay_text(shown):
     assert HOSTILE not in shown["ensemble"]._repr_html_()
     assert "&lt;img" in shown["ensemble"]._repr_html_()

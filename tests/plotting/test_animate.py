@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import sympy as sp
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.plotting.scene import Link, scene_of
@@ -18,12 +19,14 @@ def run_of(name, **options):
 
 @pytest.mark.parametrize(
     ("name", "links"),
-    [
-        ("double_pendulum", (Link(-1, 0, True), Link(0, 1, True))),
-        ("cart_pole", (Link(0, 1, True),)),
-        ("elastic_pendulum", (Link(-1, 0, False),)),
-        ("spherical_pendulum", (Link(-1, 0, True),)),
-    ],
+    sweep(
+        [
+            ("double_pendulum", (Link(-1, 0, True), Link(0, 1, True))),
+            ("cart_pole", (Link(0, 1, True),)),
+            ("elastic_pendulum", (Link(-1, 0, False),)),
+            ("spherical_pendulum", (Link(-1, 0, True),)),
+        ]
+    ),
 )
 def test_what_keeps_its_distance_is_linked(name, links):
     assert scene_of(run_of(name)).links == links

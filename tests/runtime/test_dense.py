@@ -19,16 +19,18 @@ def run_of(name, scheme, h, **options):
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    [
-        ("double_pendulum", "midpoint"),
-        ("double_pendulum", "simpson"),
-        ("double_pendulum", "lobatto6"),
-        ("double_pendulum", "gauss6"),
-        ("lagrange_top", "simpson"),
-        ("henon_heiles", "lobatto2"),
-        ("henon_heiles", "blanes_moan4"),
-        ("harmonic_oscillator", "simpson"),
-    ],
+    sweep(
+        [
+            ("double_pendulum", "simpson"),
+            ("double_pendulum", "midpoint"),
+            ("double_pendulum", "lobatto6"),
+            ("double_pendulum", "gauss6"),
+            ("lagrange_top", "simpson"),
+            ("henon_heiles", "lobatto2"),
+            ("henon_heiles", "blanes_moan4"),
+            ("harmonic_oscillator", "simpson"),
+        ]
+    ),
 )
 def test_order_between_steps_is_that_of_the_scheme(name, scheme):
     h = {"henon_heiles": 0.25, "harmonic_oscillator": 0.25}.get(name, 0.02)

@@ -1,6 +1,7 @@
 """The compiled loop: no allocation, the GIL released, few and predictable iterations."""
 
 import numpy as np
+import pytest
 from numba import njit
 
 import symsimpson as ss
@@ -14,6 +15,7 @@ def test_a_step_allocates_nothing():
     assert text.OPTIONS["nogil"]
 
 
+@pytest.mark.slow
 def test_other_threads_run_meanwhile():
     """What is called from Python lets go of the interpreter."""
     for name in ("begin", "run", "march", "mend", "sweep"):

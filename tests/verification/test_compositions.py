@@ -81,6 +81,7 @@ def test_loops_are_straight_lines(name, monkeypatch):
     assert np.abs(run.q - other.q).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_a_long_chain():
     """Loops over families, whose coordinates stand in another order."""
     q = ss.coordinates(" ".join(f"x{i}" for i in range(40)))
@@ -123,6 +124,7 @@ def test_certificate():
     assert ss.compile(HENON, "kahan_li6").certify().passed
 
 
+@pytest.mark.slow
 def test_linear_limits():
     """Where the trace of a step of the linear oscillator leaves [-2, 2]."""
     from symsimpson.analysis.stability.limits import linear_limits, theory_limits

@@ -155,8 +155,8 @@ def test_stages_solve_the_equations(system, scheme):
 
 
 @pytest.mark.parametrize("scheme", sweep(BY_STAGES))
-@pytest.mark.parametrize("name", ["double_pendulum", "lagrange_top", "heavy_top", "kepler",
-                                  "henon_heiles", "ellipsoid_geodesic"])  # fmt: skip
+@pytest.mark.parametrize("name", sweep(["double_pendulum", "lagrange_top", "heavy_top", "kepler",
+                                  "henon_heiles", "ellipsoid_geodesic"]))  # fmt: skip
 def test_compiled_stages_against_many_digits(name, scheme):
     system = ss.systems.CATALOGUE[name]()
     stepper = ss.compile(system, scheme)
@@ -216,6 +216,7 @@ def rungs(monkeypatch):
     return used
 
 
+@pytest.mark.slow
 def test_newton_takes_over_where_stages_do_not_converge(rungs):
     """A stiff spring: h omega = 15, far beyond what the iteration contracts for."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}

@@ -80,7 +80,7 @@ def check_found(system, planted):
         assert any(not s.constant_mass and not s.cyclic for s in found.subsystems)
 
 
-@pytest.mark.parametrize("seed", sweep(range(0, 200, 10)))
+@pytest.mark.parametrize("seed", sweep(range(0, 200, 10), 0))
 def test_planted_structure_compiled(seed):
     system, _ = structured_system(seed)
     q, v = random_state(seed, system.n)
@@ -94,7 +94,7 @@ def test_planted_structure_compiled(seed):
 
 
 @pytest.mark.parametrize(
-    "exploit", sweep(["cyclic", ["cyclic", "decoupled"], ["linear", "sparse"]])
+    "exploit", sweep(["cyclic", ["cyclic", "decoupled"], ["linear", "sparse"]], 0)
 )
 def test_some_findings_alone(exploit):
     """On the first systems of which they make other code than no findings and than all."""
