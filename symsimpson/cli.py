@@ -219,7 +219,6 @@ def _check(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     import numpy as np
 
-    from symsimpson.analysis.pilot import any_step
     from symsimpson.api import compile as compile_system
 
     system = _find(options.system)
@@ -235,7 +234,9 @@ def _run(options: argparse.Namespace) -> int:
     t_end = 10.0 if options.t_end is None and options.steps is None else options.t_end
     begin = time.perf_counter()
     stepper = compile_system(system, options.scheme)
-    with any_step():  # compiles all that a run needs
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResolutionWarning)
+        # compiles all that a run needs
         stepper.integrate(**state, h=options.h, steps=16, on_failure="return")
     ready = time.perf_counter()
     run = stepper.integrate(

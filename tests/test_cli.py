@@ -159,3 +159,19 @@ def test_version(capsys):
     with pytest.raises(SystemExit):
         main(["--version"])
     assert capsys.readouterr().out.startswith("symsimpson ")
+
+
+def test_warnings_are_told_in_words_and_once(capsys):
+    assert main(["run", "double_pendulum", "--h", "0.5", "--t-end", "10"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("StabilityWarning: double_pendulum, simpson: h=0.5 is beyond") == 1
+    assert ".py:" not in said
+    assert "step 0 of 1 " not in said
+
+
+def test_a_table_that_cannot_be_written_is_told_before_the_run(tmp_path, capsys):
+    out = tmp_path / "missing" / "run.csv"
+    assert main(["run", "pendulum", "--h", "0.01", "--steps", "5", "--out", str(out)]) == 1
+    said = capsys.readouterr()
+    assert "there is no folder" in said.err
+    assert said.out == ""
