@@ -39,9 +39,13 @@ Places = NDArray[np.int64]
 Reals = NDArray[Any]
 
 
-def sampling_stride(count: int) -> int:
-    """Give the steps between the states to keep of a run that stores none; 0 if it is short."""
-    return -(-count // SAMPLES) if count >= FEWEST else 0
+def sampling_stride(stepper: Stepper, count: int) -> int:
+    """Give the steps between the states to keep of a run that stores none.
+
+    None, 0, are kept of a short one, unless its energy need not be real.
+    """
+    looked_at = count >= FEWEST or not stepper._facts.real_everywhere
+    return -(-count // SAMPLES) if looked_at else 0
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ def poincare(
     run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
     check_start(stepper, q, p, values)
-    stride = sampling_stride(count)
+    stride = sampling_stride(stepper, count)
     found, seen, ended = [], [(q[None], p[None])], None
     try:
         while run.step < count and run.alive:
@@ -80,7 +80,7 @@ def poincare(
     q, p = (np.concatenate(states) for states in zip(*seen, strict=True))
     none = np.zeros(0, dtype=np.int64)
     last = trajectory_of(stepper, run, count, ended or run.status, values, (q, p, none), 0)
-    if stride and ended is None:
+    if stride and ended is None and count:
         last = looked_at(stepper, run, last, q, p)
         sign = 1 if h > 0 else -1
         found = [tuple(x[sign * (part[0] - last.t[-1]) <= 0] for x in part) for part in found]

@@ -73,7 +73,7 @@ def integrate(
         h, count, t0 = read_steps(*times, numbers)
         # where no states are asked for, some are kept to look at
         wanted = read_every(every)
-        stride = wanted or sampling_stride(count)
+        stride = wanted or sampling_stride(stepper, count)
         stored = count // stride + 1 if stride else 1
         if checkpoint is not None:
             stored = buffered(stride, stored, stepper.n)
@@ -124,6 +124,11 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
     """
     if not trajectory.success and stepper._facts.real_everywhere:
         return trajectory
+    if trajectory.every is None and not stepper._facts.real_everywhere:  # the last state, too
+        numbers = stepper._numbers
+        with numbers.working():
+            ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
+        q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
     energies = look_at_energy(stepper, run, q, p)
     if energies is None:
         return trajectory
@@ -131,7 +136,7 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
     bad = energies.first_not_real
     if bad is not None:
         result, good = stepper._numbers.result, max(bad - 1, 0)
-        done = good * run.every
+        done, at = good * run.every, min(bad * run.every, trajectory.steps)
         if trajectory.every is None:
             last = slice(good, good + 1)
             about |= {"q": result(q[last]), "p": result(p[last])}
@@ -141,7 +146,7 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
                 about[name] = about[name][: good + 1]
         message = (
             f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
-            f"t={float(run.t0 + run.h * (done + run.every)):g}, after step {done + run.every} of "
+            f"t={float(run.t0 + run.h * at):g}, after step {at} of "
             f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
             "motion left their domain, or the steps jumped a singular point: check the state "
             "before, try a smaller h."

@@ -62,6 +62,30 @@ def test_what_was_real_is_kept(every):
         stepper.poincare("x - 0.1", [q0], v0=[v0], h=0.05, steps=33)
 
 
+@pytest.mark.parametrize("options", [{}, {"precision": 25, "arithmetic": "arb"}])
+def test_short_runs_and_last_states_are_looked_at(options):
+    """Of runs that store the last state alone; of single steps, and ends that no stride meets."""
+    potential, q0, v0 = LEAVING["logarithm"]
+    stepper = ss.compile(particle(potential, "logarithm"), "lobatto2", **options)
+    whole = stepper.integrate([q0], v0=[v0], h=0.05, steps=30, on_failure="return")
+    bad = whole.steps + 1
+    for steps in (bad, bad + 3):
+        run = stepper.integrate([q0], v0=[v0], h=0.05, steps=steps, every=None, on_failure="return")
+        assert run.status is ss.Status.NOT_FINITE
+        assert run.steps == whole.steps
+        assert run.q[0, 0] == whole.q[-1, 0]
+    with pytest.raises(ss.ConvergenceError, match="after step 1 of 1 "):
+        stepper.step(whole.q[-1], whole.p[-1], 0.05)
+    fine = 0.05 / 64
+    late = stepper.integrate([q0], v0=[v0], h=fine, steps=300, on_failure="return")
+    assert late.steps > 64
+    last = stepper.integrate(
+        [q0], v0=[v0], h=fine, steps=late.steps + 1, every=None, on_failure="return"
+    )
+    assert last.status is ss.Status.NOT_FINITE
+    assert last.steps <= late.steps
+
+
 def test_members_of_an_ensemble_end_as_single_runs():
     potential, _, v0 = LEAVING["logarithm"]
     stepper = ss.compile(particle(potential, "logarithm"), "lobatto2")
