@@ -85,20 +85,26 @@ class SeparableSolver:
         """Give a row by itself, h times D_k L_d."""
         low, h, points = self._low, self._low.equations.h, self._points()
         define, name = low.graph.define, f"R_{k}_{low.names.coordinates[a]}_alone"
-
-        def force(i: int, b: int) -> sp.Expr:
-            # at the end of the path the force is in no row: what it adds to p1 it takes from D_0
-            if i not in points:
-                return sp.S.Zero
-            return low.template.entry(points[i], f"node {i}", "L_q", b)
-
-        weighted = WeightedRows(low, force)
+        weighted = self._weighted(points)
         if k > 0:
             return define(name, self._inertia(k, a) + h * weighted.row(k, a), "residual")
         moved = self._moved([x[-1] for x in zip(*low.increments, strict=True)], a, "X")
         rows = [self._row(m, a) for m in range(1, low.equations.scheme.degree)]
         value = h * weighted.start(a) - moved - weighted.rest(rows)
         return define(name, value, "residual")
+
+    def _weighted(self, points: Mapping[int, Point]) -> WeightedRows:
+        """Give the rows of the forces at some nodes.
+
+        At the end of the path the force is in no row: what it adds to p1 it takes from D_0.
+        """
+
+        def force(i: int, a: int) -> sp.Expr:
+            if i not in points:
+                return sp.S.Zero
+            return self._low.template.entry(points[i], f"node {i}", "L_q", a)
+
+        return WeightedRows(self._low, force)
 
     def _moved(self, x: Sequence[sp.Expr], a: int, wish: str) -> sp.Expr:
         """Give M x, component a."""
@@ -169,13 +175,9 @@ class SeparableSolver:
         if self._part.last is None or self.carried:
             return {a: low.increments[d - 1][a] for a in self.coordinates}
         # a straight path: h M^-1 (p0 + h b_0 L_q(q0))
-        points, section = self._points(), "end of the path"
-
-        def force(i: int, b: int) -> sp.Expr:
-            return low.template.entry(points[i], f"node {i}", "L_q", b) if i in points else 0
-
-        momenta = [WeightedRows(low, force).start(a) for a in self.coordinates]
-        v = constant_mass_velocity(low, self.coordinates, momenta, "dv", section)
+        weighted = self._weighted(self._points())
+        momenta = [weighted.start(a) for a in self.coordinates]
+        v = constant_mass_velocity(low, self.coordinates, momenta, "dv", "end of the path")
         return {a: low.equations.h * x for a, x in zip(self.coordinates, v, strict=True)}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
