@@ -64,7 +64,7 @@ def evaluate_in(
         return _evaluated(stepper, W, (0, address), place, numbers.zeros(len(q)), q, p)
 
     found = values(q, p, any_angle=False)
-    if not numbers.all_finite(found):
+    if stepper._facts.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():

@@ -64,6 +64,11 @@ class Facts:
         return "iterate" in self.functions
 
     @property
+    def fast_sines(self) -> bool:
+        """Whether kernels use the fast sine and cosine, which have no value for huge angles."""
+        return "sincos" in self.functions
+
+    @property
     def straight(self) -> bool:
         """Whether Newton's method is written out, without loops and pivots."""
         return "newton_pivoted" in self.functions

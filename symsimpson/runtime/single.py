@@ -227,7 +227,7 @@ def begin_run(
     other = read_vector(name, given, stepper.coordinates, numbers)
     run.begin(q, other, velocity=name == "v0")
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
-    if not numbers.all_finite(velocities):  # fast sines have no value for huge angles
+    if stepper._facts.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, other, velocity=name == "v0", any_angle=True)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
