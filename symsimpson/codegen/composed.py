@@ -26,7 +26,7 @@ class ComposedSolver(Explicit):
         self._low, self.coordinates = low, part.coordinates
         self._kicks = self._shares("KICKS", part.kicks)
         self._drifts = self._shares("DRIFTS", part.drifts)
-        self._forced = [a for a in part.coordinates if low.equations.jet.L_q[a] != 0]
+        self._forced = [a for a in part.coordinates if a in low.template.forced]
         self._impulse: dict[int, sp.Expr] = {}
 
     def _shares(self, table: str, values: Sequence[sp.Expr]) -> list[sp.Expr]:
@@ -65,7 +65,7 @@ class ComposedSolver(Explicit):
     def _kick(self, share: sp.Expr, point: Point, section: str, wish: str) -> None:
         low = self._low
         for a in self._forced:
-            force = low.template.entry(point, section, "L_q", a)
+            force = low.template.entry(point, section, "F", a)
             value = self._impulse[a] + share * force
             name = wish.format(low.names.coordinates[a])
             self._impulse[a] = low.graph.define(name, value, section)

@@ -64,9 +64,15 @@ class _Counted:
         return hash(self.value)
 
 
+def _products(exponent: Any) -> int:
+    """Count the products of a whole power, as a compiler makes them; another one is a function."""
+    n = abs(exponent) if isinstance(exponent, int) else 1
+    return n.bit_length() - 1 + n.bit_count() - 1 if n > 1 else 1
+
+
 def _binary(operate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], _Counted]:
     def counted(a: Any, b: Any) -> _Counted:
-        _Counted.count += 1
+        _Counted.count += _products(b) if operate is operator.pow else 1
         try:
             return _Counted(operate(float(a), float(b)))
         except (ArithmeticError, ValueError):

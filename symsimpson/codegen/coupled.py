@@ -133,29 +133,18 @@ class CoupledSolver:
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
         stages = range(eqs.scheme.stages)
         points = [node_point(low, i, group, moving=True) for i in stages]
-        momentum: list[dict[int, sp.Expr]] = []
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
-        for i, point in enumerate(points):  # all entries of a node together, for the reader
-            section = f"node {i}"
-            momentum.append(
-                {
-                    a: define(
-                        f"Lv_{names[a]}_{i}",
-                        low.template.momentum(point, section, a, group),
-                        section,
-                    )
-                    for a in group
-                }
-            )
+        for i in stages:  # all entries of a node together, for the reader
             for a in group:
-                entry(i, "L_q", a)
+                entry(i, "P", a)
+                entry(i, "F", a)
                 for b in group:
-                    entry(i, "L_qv", a, b)
-                    entry(i, "L_qq", a, b)
-        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a), lambda i, a: momentum[i][a])
+                    for what in ("F_q", "F_v", "P_q"):
+                        entry(i, what, a, b)
+        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, group)
         matrix = [
             [
@@ -194,6 +183,6 @@ class CoupledSolver:
 
         for i in range(eqs.scheme.stages):
             for a in self.coordinates:
-                entry(i, "L_q", a)
-        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+                entry(i, "F", a)
+        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
         return {a: weighted.impulse(a) for a in self.coordinates}

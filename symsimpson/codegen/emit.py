@@ -28,6 +28,7 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.schemes.scheme import Scheme
 
@@ -41,8 +42,8 @@ _WIDTH = 99
 _LONG = 16
 #: Fractions with larger denominators are finite decimals.
 _LARGE = 10**6
-#: Beyond so many terms a formula is told by its families.
-_SHOWN = 40
+#: Formulas of more nodes are not shown.
+_SHOWN = 400
 
 
 #: Constants of the library functions that judge an iteration and a step.
@@ -148,19 +149,22 @@ def _docstring(equations: DiscreteEquations, module: Module) -> str:
     shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
     shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
-    kinetic = sp.Add(*(m * plain.v[i] * plain.v[j] / 2 for (i, j), m in plain.mass.todok().items()))
-    linear = sp.Add(*(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True)))
-    formulas = {"T": kinetic, "a": linear, "V": plain.potential}
+    linear = plain.graph.add(
+        plain.graph.multiply([a, (1, v)])
+        for a, v in zip(plain.a, plain.numbers(plain.v), strict=True)
+    )
+    formulas = {"T": plain.T, "a": linear, "V": plain.V}
     lines = [
         f"{system.name}: {scheme.name}, a variational integrator of order {scheme.order}.",
         "",
-        "    L(q, q') = T - V" if linear == 0 else "    L(q, q') = T + a - V",
+        "    L(q, q') = T + a - V" if linear[0] else "    L(q, q') = T - V",
     ]
     for name, value in formulas.items():
-        if len(value.args) > _SHOWN:
-            lines += [f"    {name} = a sum of {len(value.args)} terms, told below by families"]
-        elif name != "a" or value != 0:
-            lines += _folded(f"    {name} = ", sp.sstr(value.xreplace(shown)), "        ")
+        if tree_size(plain.graph, value) > _SHOWN:
+            lines += [f"    {name} has {len(plain.graph.reached([value[1]]))} operations, below"]
+        elif name != "a" or value[0]:
+            text = sp.sstr(plain.written(value).xreplace(shown))
+            lines += _folded(f"    {name} = ", text, "        ")
     lines += [
         "",
         *scheme.formula,

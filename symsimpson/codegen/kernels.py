@@ -190,7 +190,7 @@ def _energy(low: Lowering) -> Kernel:
         v[i] * (low.p[i] - low.template.entry(point, section, "a", i)) / 2 for i in range(low.n)
     ]
     kinetic = low.graph.define("kinetic_value", sp.Add(*terms), section)
-    value = sp.Add(low.template.output(point, section, ("V",)), kinetic)
+    value = sp.Add(low.template.entry(point, section, "V"), kinetic)
     stores = (
         Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
         Store(Row("KINETIC", 0), kinetic),
@@ -206,7 +206,7 @@ def _invariants(low: Lowering) -> Kernel:
     v, _ = velocity(low, point, low.p, "velocity")
     point = Point(point.suffix + "_state", point.q, tuple(v))
     stores = [
-        Store(Row("INVARIANT", i), low.template.output(point, section, ("invariant", name)))
+        Store(Row("INVARIANT", i), low.template.entry(point, section, "invariant", name))
         for i, name in enumerate(low.equations.plain.invariants)
     ]
     doc = "Quantities that the exact flow conserves, at (q, p)."
@@ -217,7 +217,7 @@ def _watched(low: Lowering) -> Kernel:
     """The quantities to watch of a large system."""
     point = Point("state", low.q, low.v)
     stores = [
-        Store(Row("INVARIANT", i), low.watched.output(point, "invariants", ("invariant", name)))
+        Store(Row("INVARIANT", i), low.watched.entry(point, "invariants", "invariant", name))
         for i, name in enumerate(low.equations.plain.invariants)
     ]
     names = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass")

@@ -11,6 +11,9 @@ from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Linear
+from symsimpson.graph.derive import Derivatives
+from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.graph.rebuild import rebuilt
 
 __all__ = ["LinearSolver"]
 
@@ -27,18 +30,21 @@ class LinearSolver(Explicit):
     def __init__(self, low: Lowering, part: Linear) -> None:
         self._low, self.coordinates = low, part.coordinates
         self._shears = part.shears
-        plain = low.equations.plain
-        rest = dict.fromkeys(plain.q, sp.S.Zero)
-        jet = low.equations.jet
-        own = low.parameters
+        plain, own, group = low.equations.plain, low.parameters, self.coordinates
+        q = plain.numbers(plain.q)
+        rest = dict.fromkeys(q, ZERO)
+        derivatives = Derivatives(plain.graph)
 
-        def constant(value: sp.Expr) -> sp.Expr:
-            return sp.expand(value).subs(rest).xreplace(own)
+        def constant(value: Value) -> sp.Expr:
+            (at_rest,) = rebuilt(plain.graph, [value], rest)
+            return plain.written(at_rest).xreplace(own)
 
-        group = self.coordinates
-        self._M = {(a, b): constant(plain.mass[a, b]) for a in group for b in group}
-        self._K = {(a, b): constant(-jet.L_qq[a, b]) for a in group for b in group}
-        self._f = {a: constant(jet.L_q[a]) for a in group}
+        slope = {a: derivatives(plain.V, q[a]) for a in group}
+        self._M = {(a, b): constant(plain.entry(a, b)) for a in group for b in group}
+        self._K = {
+            (a, b): constant(derivatives(slope[a], q[b])) for a in group for b in group
+        }  # fmt: skip
+        self._f = {a: -constant(slope[a]) for a in group}
         self._impulse: Vector = {}
 
     def increments(self) -> Mapping[int, sp.Expr]:

@@ -13,7 +13,7 @@ from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.reductions import Routh
+from symsimpson.discrete.jet import Jet, watched
 
 __all__ = ["Lowering"]
 
@@ -74,19 +74,17 @@ class Lowering:
     @cached_property
     def template(self) -> JetTemplate:
         """The jet of L and what is evaluated beside it."""
-        equations, names = self.equations, self.names.coordinates
-        return JetTemplate(
-            equations.jet, equations.plain, self.graph, names, self.parameters,
-            momenta=self.p, more=_factors(equations, names), rewrite=_half_angles(equations),
-        )  # fmt: skip
+        return self._template(self.equations.jet)
 
     @cached_property
     def watched(self) -> JetTemplate:
         """The invariants alone, without the jet of L."""
-        equations, names = self.equations, self.names.coordinates
+        return self._template(watched(self.equations.plain))
+
+    def _template(self, jet: Jet) -> JetTemplate:
         return JetTemplate(
-            None, equations.plain, self.graph, names, self.parameters, momenta=self.p
-        )
+            jet, self.graph, self.names.coordinates, self.parameters, momenta=self.p
+        )  # fmt: skip
 
     @property
     def n(self) -> int:
@@ -209,30 +207,6 @@ class Lowering:
         if store.keep is not None:
             yield store.keep
             yield self.active
-
-
-def _factors(equations: DiscreteEquations, names: Sequence[str]) -> dict[tuple[str, ...], sp.Expr]:
-    """List the factors of the mass matrices of cyclic coordinates."""
-    found: dict[tuple[str, ...], sp.Expr] = {}
-    for part in equations.parts:
-        if isinstance(part, Routh):
-            own = [names[a] for a in part.cyclic]
-            for r, row in enumerate(own):
-                found["D", row] = part.factors.pivots[r]
-                for c in range(r):
-                    found["L", row, own[c]] = part.factors.moving[r][c]
-                    found["L0", row, own[c]] = part.factors.fixed[r][c]
-    return found
-
-
-def _half_angles(equations: DiscreteEquations) -> dict[sp.Expr, sp.Expr]:
-    """Write sine and cosine by those of half the angle where that keeps digits."""
-    rewrite: dict[sp.Expr, sp.Expr] = {}
-    for part in equations.parts:
-        for x in part.factors.half_angles if isinstance(part, Routh) else ():
-            sine, cosine = sp.sin(x / 2), sp.cos(x / 2)
-            rewrite |= {sp.sin(x): 2 * sine * cosine, sp.cos(x): 1 - 2 * sine**2}
-    return rewrite
 
 
 def _sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:

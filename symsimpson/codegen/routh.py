@@ -61,25 +61,19 @@ class RouthSolver:
         low, part, eqs = self._low, self._part, self._low.equations
         define, names = low.graph.define, low.names.coordinates
         nodes = self._solved_nodes(None)
-        group = (*part.coordinates, *part.cyclic)
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             point, section = nodes[i].point, f"node {i}, all velocities known"
-            if what == "L_v":
-                value = low.template.momentum(point, section, index[0], group)
-                return define(f"Lv_{names[index[0]]}_{i}", value, section)
             return low.template.entry(point, section, what, *index)
 
         for i in range(len(nodes)):
             for a in part.coordinates:
-                entry(i, "L_v", a)
-                entry(i, "L_q", a)
+                entry(i, "P", a)
+                entry(i, "F", a)
                 for b in part.coordinates:
-                    entry(i, "L_qv", a, b)
-                    entry(i, "L_qq", a, b)
-        weighted = WeightedRows(
-            low, lambda i, a: entry(i, "L_q", a), lambda i, a: entry(i, "L_v", a)
-        )
+                    for what in ("F_q", "F_v", "P_q"):
+                        entry(i, what, a, b)
+        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, part.coordinates)
         tangent = _Tangent(self, nodes)
         matrix = []
@@ -113,7 +107,7 @@ class RouthSolver:
             section = f"node {i}, all velocities known"
             return low.template.entry(self._nodes[i].point, section, what, *index)
 
-        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
         return {a: weighted.impulse(a) for a in self.coordinates}
 
     def cyclic_increments(self) -> Mapping[int, sp.Expr]:
@@ -168,8 +162,7 @@ class RouthSolver:
             )
             v[a] = low.graph.define(f"v_{names[a]}_path", velocity, section)
         point = replace(end.point, suffix=f"{end.point.suffix}_path", v=tuple(v))
-        group = (*part.coordinates, *part.cyclic)
-        left = [low.template.momentum(point, section, a, group) - low.p[a] for a in part.cyclic]
+        left = [low.template.entry(point, section, "P", a) - low.p[a] for a in part.cyclic]
         return self.forward(end, left, "left")
 
     def solve(self, nodes: list[_Node], right: Vector, wish: str) -> Vector:
@@ -276,17 +269,17 @@ class RouthSolver:
         low = self._low
         section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
 
-        def factor(*key: str) -> sp.Expr:
-            return low.template.output(point, section, key)
+        def factor(what: str, *index: int) -> sp.Expr:
+            return low.template.entry(point, section, what, *index)
 
-        names = [low.names.coordinates[a] for a in self._part.cyclic]
-        D = [factor("D", name) for name in names]
+        cyclic, names = self._part.cyclic, low.names.coordinates
+        D = [factor("D", a) for a in cyclic]
         D_inverse = [
-            self._define(f"inv_D_{name}", 1 / d, i) for name, d in zip(names, D, strict=True)
+            self._define(f"inv_D_{names[a]}", 1 / d, i) for a, d in zip(cyclic, D, strict=True)
         ]
         L = [
             [
-                factor("L0", names[r], names[c]) + factor("L", names[r], names[c]) if c < r else
+                factor("L0", cyclic[r], cyclic[c]) + factor("L", cyclic[r], cyclic[c]) if c < r else
                 sp.Integer(r == c)
                 for c in self._size
             ]
@@ -366,7 +359,7 @@ class _Tangent:
         i, template = node.number, self._low.template
         if (i, b) not in self._turned:
             section, point = f"node {i}, all velocities known", node.point
-            mixed = [template.entry(point, section, "L_qv", b, y) for y in self._part.cyclic]
+            mixed = [template.entry(point, section, "P_q", y, b) for y in self._part.cyclic]
             mass = [template.entry(point, section, "M", y, b) for y in self._part.cyclic]
             name = self._low.names.coordinates[b]
             self._turned[i, b] = (

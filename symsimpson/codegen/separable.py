@@ -48,9 +48,9 @@ class SeparableSolver:
         scheme, points = low.equations.scheme, self._points()
         for i, point in points.items():
             for a in group:
-                low.template.entry(point, f"node {i}", "L_q", a)
+                low.template.entry(point, f"node {i}", "F", a)
                 for b in group:
-                    low.template.entry(point, f"node {i}", "L_qq", a, b)
+                    low.template.entry(point, f"node {i}", "F_q", a, b)
         right, matrix = [], []
         for number, test in enumerate(part.tests):
             for a in group:
@@ -62,7 +62,7 @@ class SeparableSolver:
                     for i, point in points.items():
                         factor = sp.radsimp(self._force_factor(test, i) * scheme.A[i][m])
                         if factor != 0:
-                            slope = low.template.entry(point, f"node {i}", "L_qq", a, b)
+                            slope = low.template.entry(point, f"node {i}", "F_q", a, b)
                             terms.append(h**2 * factor * slope)
                     name = f"J_{number}_{names[a]}_{m}_{names[b]}"
                     row.append(define(name, sp.Add(*terms), "Jacobian"))
@@ -102,7 +102,7 @@ class SeparableSolver:
         def force(i: int, a: int) -> sp.Expr:
             if i not in points:
                 return sp.S.Zero
-            return self._low.template.entry(points[i], f"node {i}", "L_q", a)
+            return self._low.template.entry(points[i], f"node {i}", "F", a)
 
         return WeightedRows(self._low, force)
 
@@ -150,7 +150,7 @@ class SeparableSolver:
                 if factor == 0:
                     continue
                 slopes = [
-                    scheme.A[i][m] * low.template.entry(point, f"node {i}", "L_qq", a, b)
+                    scheme.A[i][m] * low.template.entry(point, f"node {i}", "F_q", a, b)
                     * changes[m, b]
                     for m, b in self.unknowns
                 ]  # fmt: skip
@@ -191,7 +191,7 @@ class SeparableSolver:
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
-        weighted = WeightedRows(low, lambda i, a: entry(i, "L_q", a))
+        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
         return {a: weighted.impulse(a) for a in self.coordinates}
 
     def _mass(self, a: int, b: int) -> sp.Expr:

@@ -79,7 +79,7 @@ class StageKernels:
             row(f"ahead_{j}", "STAGE_AHEAD", f"smooth + {self._place(j)}", Level.LATE)
             for j in nodes
         ]
-        self._forced = [a for a, force in enumerate(low.equations.jet.L_q) if force != 0]
+        self._forced = list(low.template.forced)
         iterate, operations = self._iterate()
         self.kernels = (
             [self._start(), iterate, self._advance()] if operations <= MOST_OPERATIONS else []
@@ -151,9 +151,7 @@ class StageKernels:
         kicks = [
             Store(
                 Row("STAGE_F", self._place(a)),
-                define(
-                    f"dp_{names[a]}_j", self._share * entry(point, "forces", "L_q", a), "forces"
-                ),
+                define(f"dp_{names[a]}_j", self._share * entry(point, "forces", "F", a), "forces"),
             )
             for a in self._forced
         ]

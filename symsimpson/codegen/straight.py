@@ -298,7 +298,7 @@ def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
 
 def _legendre(low: Lowering) -> Kernel:
     """The momentum of a velocity."""
-    point = Point(low.start_point().suffix, low.q, low.v)
+    point = Point(f"{low.start_point().suffix}_given", low.q, low.v)
     stores = momentum_stores(low, point)
     return Kernel("legendre", "p = dL/dv from q and v.", lanes(low.statements(stores, STATE)))
 
@@ -309,7 +309,7 @@ def momentum_stores(low: Lowering, point: Point) -> list[Store]:
     return [
         Store(
             Row("MOMENTUM", a),
-            low.graph.define(f"p_{name}_of_v", low.template.momentum(point, section, a), section),
+            low.graph.define(f"p_{name}_of_v", low.template.entry(point, section, "P", a), section),
         )
         for a, name in enumerate(low.names.coordinates)
     ]

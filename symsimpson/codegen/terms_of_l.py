@@ -12,21 +12,25 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.families import Family
 from symsimpson.discrete.jet import derive_jet
+from symsimpson.graph.nodes import Value
+from symsimpson.graph.read import tree_size
 
 __all__ = ["FUNCTIONS", "family_functions", "straight_functions"]
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
-    "jet": ("L_q, L_v, L_qq, L_qv and L_vv = M at a node.", ("L_q", "L_v", "L_qq", "L_qv", "L_vv")),
-    "forces": ("L_q and L_qq at a node.", ("L_q", "L_qq")),
-    "gradient": ("L_q at a node.", ("L_q",)),
-    "mass": ("M and a at a node.", ("a", "L_vv")),
+    "jet": ("F, P, F_q, F_v and P_v = M at a node.", ("F", "P", "F_q", "F_v", "M")),
+    "forces": ("F and F_q at a node.", ("F", "F_q")),
+    "gradient": ("F at a node.", ("F",)),
+    "mass": ("M and a at a node.", ("a", "M")),
     "potential": ("Add V to the energy.", ("V",)),
 }
-_BLOCKS = {"L_q": "NODE_L_Q", "L_v": "NODE_L_V", "a": "NODE_L_V", "L_qq": "NODE_L_QQ",
-           "L_qv": "NODE_L_QV", "L_vv": "NODE_L_VV", "V": "ENERGY"}  # fmt: skip
-_CLEARED = {"L_q": "clear_gradient", "L_qq": "clear_hessian", "L_qv": "clear_mixed",
-            "L_vv": "clear_mass"}  # fmt: skip
+#: Terms of more nodes are not shown.
+_SHOWN = 100
+_BLOCKS = {"F": "NODE_L_Q", "P": "NODE_L_V", "a": "NODE_L_V", "F_q": "NODE_L_QQ",
+           "F_v": "NODE_L_QV", "M": "NODE_L_VV", "V": "ENERGY"}  # fmt: skip
+_CLEARED = {"F": "clear_gradient", "F_q": "clear_hessian", "F_v": "clear_mixed",
+            "M": "clear_mass"}  # fmt: skip
 
 
 def straight_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
@@ -39,7 +43,7 @@ def straight_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
         stores = []
         for what in parts:
             for index in _indices(what, size):
-                value = _value(low, low.template, point, what, index)
+                value = low.template.entry(point, "jet", what, *index)
                 number = sum(i * low.n**k for k, i in enumerate(reversed(index)))
                 stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
         found.append(Function(name, doc, low.statements(stores, (Level.ITERATION,))))
@@ -57,7 +61,7 @@ def family_functions(
     tables : dict
         For each family the places of its members' coordinates, then the rows of their coefficients.
     """
-    rows: dict[sp.Expr, int] = {}
+    rows: dict[Value, int] = {}
     tables: dict[str, tuple[tuple[int, ...], ...]] = {}
     writers = []
     for number, family in enumerate(families, 1):
@@ -67,7 +71,7 @@ def family_functions(
             table.append((*(places[i] for i in member), *own))
         tables[f"FAMILY_{number}"] = tuple(table)
         writers.append(_FamilyWriter(low, family, number))
-    low.coefficients = tuple(rows)
+    low.coefficients = tuple(map(low.equations.plain.written, rows))
     functions: list[Function] = []
     for name in names:
         doc, parts = FUNCTIONS[name]
@@ -103,7 +107,7 @@ class _FamilyWriter:
         parameters = [*own, *(low.parameters[a] for a in plain.parameters[family.slots :])]
         self._point = Point(f"f{number}", q, v)
         self._template = JetTemplate(
-            derive_jet(plain), plain, low.graph, [f"{s}" for s in size],
+            derive_jet(plain), low.graph, [f"{s}" for s in size],
             dict(zip(plain.parameters, parameters, strict=True)), momenta=(),
         )  # fmt: skip
 
@@ -112,7 +116,7 @@ class _FamilyWriter:
         stores = []
         for what in parts:
             for index in _indices(what, range(len(self._point.q))):
-                value = _value(self._low, self._template, self._point, what, index)
+                value = self._template.entry(self._point, "jet", what, *index)
                 if value != 0:
                     stores.append(Store(self._row(what, index), value, add=True))
         if not stores:
@@ -131,16 +135,12 @@ class _FamilyWriter:
 
     def _term(self) -> str:
         plain = self._family.plain
-        n = len(plain.q)
-        kinetic = sp.Add(*(plain.mass[a, b] * plain.v[a] * plain.v[b] / 2
-                           for a in range(n) for b in range(n)))  # fmt: skip
-        linear = sp.Add(*(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True)))
-        shown = {
-            s: sp.Symbol(f"c_{k}") for k, s in enumerate(plain.parameters[: self._family.slots])
-        }
+        if tree_size(plain.graph, plain.L) > _SHOWN:
+            return "of one kind"
+        slots = plain.parameters[: self._family.slots]
+        shown = {s: sp.Symbol(f"c_{k}") for k, s in enumerate(slots)}
         shown |= {a: self._low.parameters[a] for a in plain.parameters[self._family.slots :]}
-        term = kinetic + linear - plain.potential
-        return sp.sstr(term.xreplace(shown))[:60]
+        return sp.sstr(plain.written(plain.L).xreplace(shown))[:60]
 
     def _row(self, what: str, index: tuple[int, ...]) -> Row:
         block, places = _BLOCKS[what], [self._indices[i] for i in index]
@@ -167,17 +167,6 @@ def _split(reads: Statement) -> tuple[list[Statement], list[Statement]]:
 def _indices(what: str, size: range) -> Iterable[tuple[int, ...]]:
     if what == "V":
         return [()]
-    if what in ("L_q", "L_v", "a"):
+    if what in ("F", "P", "a"):
         return [(i,) for i in size]
     return [(i, j) for i in size for j in size]
-
-
-def _value(
-    low: Lowering, template: JetTemplate, point: Point, what: str, index: tuple[int, ...]
-) -> sp.Expr:
-    if what == "L_v":
-        value = template.momentum(point, "jet", index[0])
-        return low.graph.define(f"Lv_{index[0]}_{point.suffix}", value, "jet")
-    if what == "V":
-        return template.output(point, "jet", ("V",))
-    return template.entry(point, "jet", "M" if what == "L_vv" else what, *index)

@@ -6,10 +6,11 @@ With increments X_k of the control points from q0 (X_0 = 0) the path has at node
 
 and the derivative of L_d by control point k is
 
-.. math:: D_k L_d = \sum_i b_i \bigl(h A_{ik} L_q(q_i, v_i) + B_{ik} L_v(q_i, v_i)\bigr).
+.. math:: D_k L_d = \sum_i b_i \bigl(h A_{ik} F(q_i, v_i) + B_{ik} P(q_i, v_i)\bigr).
 
+with the force F = L_q and the momentum P = L_v.
 A step solves D_k L_d = 0 for k = 1..d-1 and p0 + D_0 L_d = 0 for X_1..X_d; the new momentum is
-D_d L_d = p0 + h sum_i b_i L_q(q_i, v_i), because the columns of A sum to one and those of B to
+D_d L_d = p0 + h sum_i b_i F(q_i, v_i), because the columns of A sum to one and those of B to
 zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 """
 
@@ -21,23 +22,26 @@ from functools import cached_property
 
 import sympy as sp
 
-from symsimpson.discrete.jet import Jet, derive_jet
+from symsimpson.discrete.jet import Jet, Key, derive_jet
 from symsimpson.discrete.reductions import (
     Composed,
     Coupled,
     Part,
+    Routh,
     Separable,
     elimination_order,
     read_exploit,
     reduce,
 )
 from symsimpson.errors import SchemeError
+from symsimpson.graph.nodes import Value
+from symsimpson.graph.read import Reader
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
-#: Gives an entry of the jet at a node: ``entry(i, "L_qq", a, b)``.
+#: Gives an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
 Entry = Callable[..., sp.Expr]
 
 __all__ = ["DiscreteEquations", "Entry", "discretise"]
@@ -63,8 +67,21 @@ class DiscreteEquations:
 
     @cached_property
     def jet(self) -> Jet:
-        """L and its derivatives, each entry by itself; loops over terms do without."""
-        return derive_jet(self.plain)
+        """Forces, momenta and their derivatives, with the factors that parts need beside them.
+
+        Loops over terms do without.
+        """
+        reader = Reader(self.plain.graph, {
+            symbol: self.plain.graph.symbol(symbol.name)
+            for symbol in (*self.plain.q, *self.plain.parameters)
+        })  # fmt: skip
+        more: dict[Key, Value] = {}
+        halves: dict[int, None] = {}
+        for part in self.parts:
+            if isinstance(part, Routh):
+                more |= {key: reader(value) for key, value in part.outputs().items()}
+                halves |= dict.fromkeys(self.plain.q.index(x) for x in part.factors.half_angles)
+        return derive_jet(self.plain, more, tuple(halves))
 
     def joined(self) -> Composed | Coupled | Separable:
         """Give all coordinates as one part, as loops take them."""
@@ -80,34 +97,25 @@ class DiscreteEquations:
         """
         b, A, B = self.scheme.quadrature.weights[i], self.scheme.A[i], self.scheme.B[i]
         factors = {
-            "L_qq": self.h * b * A[k] * A[m],
-            "L_qv": b * A[k] * B[m],
-            "L_vq": b * B[k] * A[m],
-            "L_vv": b * B[k] * B[m] / self.h,
+            "F_q": self.h * b * A[k] * A[m],
+            "F_v": b * A[k] * B[m],
+            "P_q": b * B[k] * A[m],
+            "M": b * B[k] * B[m] / self.h,
         }
         return sp.radsimp(factors[what])
 
     def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> sp.Expr:
         """Give D_m D_k L_d, components a and b."""
-        parts = [
-            ("L_qq", "L_qq", (a, b)),
-            ("L_qv", "L_qv", (a, b)),
-            ("L_vq", "L_qv", (b, a)),
-            ("L_vv", "L_vv", (a, b)),
-        ]
-        return self._sum(parts, entry, k, m)
+        return self._sum(("F_q", "F_v", "P_q", "M"), (a, b), entry, k, m)
 
     def _sum(
-        self,
-        parts: Sequence[tuple[str, str, tuple[int, ...]]],
-        entry: Entry,
-        *points: int,
+        self, parts: Sequence[str], index: tuple[int, ...], entry: Entry, *points: int
     ) -> sp.Expr:
         """Add up factor times entry over the nodes; none is asked for whose factor is zero."""
         terms = []
         for i in range(self.scheme.stages):
-            for factor, what, index in parts:
-                value = self.coefficient(factor, i, *points)
+            for what in parts:
+                value = self.coefficient(what, i, *points)
                 if value != 0:
                     terms.append(value * entry(i, what, *index))
         return sp.Add(*terms)

@@ -39,11 +39,13 @@ class Factors:
     half_angles: tuple[sp.Symbol, ...]
 
 
-def factorise(mass: sp.ImmutableDenseMatrix, q: tuple[sp.Symbol, ...]) -> Factors | None:
+def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) -> Factors | None:
     """Factorise in the order that gives the shortest factors, the given one if several do.
 
     None if they are too long to be of use.
     """
+    if mass is None:
+        return None
     size = mass.rows
     orders = permutations(range(size)) if size <= FEW else [tuple(range(size))]
     tried = [(order, *factors) for order in orders if (factors := _eliminate(mass, order))]

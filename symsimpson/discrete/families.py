@@ -5,13 +5,17 @@ A family is differentiated once and evaluated in a loop over its members.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
 
 import sympy as sp
 
+from symsimpson.graph.derive import Derivatives
+from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact
+from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.terms import Sum
 
 __all__ = ["Family", "families", "neighbours", "ordering"]
 
@@ -29,22 +33,23 @@ class Family:
         Number of coefficients that differ among members.
     coordinates : tuple of tuple of int
         Coordinates of each member.
-    coefficients : tuple of tuple of expressions
-        Coefficients of each member, made of parameters.
+    coefficients : tuple of tuple of Value
+        Coefficients of each member in the system's graph, made of parameters.
     """
 
     plain: Plain
     slots: int
     coordinates: tuple[tuple[int, ...], ...]
-    coefficients: tuple[tuple[sp.Expr, ...], ...]
+    coefficients: tuple[tuple[Value, ...], ...]
 
 
 @dataclass
 class _Draft:
-    """The members of a family as they are found."""
+    """The members of a family as they are found, and the term in slots that the first one gives."""
 
+    term: Value
     coordinates: list[tuple[int, ...]]
-    coefficients: list[tuple[sp.Expr, ...]]
+    coefficients: list[tuple[Value, ...]]
 
 
 def families(plain: Plain) -> tuple[Family, ...]:
@@ -52,122 +57,213 @@ def families(plain: Plain) -> tuple[Family, ...]:
 
     What contains no coordinate is one family of its own: a coefficient alone.
     """
-    drafts: dict[sp.Expr, _Draft] = {}
-    terms = list(_terms(plain))
-    constant = sp.Add(*(term for term in terms if not _moves(term, plain)))
-    if constant != 0:
-        drafts[sp.Symbol("c_0", real=True)] = _Draft([()], [(constant,)])
-    for term in terms:
-        if not _moves(term, plain):
+    reader = _Reader(plain)
+    drafts: dict[Any, _Draft] = {}
+    still: list[Value] = []
+    for term in _terms(plain):
+        if reader.moves(term[1]):
+            key, value = reader.read(term)
+            draft = drafts.setdefault(key, _Draft(value, [], []))
+            draft.coordinates.append(tuple(reader.coordinates))
+            draft.coefficients.append(tuple(reader.coefficients))
+        else:
+            still.append(term)
+    constant = plain.graph.add(still)
+    if constant[0]:
+        term = reader.graph.symbol("c_0")
+        drafts = {"": _Draft(term, [()], [(constant,)]), **drafts}
+    return tuple(_family(plain, reader.graph, draft) for draft in drafts.values())
+
+
+def _terms(plain: Plain) -> Iterator[Value]:
+    """Give the terms of L, those of the same coordinates in one entry or in V together."""
+    graph, v = plain.graph, plain.numbers(plain.v)
+    moving = frozenset((*plain.numbers(plain.q), *v))
+    for (i, j), entry in sorted(plain.M.items()):
+        half = Fraction(1, 2) if i == j else 1
+        for term in _collected(graph, entry, moving):
+            yield graph.multiply([(half, v[i]), (1, v[j]), term])
+    for a, x in zip(plain.a, v, strict=True):
+        for term in _collected(graph, a, moving):
+            yield graph.multiply([term, (1, x)])
+    for c, n in _collected(graph, plain.V, moving):
+        yield -c, n
+
+
+def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value]:
+    """Split a sum by the coordinates that its terms stand for."""
+    found: dict[frozenset[int], list[Value]] = {}
+    for term in _split(graph, value, moving):
+        found.setdefault(graph.nodes[term[1]].symbols & moving, []).append(term)
+    return [term for terms in found.values() if (term := graph.add(terms))[0]]
+
+
+def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value]:
+    """Give the terms of a sum, and of sums that only constants are multiplied with."""
+    work = [value]
+    while work:
+        c, n = work.pop()
+        kind, parts, _ = graph.nodes[n]
+        if kind == "sum" and len({graph.nodes[m].symbols & moving for _, m in parts}) > 1:
+            work += [(exact(c * d), m) for d, m in reversed(parts)]
             continue
-        reader = _Reader(plain)
-        key = reader.read(term)
-        draft = drafts.setdefault(key, _Draft([], []))
-        draft.coordinates.append(tuple(reader.coordinates))
-        draft.coefficients.append(tuple(reader.coefficients))
-    return tuple(_family(plain, key, draft) for key, draft in drafts.items())
-
-
-def _terms(plain: Plain) -> Iterator[sp.Expr]:
-    entries = plain.mass.todok()
-    for (i, j), entry in sorted(entries.items(), key=lambda item: item[0]):
-        if i >= j:
-            half = sp.Rational(1, 2) if i == j else sp.S.One
-            for term in Sum(entry, plain.q).terms:
-                yield half * term * plain.v[i] * plain.v[j]
-    for a, v in zip(plain.gyroscopic, plain.v, strict=True):
-        yield from (term * v for term in Sum(a, plain.q).terms if term != 0)
-    yield from (-term for term in Sum(plain.potential, plain.q).terms if term != 0)
-
-
-def _moves(expression: sp.Expr, plain: Plain) -> bool:
-    return not expression.free_symbols.isdisjoint((*plain.q, *plain.v))
+        if kind == "product":
+            late = [(m, e) for m, e in parts if not graph.nodes[m].symbols.isdisjoint(moving)]
+            if len(late) == 1 and late[0][1] == 1 and graph.nodes[late[0][0]].kind == "sum":
+                inner = list(_split(graph, (1, late[0][0]), moving))
+                if len(inner) > 1:
+                    rest = [(1, m, e) for m, e in parts if m != late[0][0]]
+                    for term in inner:
+                        yield graph.multiply([(c, 0), *rest, term])
+                    continue
+        if c:
+            yield c, n
 
 
 class _Reader:
-    """Writes a term in slots, in an order that does not depend on names."""
+    """Writes terms in slots, in an order that does not depend on names."""
 
     def __init__(self, plain: Plain) -> None:
-        self._place = {x: i for i, x in enumerate(plain.q)} | {v: i for i, v in enumerate(plain.v)}
-        self._v = set(plain.v)
+        self.graph = Graph()
+        self._plain, self._source = plain, plain.graph
+        q, v = plain.numbers(plain.q), plain.numbers(plain.v)
+        self._place = {x: i for group in (q, v) for i, x in enumerate(group)}
+        self._kind = dict.fromkeys(q, "q") | dict.fromkeys(v, "v")
+        self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
+        self._numbers: dict[Any, int] = {}
         self.coordinates: list[int] = []
-        self.coefficients: list[sp.Expr] = []
+        self.coefficients: list[Value] = []
 
-    def read(self, term: sp.Expr) -> sp.Expr:
-        """Give the term in slots q_s, v_s, c_s."""
-        if term.is_Mul or term.is_Add:
-            still: list[sp.Expr] = []
-            moving: list[sp.Expr] = []
-            for argument in term.args:
-                (moving if self._moves(argument) else still).append(argument)
-            parts = sorted(moving, key=lambda x: (self._shape(x), self._present(x)))
-            read = [self.read(part) for part in parts]
-            if still:
-                read.append(self._coefficient(term.func(*still)))
-            return term.func(*read)
-        if term in self._place:
-            return self._slot(term)
-        if not self._moves(term):
-            return term if term.is_Number else self._coefficient(term)
-        return term.func(*(self.read(argument) for argument in term.args))
+    def moves(self, n: int) -> bool:
+        """Tell whether a node contains a coordinate or a velocity."""
+        return not self._source.nodes[n].symbols.isdisjoint(self._place)
 
-    def _moves(self, expression: sp.Expr) -> bool:
-        return not expression.free_symbols.isdisjoint(self._place)
+    def read(self, term: Value) -> tuple[Any, Value]:
+        """Give the shape of a term, and the term in slots q_s, v_s, c_s."""
+        self.coordinates, self.coefficients = [], []
+        c, n = term
+        kind, parts, _ = self._source.nodes[n]
+        still = [(1, m, e) for m, e in parts if not self.moves(m)] if kind == "product" else []
+        sign, body = self._node(n, without_constants=True)
+        # the number in front is always a coefficient
+        front = self._coefficient(self._source.multiply([(exact(c * sign), 0), *still]))
+        value = self.graph.multiply([front, (1, body)])
+        return value, value
 
-    def _present(self, expression: sp.Expr) -> tuple[int, ...]:
-        return tuple(sorted(self._place[s] for s in expression.free_symbols if s in self._place))
+    def _shape(self, n: int) -> tuple[int, tuple[int, ...]]:
+        """Give a number for what is left of a node without its names, and its coordinates."""
+        for m in self._source.reached([n]) if n not in self._shapes else ():
+            if m not in self._shapes:
+                self._shapes[m] = self._new_shape(m)
+        return self._shapes[n]
 
-    def _shape(self, expression: sp.Expr) -> str:
-        """Give what is left of an expression without its names."""
-        if expression in self._place:
-            return "v" if expression in self._v else "q"
-        if not self._moves(expression):
-            return str(expression) if expression.is_Number else "c"
-        parts = [self._shape(argument) for argument in expression.args]
-        if expression.is_Add or expression.is_Mul:
-            parts.sort()
-        return f"{type(expression).__name__}({','.join(parts)})"
+    def _new_shape(self, n: int) -> tuple[int, tuple[int, ...]]:
+        kind, parts, symbols = self._source.nodes[n]
+        places = tuple(sorted({self._place[x] for x in symbols if x in self._place}))
+        key: Any
+        if n in self._kind:
+            key = self._kind[n]
+        elif not places:
+            key = "c"
+        elif kind == "sum":
+            key = (kind, *sorted((_number(c), self._shapes[m][0]) for c, m in parts))
+        elif kind == "product":
+            key = (kind, *sorted((str(e), self._shapes[m][0]) for m, e in parts))
+        else:
+            key = (parts[0], *((_number(c), self._shapes[m][0]) for c, m in parts[1:]))
+        return self._numbers.setdefault(key, len(self._numbers)), places
 
-    def _slot(self, symbol: sp.Symbol) -> sp.Symbol:
-        place = self._place[symbol]
+    def _node(self, n: int, *, without_constants: bool = False) -> Value:
+        """Write a node in slots."""
+        kind, parts, _ = self._source.nodes[n]
+        if n in self._place:
+            return self._slot(n)
+        if not self.moves(n):
+            return ONE if n == 0 else self._coefficient((1, n))
+        if kind == "sum":
+            order = sorted(parts, key=lambda term: (self._shape(term[1]), _number(term[0])))
+            return self.graph.add([self._value(c, m) for c, m in order])
+        if kind == "product":
+            moving = [(m, e) for m, e in parts if self.moves(m)]
+            moving.sort(key=lambda factor: (self._shape(factor[0]), str(factor[1])))
+            still = [(1, m, e) for m, e in parts if not self.moves(m)]
+            factors = [self.graph.power(self._node(m), e) for m, e in moving]
+            if still and not without_constants:
+                factors.append(self._coefficient(self._source.multiply(still)))
+            return self.graph.multiply(factors)
+        name, *arguments = parts
+        return self.graph.function(name, *(self._value(c, m) for c, m in arguments))
+
+    def _value(self, c: Exact, m: int) -> Value:
+        """Write a multiple of a node: its sign as it is, other numbers as coefficients."""
+        if not self.moves(m):
+            return (c, m) if m == 0 and _number(c) != "c" else self._coefficient((c, m))
+        if _number(c) == "c":
+            kind, parts, _ = self._source.nodes[m]
+            still = [(1, k, e) for k, e in parts if not self.moves(k)] if kind == "product" else []
+            front = self._coefficient(self._source.multiply([(c, 0), *still]))
+            return self.graph.multiply([front, self._node(m, without_constants=True)])
+        d, n = self._node(m)
+        return exact(c * d), n
+
+    def _slot(self, n: int) -> Value:
+        place = self._place[n]
         if place not in self.coordinates:
             self.coordinates.append(place)
-        kind = "v" if symbol in self._v else "q"
-        return sp.Symbol(f"{kind}_{self.coordinates.index(place)}", real=True)
+        return self.graph.symbol(f"{self._kind[n]}_{self.coordinates.index(place)}")
 
-    def _coefficient(self, value: sp.Expr) -> sp.Symbol:
-        if value not in self.coefficients:
-            self.coefficients.append(value)
-        return sp.Symbol(f"c_{self.coefficients.index(value)}", real=True)
+    def _coefficient(self, value: Value) -> Value:
+        self.coefficients.append(value)
+        return self.graph.symbol(f"c_{len(self.coefficients) - 1}")
 
 
-def _family(system: Plain, key: sp.Expr, draft: _Draft) -> Family:
+def _number(c: Exact) -> str:
+    """Give one and minus one as they stand, any other number as a coefficient."""
+    return str(c) if abs(c) == 1 else "c"
+
+
+def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     """Make a family; a coefficient that all members share stands in the term itself.
 
     A member without coordinates keeps its coefficient: tables have a column at least.
     """
-    count = len(draft.coefficients[0])
+    count, size = len(draft.coefficients[0]), len(draft.coordinates[0])
     columns = [[row[k] for row in draft.coefficients] for k in range(count)]
+    varying = [k for k in range(count) if len(set(columns[k])) > 1 or not size]
+    q, v = ([f"{kind}_{s}" for s in range(size)] for kind in "qv")
+    slots = [f"c_{k}" for k in varying]
+    graph = Graph()
+    numbers = {name: graph.symbol(name) for name in (*q, *v, *slots)}
     shared = {
-        sp.Symbol(f"c_{k}", real=True): column[0]
-        for k, column in enumerate(columns)
-        if len(set(column)) == 1 and draft.coordinates[0]
-    }
-    varying = [k for k in range(count) if sp.Symbol(f"c_{k}", real=True) not in shared]
-    term = key.xreplace(shared)
-    size = len(draft.coordinates[0])
-    q = tuple(sp.Symbol(f"q_{s}", real=True) for s in range(size))
-    v = tuple(sp.Symbol(f"v_{s}", real=True) for s in range(size))
-    rest = dict.fromkeys(v, sp.S.Zero)
-    mass = sp.ImmutableDenseMatrix(size, size, lambda a, b: term.diff(v[a], v[b]))
-    linear = tuple(term.diff(x).subs(rest) for x in v)
-    slots = tuple(sp.Symbol(f"c_{k}", real=True) for k in varying)
+        read.symbol(f"c_{k}")[1]: rebuilt(system.graph, [columns[k][0]], {}, graph)[0]
+        for k in range(count) if k not in varying
+    }  # fmt: skip
+    (term,) = rebuilt(read, [draft.term], shared, graph)
+    places = [numbers[name][1] for name in v]
+    rest = dict.fromkeys(places, ZERO)
+    derivatives = Derivatives(graph)
+    slopes = [derivatives(term, x) for x in places]
+    M = {
+        (a, b): entry
+        for a, slope in enumerate(slopes) for b, x in enumerate(places[: a + 1])
+        if (entry := derivatives(slope, x))[0]
+    }  # fmt: skip
+    *linear, potential = rebuilt(graph, [*slopes, term], rest) if rest else [term]
+    T = graph.add(
+        graph.multiply([entry, (Fraction(1, 2) if a == b else 1, places[a]), (1, places[b])])
+        for (a, b), entry in M.items()
+    )
     plain = Plain(
-        q=q, v=v, p=(), parameters=(*slots, *system.parameters), mass=mass, gyroscopic=linear,
-        potential=-term.subs(rest), invariants={},
+        graph=graph, q=_symbols(q), v=_symbols(v), p=(), T=T, M=M,
+        parameters=(*_symbols(slots), *system.parameters), a=tuple(linear),
+        V=(-potential[0], potential[1]), invariants={},
     )  # fmt: skip
     coefficients = tuple(tuple(row[k] for k in varying) for row in draft.coefficients)
     return Family(plain, len(slots), tuple(draft.coordinates), coefficients)
+
+
+def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
+    return tuple(sp.Symbol(name, real=True) for name in names)
 
 
 def neighbours(found: tuple[Family, ...], n: int) -> list[set[int]]:

@@ -1,54 +1,170 @@
-"""The jet of a Lagrangian: L and its derivatives at one point (q, v)."""
+"""The jet of a Lagrangian: forces, momenta and their derivatives at one point (q, v).
+
+F = L_q and P = L_v, with F_q, F_v, P_q and P_v = M as four separate things: nothing is taken for
+symmetric, what is equal is found to be. There are several ways to derive them, of which none is
+always the shortest; each is tried, and the one with the fewest operations is taken.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from itertools import product
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
 
-import sympy as sp
+from symsimpson.discrete.angles import halved, summed
+from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.merge import merged
+from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.program import Program
+from symsimpson.graph.rebuild import rebuilt
+from symsimpson.graph.share import share
+from symsimpson.mechanics.structure import kinetic
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Jet", "derive_jet"]
+__all__ = ["Jet", "derive_jet", "watched"]
 
-Vector = tuple[sp.Expr, ...]
-Matrix: TypeAlias = sp.ImmutableDenseMatrix
+#: With more nodes in L than this, only some ways are tried.
+FEW_NODES = 2000
+Key = tuple[str, *tuple[Hashable, ...]]
+
+
+class Way(NamedTuple):
+    """How a jet is derived.
+
+    ``by_mass``: from L = v.M.v/2 + a.v - V in place of L as it is written; ``reverse``: first
+    derivatives in one pass from L down; ``second_reverse``: second ones likewise; ``factored``:
+    what all terms of a sum have in common stands before it.
+    """
+
+    by_mass: bool
+    reverse: bool
+    second_reverse: bool
+    factored: bool
+
+
+#: Ways that are always tried: for deep chains, for flat sums, for a few links.
+FIRST = (
+    Way(by_mass=False, reverse=True, second_reverse=False, factored=False),
+    Way(by_mass=False, reverse=False, second_reverse=False, factored=True),
+    Way(by_mass=True, reverse=False, second_reverse=False, factored=False),
+    Way(by_mass=True, reverse=False, second_reverse=False, factored=True),
+)
 
 
 @dataclass(frozen=True)
 class Jet:
-    """L and its first and second derivatives, exact, in plain symbols.
+    """What can be asked for at a point, as a program.
 
-    ``L_qv[i, j]`` is the derivative by q_i and v_j; ``L_vv`` is the mass matrix and ``L_v`` the
-    momentum of the continuous system.
+    Attributes
+    ----------
+    program : Program
+        Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
+        ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``.
+    names : mapping from line to str
+        The plain symbols among the lines.
+    operations : int
+        Additions, products, quotients, powers and functions, without those on parameters alone.
     """
 
-    lagrangian: sp.Expr
-    L_q: Vector
-    L_v: Vector
-    L_qq: Matrix
-    L_qv: Matrix
-    L_vv: Matrix
+    program: Program
+    names: Mapping[int, str]
+    operations: int
+
+    def __getitem__(self, key: Key) -> Value:
+        return self.program.outputs[key]
+
+    @property
+    def forced(self) -> tuple[int, ...]:
+        """The coordinates on which a force acts."""
+        forces = (key for key in self.program.outputs if key[0] == "F")  # type: ignore[index]
+        return tuple(key[1] for key in forces if self[key][0])  # type: ignore[index]
 
 
-def derive_jet(plain: Plain) -> Jet:
-    """Differentiate L = v.M.v/2 + a.v - V once and exactly."""
-    q, v, mass = plain.q, plain.v, plain.mass
-    n = len(q)
-    kinetic = sp.Add(
-        *(mass[i, i] * v[i] ** 2 / 2 for i in range(n)),
-        *(mass[i, j] * v[i] * v[j] for i in range(n) for j in range(i)),
-    )
-    linear = sp.Add(*(a * w for a, w in zip(plain.gyroscopic, v, strict=True)))
-    lagrangian = kinetic + linear - plain.potential
-    L_q = tuple(lagrangian.diff(x) for x in q)
-    L_v = tuple(
-        sp.Add(a, *(mass[i, j] * v[j] for j in range(n))) for i, a in enumerate(plain.gyroscopic)
-    )
-    L_qq = [[sp.S.Zero] * n for _ in range(n)]
+def derive_jet(
+    plain: Plain, more: Mapping[Key, Value] = MappingProxyType({}), half_angles: Sequence[int] = ()
+) -> Jet:
+    """Derive all that a step may ask for, by the shortest way.
+
+    Parameters
+    ----------
+    plain : Plain
+    more : mapping from key to Value
+        What else will be asked for.
+    half_angles : sequence of int
+        Coordinates whose sine and cosine are written by those of the half, to keep digits.
+    """
+    candidates = (_derived(plain, way, more, half_angles) for way in _ways(plain))
+    return min(candidates, key=lambda jet: jet.operations)
+
+
+def watched(plain: Plain) -> Jet:
+    """Write the invariants alone."""
+    graph = plain.graph
+    outputs: dict[Key, Value] = {("invariant", key): x for key, x in plain.invariants.items()}
+    return _jet(plain, graph, outputs)
+
+
+def _ways(plain: Plain) -> Iterator[Way]:
+    yield from FIRST
+    if len(plain.graph.reached([plain.L[1]])) <= FEW_NODES:
+        yield from (
+            way for way in map(Way._make, product((False, True), repeat=4)) if way not in FIRST
+        )
+
+
+def _derived(plain: Plain, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
+    graph, n = Graph(factored=way.factored), len(plain.q)
+    for symbol in (*plain.q, *plain.v, *plain.p, *plain.parameters):
+        graph.symbol(symbol.name)
+    q, v = ([graph.symbol(x.name)[1] for x in group] for group in (plain.q, plain.v))
+    T = kinetic(plain) if way.by_mass else plain.T
+    given: dict[Key, Value] = {**more, ("V",): plain.V}
+    given |= {("a", i): a for i, a in enumerate(plain.a)}
+    given |= {("invariant", name): value for name, value in plain.invariants.items()}
+    T, *values = rebuilt(plain.graph, [T, *given.values()], {}, graph)
+    outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
+    moving = [graph.multiply([outputs["a", i], (1, x)]) for i, x in enumerate(v)]
+    minus = outputs["V",]
+    L = graph.add([T, *moving, (-minus[0], minus[1])])
+    derivatives = Derivatives(graph)
+
+    def first(value: Value) -> list[Value]:
+        if way.reverse:
+            return gradient(graph, value, [*q, *v])
+        return [derivatives(value, x) for x in (*q, *v)]
+
+    def second(value: Value) -> list[Value]:
+        if way.second_reverse:
+            return gradient(graph, value, [*q, *v])
+        return [derivatives(value, x) for x in (*q, *v)]
+
+    forces = first(L)
     for i in range(n):
-        for j in range(i + 1):
-            L_qq[i][j] = L_qq[j][i] = L_q[i].diff(q[j])
-    L_qv = [[L_v[j].diff(q[i]) for j in range(n)] for i in range(n)]
-    return Jet(lagrangian, L_q, L_v, Matrix(L_qq), Matrix(L_qv), mass)
+        of_force, of_momentum = second(forces[i]), second(forces[n + i])
+        outputs["F", i], outputs["P", i] = forces[i], forces[n + i]
+        for j in range(n):
+            outputs["F_q", i, j], outputs["F_v", i, j] = of_force[j], of_force[n + j]
+            outputs["P_q", i, j], outputs["M", i, j] = of_momentum[j], of_momentum[n + j]
+    return _jet(plain, graph, outputs, half_angles)
+
+
+def _jet(
+    plain: Plain, graph: Graph, outputs: Mapping[Key, Value], half_angles: Sequence[int] = ()
+) -> Jet:
+    """Merge what is equal, and name what is shared."""
+    level = plain.level(graph)
+    values = list(outputs.values())
+    halves = halved(graph, [graph.symbol(plain.q[i].name)[1] for i in half_angles])
+    if halves:
+        values = rebuilt(graph, values, halves)
+    while sums := summed(graph, [n for _, n in values]):
+        values = rebuilt(graph, values, sums)
+    values = merged(graph, values, level)
+    program = share(Program.of(graph, dict(zip(outputs, values, strict=True)), level))
+    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    names = {graph.symbol(x.name)[1]: x.name for x in symbols}
+    return Jet(program, names, program.operations())

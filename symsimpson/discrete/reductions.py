@@ -29,6 +29,7 @@ import sympy as sp
 
 from symsimpson.discrete.factors import Factors, factorise
 from symsimpson.errors import GenerationError
+from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import Structure, Subsystem
 from symsimpson.schemes.composition import Composition
@@ -41,6 +42,8 @@ __all__ = [
 
 Table = tuple[tuple[sp.Expr, ...], ...]
 
+#: Mass matrices with entries of more nodes than this are not factorised in symbols.
+LONGEST_ENTRY = 500
 #: What ``exploit`` can name.
 EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
 
@@ -83,6 +86,16 @@ class Routh:
     annihilator: Table
     reference: int
     factors: Factors
+
+    def outputs(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
+        """List the factors L and D of the mass matrix of the cyclic coordinates, by these."""
+        found: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
+        for r, row in enumerate(self.cyclic):
+            found["D", row] = self.factors.pivots[r]
+            for c, column in enumerate(self.cyclic[:r]):
+                found["L", row, column] = self.factors.moving[r][c]
+                found["L0", row, column] = self.factors.fixed[r][c]
+        return found
 
 
 @dataclass(frozen=True)
@@ -173,12 +186,20 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
     rows, columns = elimination_order(scheme.degree)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
     if subsystem.cyclic and others and "cyclic" in exploit and (scheme.exact or scheme.by_stages):
-        factors = factorise(plain.mass.extract(subsystem.cyclic, subsystem.cyclic), plain.q)
+        factors = factorise(_cyclic_mass(plain, subsystem.cyclic), plain.q)
         if factors is not None:
             cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
             middle = scheme.stages // 2
             return Routh(others, rows, columns, cyclic, annihilating(scheme), middle, factors)
     return Coupled(coordinates, rows, columns)
+
+
+def _cyclic_mass(plain: Plain, cyclic: Sequence[int]) -> sp.ImmutableDenseMatrix | None:
+    """Give the block of M of cyclic coordinates; None if it is too long for symbols."""
+    entries = [plain.entry(i, j) for i in cyclic for j in cyclic]
+    if any(tree_size(plain.graph, value) > LONGEST_ENTRY for value in entries):
+        return None
+    return sp.ImmutableDenseMatrix(len(cyclic), len(cyclic), list(map(plain.written, entries)))
 
 
 def elimination_order(degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:

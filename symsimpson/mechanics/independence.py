@@ -1,91 +1,104 @@
-"""Does an expression vanish, does it depend on a symbol: proved, refused, or left open.
-
-Algebra alone grants. Samples at 60 digits only refuse, which saves the algebra where it would be
-in vain; what neither decides counts as dependent.
-"""
+"""What a field leaves open: sixty digits refuse, SymPy may grant, the rest is undecided."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from enum import Enum
 
+import mpmath
 import sympy as sp
 
-from symsimpson.mechanics.terms import Sum
+from symsimpson.graph.derive import Derivatives
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import Value
+from symsimpson.graph.read import FLOAT, tree_size
+from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Simplifier", "vanishes"]
+__all__ = ["Dependence", "dependence", "vanishes"]
 
 DIGITS = 60
 #: Where sums of terms of size one end that vanish identically.
-NOTHING = sp.Float(10) ** -45
+NOTHING = mpmath.mpf("1e-45")
+#: Slopes below this, in units of their terms, are reported: floats are taken as they are.
+NEARLY = mpmath.mpf("1e-12")
 #: Points of the samples; two, because one may be a zero by chance.
-SAMPLES = (sp.Rational(37, 53), sp.Rational(29, 23))
-#: Expressions with more operations than this are not simplified at length.
-TOO_LONG = 400
+SAMPLES = (mpmath.mpf(37) / 53, mpmath.mpf(29) / 23)
+#: Longer expressions are not simplified: SymPy may take for ever, and a limit of time would make
+#: the text of a module depend on the machine.
+TOO_LONG = 120
 
 
-def vanishes(expression: sp.Expr) -> bool | None:
-    """Tell whether an expression is zero for all values of its symbols; None if undecided."""
-    if expression.is_zero or (not expression.free_symbols and sp.expand(expression) == 0):
-        return True
-    for sample in SAMPLES:
-        value = _sample(expression, sample)
-        if value is not None and abs(value) > NOTHING:
-            return False
-    if sp.expand(expression) == 0:
-        return True
-    if sp.count_ops(expression) > TOO_LONG:
-        return None
-    return True if sp.simplify(expression) == 0 else None
+class Dependence(Enum):
+    """How a value depends on a symbol."""
+
+    NONE = "not"
+    REAL = "truly"
+    NEARLY = "by less than 1e-12"
+    UNDECIDED = "perhaps"
 
 
-def _sample(expression: sp.Expr, point: sp.Rational) -> sp.Expr | None:
-    """Evaluate at a point, a different number for each symbol; None off the domain."""
-    symbols = sorted(expression.free_symbols, key=str)
-    values = {
-        s: (point + sp.Rational(k, 7 + k)) * (-1 if s.is_negative else 1)
-        for k, s in enumerate(symbols)
-    }
-    value = expression.evalf(DIGITS, subs=values, maxn=4 * DIGITS)
-    return value if value.is_number and value.is_finite else None
+def dependence(plain: Plain, findings: Findings, value: Value, x: int) -> Dependence:
+    """Tell how a value depends on a symbol that moves it in a field.
 
-
-class Simplifier:
-    """Rewrites expressions without the symbols that they do not depend on.
-
-    ``open_questions`` collects what could be neither proved nor refused.
+    Parameters
+    ----------
+    plain : Plain
+    findings : Findings
+    value : Value
+    x : int
+        The symbol.
     """
-
-    def __init__(self, symbols: Iterable[sp.Symbol]) -> None:
-        self._symbols = set(symbols)
-        self.open_questions: list[tuple[str, sp.Symbol]] = []
-
-    def __call__(self, what: str, expression: sp.Expr) -> sp.Expr:
-        """Give an equal expression; ``what`` names it in open questions."""
-        present = expression.free_symbols & self._symbols
-        if not present:
-            return sp.S.Zero if vanishes(expression) else expression
-        terms = Sum(expression, present)
-        for symbol in sorted(present, key=_number):
-            slope = terms.diff(symbol)
-            if symbol not in slope.free_symbols and slope.is_number and slope != 0:
-                continue
-            answer = vanishes(slope)
-            if answer is None:
-                self.open_questions.append((what, symbol))
-            elif answer and (fixed := fix(expression, symbol)) is not None:
-                expression = fixed
-                terms = Sum(expression, present)
-        return expression
+    graph = plain.graph
+    opaque, floats = findings.opaque(value), _has_floats(plain, value)
+    if not opaque and not floats:
+        return Dependence.REAL
+    slope = Derivatives(graph)(value, x)
+    sizes = [_relative(plain, slope, sample) for sample in SAMPLES]
+    if any(size is not None and size > NEARLY for size in sizes) or None in sizes:
+        return Dependence.REAL
+    if any(size is not None and size > NOTHING for size in sizes):
+        return Dependence.NEARLY
+    if tree_size(graph, slope) > TOO_LONG:
+        return Dependence.UNDECIDED
+    return Dependence.NONE if vanishes(plain.written(slope)) else Dependence.UNDECIDED
 
 
-def fix(expression: sp.Expr, symbol: sp.Symbol) -> sp.Expr | None:
-    """Put a number for a symbol that the expression does not depend on."""
-    for value in (0, 1, sp.Rational(1, 2)):
-        fixed = expression.subs(symbol, value)
-        if not fixed.has(sp.nan, sp.zoo, sp.oo, -sp.oo):
-            return fixed
-    return None
+def vanishes(expression: sp.Expr) -> bool:
+    """Tell whether SymPy finds that a short expression is zero."""
+    return bool(sp.expand(expression) == 0 or sp.simplify(expression) == 0)
 
 
-def _number(symbol: sp.Symbol) -> tuple[int, str]:
-    return len(symbol.name), symbol.name
+def _has_floats(plain: Plain, value: Value) -> bool:
+    """Tell whether a value holds numbers that were floats, and no round ones."""
+    graph = plain.graph
+
+    def is_float(c: object) -> bool:
+        q = c.denominator  # type: ignore[attr-defined]
+        return bool(q > FLOAT and q & (q - 1) == 0)
+
+    return any(
+        is_float(c)
+        for n in graph.reached([value[1]])
+        if graph.nodes[n].kind == "sum"
+        for c, _ in graph.nodes[n].parts
+    )
+
+
+def _relative(plain: Plain, slope: Value, sample: mpmath.mpf) -> mpmath.mpf | None:
+    """Give the size of a slope in units of its largest term; None off the domain."""
+    graph = plain.graph
+    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    with mpmath.workdps(DIGITS):
+        point = {
+            n: (sample + mpmath.mpf(k) / (7 + k)) * (-1 if s.is_negative else 1)
+            for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True))
+        }
+        values = evaluated(graph, [slope[1]], point, mpmath.mp)
+        kind, parts, _ = graph.nodes[slope[1]]
+        terms = (
+            [abs(c.numerator * values[m] / c.denominator) for c, m in parts]
+            if kind == "sum"
+            else [1]
+        )
+        size = abs(values[slope[1]]) / (max(terms) or 1)
+        return size if mpmath.isfinite(size) else None

@@ -1,40 +1,118 @@
-"""A system in symbols of our own, so that nothing derived depends on what a user calls things."""
+"""A system in a graph, so that nothing derived depends on what a user calls things."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics import dynamicsymbols
 
+from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.read import written
+from symsimpson.graph.signs import Signs
+
 __all__ = ["Plain", "Symbols", "unfrozen"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
+SIGNS = ("positive", "negative", "nonnegative", "nonpositive")
 
 
 @dataclass(frozen=True)
 class Plain:
-    """A system in plain symbols: L = v.M(q).v/2 + a(q).v - V(q).
+    """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2.
 
-    ``q``, ``v``, ``p`` and ``parameters`` are real symbols with names of our own, so that nothing
-    that is derived from them depends on what a user calls things.
+    ``q``, ``v``, ``p`` and ``parameters`` are real symbols with names of our own, which the graph's
+    symbols bear, too. ``M`` holds the entries on and below the diagonal that are not zero.
     """
 
+    graph: Graph
     q: tuple[sp.Symbol, ...]
     v: tuple[sp.Symbol, ...]
     p: tuple[sp.Symbol, ...]
     parameters: tuple[sp.Symbol, ...]
-    mass: Matrix
-    gyroscopic: tuple[sp.Expr, ...]
-    potential: sp.Expr
-    invariants: Mapping[str, sp.Expr]
+    T: Value
+    M: Mapping[tuple[int, int], Value]
+    a: tuple[Value, ...]
+    V: Value
+    invariants: Mapping[str, Value]
+
+    def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
+        """Give the nodes of symbols."""
+        return tuple(self.graph.symbol(s.name)[1] for s in symbols)
+
+    @property
+    def L(self) -> Value:
+        """The Lagrangian."""
+        graph = self.graph
+        moving = [
+            graph.multiply([a, (1, v)])
+            for a, v in zip(self.a, self.numbers(self.v), strict=True)
+        ]  # fmt: skip
+        return graph.add([self.T, *moving, (-self.V[0], self.V[1])])
+
+    @property
+    def energies(self) -> tuple[Value, ...]:
+        """What the Lagrangian is made of: the entries of M and a, and V."""
+        return (*self.M.values(), *self.a, self.V)
+
+    def entry(self, i: int, j: int) -> Value:
+        """Give an entry of M."""
+        return self.M.get((max(i, j), min(i, j)), (0, 0))
+
+    @cached_property
+    def signs(self) -> Signs:
+        """The signs of what is made of parameters of known sign."""
+        return _signs(self.graph, self.parameters)
+
+    def level(self, graph: Graph) -> Callable[[int], int]:
+        """Give a function that tells of nodes what they depend on.
+
+        0 for parameters alone, 1 for q, 2 for v or p. The graph may be another one with symbols of
+        these names.
+        """
+        moving = [
+            {graph.symbol(s.name)[1] for s in group} for group in (self.q, (*self.v, *self.p))
+        ]
+
+        def level(n: int) -> int:
+            symbols = graph.nodes[n].symbols
+            if symbols.isdisjoint(moving[1]):
+                return 0 if symbols.isdisjoint(moving[0]) else 1
+            return 2
+
+        return level
 
     def __reduce__(self) -> tuple[Any, ...]:
         return unfrozen(self)
+
+    # Trees of SymPy, made on request: not for large systems.
+
+    def written(self, value: Value) -> sp.Expr:
+        """Write a value in the plain symbols."""
+        symbols = (*self.q, *self.v, *self.p, *self.parameters)
+        return written(self.graph, value, dict(zip(self.numbers(symbols), symbols, strict=True)))
+
+    @property
+    def mass(self) -> Matrix:
+        """M(q), n by n."""
+        n = len(self.q)
+        entries = {place: self.written(value) for place, value in self.M.items()}
+        entries |= {(j, i): entry for (i, j), entry in entries.items()}
+        return Matrix(n, n, lambda i, j: entries.get((i, j), sp.S.Zero))
+
+    @property
+    def gyroscopic(self) -> tuple[sp.Expr, ...]:
+        """The vector a(q)."""
+        return tuple(self.written(value) for value in self.a)
+
+    @property
+    def potential(self) -> sp.Expr:
+        """V(q)."""
+        return self.written(self.V)
 
 
 def unfrozen(value: Any) -> tuple[Any, ...]:
@@ -46,7 +124,16 @@ def unfrozen(value: Any) -> tuple[Any, ...]:
 
 
 class Symbols:
-    """The user's symbols and the plain ones that stand for them, both ways."""
+    """The user's symbols, the plain ones that stand for them, and a graph that has these.
+
+    Attributes
+    ----------
+    q, v, p, a : tuple of sympy.Symbol
+    graph : Graph
+        Its first nodes are q, v, p and a, in this order.
+    known : dict from the user's expression to Value
+        Velocities, coordinates and parameters.
+    """
 
     def __init__(
         self, coordinates: Sequence[AppliedUndef], parameters: Mapping[sp.Symbol, float]
@@ -63,10 +150,21 @@ class Symbols:
             **dict(zip(parameters, self.a, strict=True)),
         }
         self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
+        self.graph = Graph()
+        for symbol in (*self.q, *self.v, *self.p, *self.a):
+            self.graph.symbol(symbol.name)
+        self.known = {user: self.graph.symbol(own.name) for user, own in self.replace.items()}
 
-    def restore(self, plain: sp.Expr) -> sp.Expr:
-        """Write a plain expression in the user's symbols."""
-        return plain.xreplace(self.back)
+        self.signs = _signs(self.graph, self.a)
+
+    def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
+        """Give the nodes of plain symbols."""
+        return tuple(self.graph.symbol(s.name)[1] for s in symbols)
+
+    def restored(self, value: Value) -> sp.Expr:
+        """Write a value in the user's symbols: a tree, for messages and short expressions."""
+        names = {n: user for user, (_, n) in self.known.items()}
+        return written(self.graph, value, names)
 
 
 def _real(name: str, user: sp.Symbol) -> sp.Symbol:
@@ -74,3 +172,12 @@ def _real(name: str, user: sp.Symbol) -> sp.Symbol:
     signs = ("positive", "negative", "nonnegative", "nonpositive", "nonzero")
     assumed = {sign: True for sign in signs if getattr(user, f"is_{sign}")}
     return sp.Symbol(name, real=True, **assumed)
+
+
+def _signs(graph: Graph, parameters: Iterable[sp.Symbol]) -> Signs:
+    known = {
+        graph.symbol(a.name)[1]: sign
+        for a in parameters
+        for sign in reversed(SIGNS) if getattr(a, f"is_{sign}")
+    }  # fmt: skip
+    return Signs(graph, known)

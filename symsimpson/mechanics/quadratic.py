@@ -3,94 +3,131 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import mpmath
 import numpy as np
 import sympy as sp
 
+from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.field import Element, Numbers
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import UNIT, ZERO, Value
+from symsimpson.graph.read import Reader, tree_size
+from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
-from symsimpson.mechanics.terms import Sum, connected
+from symsimpson.mechanics.plain import Symbols
 
-__all__ = ["check_mass_matrix", "gyroscopic_and_potential", "mass_matrix_of"]
+__all__ = ["Polynomial", "check_degenerate", "check_mass_matrix", "connected", "polynomial"]
 
-Matrix: TypeAlias = sp.ImmutableDenseMatrix
-
-#: Samples at this many digits decide what algebra leaves open; they refuse, they never grant.
-DIGITS = 60
+#: Second derivatives with more nodes than this are not simplified, and not shown.
+TOO_LONG = 400
+#: Points at which a mass matrix is looked at in doubles.
 SAMPLES = 3
 
 
-def mass_matrix_of(
-    system: str,
-    what: str,
-    energy: sp.Expr,
-    v: Sequence[sp.Symbol],
-    back: Mapping[sp.Basic, sp.Basic],
-) -> Matrix:
-    """Differentiate twice in the velocities; refuse what is not of degree two.
+@dataclass(frozen=True)
+class Polynomial:
+    """An energy v.M(q).v/2 + a(q).v + rest(q); M on and below its diagonal, without zeros."""
+
+    M: Mapping[tuple[int, int], Value]
+    a: tuple[Value, ...]
+    rest: Value
+
+
+def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polynomial:
+    """Split an energy by its powers of the velocities; refuse what is not of degree two.
 
     Raises
     ------
     ModelError
-        If the second derivatives still depend on a velocity.
+        If the second derivatives depend on a velocity.
     """
-    terms = Sum(energy, v)
-    rows = [[sp.S.Zero] * len(v) for _ in v]
-    for i, j in terms.pairs(v):
-        entry = terms.diff(v[i], v[j])
-        if not entry.free_symbols.isdisjoint(v):
-            rest = sp.simplify(entry)
-            if not rest.free_symbols.isdisjoint(v):
-                raise fail(
-                    system,
-                    f"the {what} is not quadratic in the velocities: its second derivative by "
-                    f"{spell(back[v[j]])} and {spell(back[v[i]])} is "
-                    f"{spell(rest.xreplace(dict(back)))}.",
-                    "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
-                    "Write the velocities as a polynomial of degree two, without roots or "
-                    "functions of them.",
-                )
-            entry = rest
-        rows[i][j] = rows[j][i] = entry
-    return Matrix(rows)
+    graph, v = symbols.graph, symbols.numbers(symbols.v)
+    momenta = gradient(graph, energy, v)
+    try:
+        findings = Findings(graph, [energy, *momenta])
+    except ZeroDivisionError:
+        raise fail(
+            system,
+            f"the {what} divides by zero wherever it is looked at.",
+            "Look for a denominator that vanishes identically.",
+        ) from None
+    derivatives = Derivatives(graph)
+    affine = findings.affine(momenta, v)
+    found: dict[tuple[int, int], Value] = {}
+    for i, momentum in enumerate(momenta):
+        for j in range(i + 1):
+            if v[j] not in graph.nodes[momentum[1]].symbols:
+                continue
+            entry = derivatives(momentum, v[j])
+            moving = sorted(graph.nodes[entry[1]].symbols & set(v))
+            if moving and affine[i]:
+                entry = fixed(graph, entry, moving) or entry
+            elif moving:
+                entry = _simplified(system, what, entry, (i, j), symbols)
+            found[i, j] = entry
+    if found:
+        findings = Findings(graph, list(found.values()))
+        found = {place: entry for place, entry in found.items() if not findings.vanishes(entry)}
+    rest = dict.fromkeys(v, ZERO)
+    *a, constant = _at_rest(system, what, symbols, [*momenta, energy], rest)
+    return Polynomial(found, tuple(a), constant)
 
 
-def gyroscopic_and_potential(
-    energy: sp.Expr, v: Sequence[sp.Symbol]
-) -> tuple[tuple[sp.Expr, ...], sp.Expr]:
-    """Split off a(q) and V(q) of L = v.M.v/2 + a.v - V."""
-    terms = Sum(energy)
-    moving = set(v)
+def _at_rest(
+    system: str, what: str, symbols: Symbols, values: Sequence[Value], rest: Mapping[int, Value]
+) -> list[Value]:
+    try:
+        return rebuilt(symbols.graph, values, rest)
+    except ZeroDivisionError:
+        raise fail(
+            system,
+            f"the {what} has no value at rest: it divides by velocities.",
+            "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
+            "Write the velocities as a polynomial of degree two.",
+        ) from None
 
-    def at_rest(expression: sp.Expr) -> sp.Expr:
-        present = expression.free_symbols & moving
-        return expression.subs(dict.fromkeys(present, sp.S.Zero)) if present else expression
 
-    linear = tuple(sp.Add(*(at_rest(t.diff(vi)) for t in terms.having(vi))) for vi in v)
-    return linear, -sp.Add(*map(at_rest, terms.terms))
+def _simplified(
+    system: str, what: str, entry: Value, place: tuple[int, int], symbols: Symbols
+) -> Value:
+    """Let SymPy look at a second derivative that the velocities seem to be in."""
+    graph, moving = symbols.graph, set(symbols.numbers(symbols.v))
+    short = tree_size(graph, entry) <= TOO_LONG
+    rest = sp.simplify(symbols.restored(entry)) if short else None
+    if rest is not None:
+        value = Reader(graph, symbols.known)(rest)
+        if graph.nodes[value[1]].symbols.isdisjoint(moving):
+            return value
+    first, second = (spell(symbols.back[symbols.v[k]]) for k in sorted(place))
+    shown = f" is {spell(rest)}" if rest is not None else " depends on velocities"
+    raise fail(
+        system,
+        f"the {what} is not quadratic in the velocities: its second derivative by "
+        f"{first} and {second}{shown}.",
+        "Newton's equations follow from L = v.M(q).v/2 + a(q).v - V(q). "
+        "Write the velocities as a polynomial of degree two, without roots or "
+        "functions of them.",
+    )
 
 
-def check_degenerate(
-    system: str,
-    mass: Matrix,
-    gyroscopic: Sequence[sp.Expr],
-    q: Sequence[sp.Symbol],
-    back: Mapping[sp.Basic, sp.Basic],
-) -> None:
+def check_degenerate(system: str, found: Polynomial, symbols: Symbols) -> None:
     """Refuse coordinates whose velocities enter L linearly alone, or not at all beside others'.
 
     Raises
     ------
     ModelError
     """
-    coupled = set().union(*(a.free_symbols for a in gyroscopic))
-    entries = mass.todok()
-    for i, x in enumerate(q):
-        massless = not any(i in place for place in entries)
-        if massless and (gyroscopic[i] != 0 or x in coupled):
-            name = spell(back[x])
+    graph = symbols.graph
+    coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in found.a if c))
+    massive = {i for place in found.M for i in place}
+    for i, x in enumerate(symbols.numbers(symbols.q)):
+        if i not in massive and (found.a[i][0] or x in coupled):
+            name = spell(symbols.back[symbols.q[i]])
             raise fail(
                 system,
                 f"the Lagrangian is degenerate: it has no term quadratic in {name}', only ones "
@@ -102,28 +139,19 @@ def check_degenerate(
 
 
 def check_mass_matrix(
-    system: str,
-    mass: Matrix,
-    q: Sequence[sp.Symbol],
-    v: Sequence[sp.Symbol],
-    parameters: Sequence[sp.Symbol],
-    back: Mapping[sp.Basic, sp.Basic],
-) -> None:
+    system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols
+) -> None:  # fmt: skip
     """Refuse a mass matrix that is singular for all q, or negative for some velocity.
-
-    A zero row is a missing mass. A determinant that vanishes at several random points to 60
-    digits vanishes identically.
 
     Raises
     ------
     ModelError
         With the coordinate that has no mass, where there is one.
     """
-    blocks = _blocks(mass)
-    for i, *others in blocks:
-        if not others and sp.expand(mass[i, i]) == 0:
-            velocity = spell(back[v[i]])
-            name = spell(back[q[i]])
+    massive = {i for place in M for i in place}
+    for i, (q, v) in enumerate(zip(symbols.q, symbols.v, strict=True)):
+        name, velocity = spell(symbols.back[q]), spell(symbols.back[v])
+        if i not in massive:
             raise fail(
                 system,
                 f"the kinetic energy does not depend on {velocity}, so the mass matrix has a "
@@ -131,18 +159,19 @@ def check_mass_matrix(
                 f"A variational step needs an invertible mass matrix. Give {name} a mass "
                 f"(T += m*{velocity}**2/2) or remove {name} from the coordinates.",
             )
-    for i in range(mass.rows):
-        if sp.expand(mass[i, i]).is_negative:
+        if symbols.signs(M.get((i, i), ZERO)) == (-1, True):
             raise fail(
                 system,
-                f"the kinetic energy is negative for every {spell(back[v[i]])}: M is not positive "
-                "definite.",
+                f"the kinetic energy is negative for every {velocity}: M is not positive definite.",
                 "Masses are positive. Look at the sign of that term in T, or at the sign that a "
                 "symbol was declared with.",
             )
-    if all(_regular(mass, block, parameters) for block in blocks):
+    blocks = connected(len(symbols.q), M)
+    if all(_clearly_regular(M, symbols, blocks)) or all(
+        _regular(M, symbols, block) for block in blocks
+    ):
         return
-    names = ", ".join(spell(back[qi]) for qi in q)
+    names = ", ".join(spell(symbols.back[q]) for q in symbols.q)
     raise fail(
         system,
         "the mass matrix is singular for every configuration: its determinant is zero.",
@@ -152,46 +181,79 @@ def check_mass_matrix(
     )
 
 
-def _blocks(mass: Matrix) -> list[list[int]]:
-    """Split the coordinates into groups that no entry of M couples."""
-    size = mass.rows
-    entries = mass.todok()  # the nonzero ones
-    return connected(size, ((i, j) for (i, j), entry in entries.items() if sp.expand(entry) != 0))
+def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
+    """Group 0..size-1 by the pairs that join them, in the order of their least members."""
+    group = list(range(size))
+
+    def root(i: int) -> int:
+        while group[i] != i:
+            group[i] = group[group[i]]
+            i = group[i]
+        return i
+
+    for i, j in pairs:
+        low, high = sorted((root(i), root(j)))
+        group[high] = low
+    found: dict[int, list[int]] = {}
+    for i in range(size):
+        found.setdefault(root(i), []).append(i)
+    return list(found.values())
 
 
-def _regular(mass: Matrix, block: Sequence[int], parameters: Sequence[sp.Symbol]) -> bool:
-    """Tell whether a block of M is regular at some point; an unclear one counts as regular."""
-    places = [(i, j) for i in block for j in block if mass[i, j] != 0]
-    symbols = sorted(set().union(*(mass[place].free_symbols for place in places)), key=str)
-    evaluate = sp.lambdify(symbols, [mass[place] for place in places], modules="mpmath")
+def _clearly_regular(
+    M: Mapping[tuple[int, int], Value], symbols: Symbols, blocks: Sequence[Sequence[int]]
+) -> Iterable[bool]:
+    """Tell of blocks of M whether they are regular at a sample, by singular values in doubles."""
     generator = random.Random(20)
-    number = {i: k for k, i in enumerate(block)}
-    with mpmath.workdps(DIGITS):
-        for _ in range(SAMPLES):
-            point = [_sample(generator, s, positive=s in parameters) for s in symbols]
-            try:
-                values = evaluate(*point)
-                size = max(abs(value) for value in values)
-                scaled = mpmath.matrix(len(block))
-                for (i, j), value in zip(places, values, strict=True):
-                    scaled[number[i], number[j]] = value / size
-                if _clearly_regular(scaled):
-                    return True
-                determinant = mpmath.det(scaled)
-            except (ZeroDivisionError, ValueError, TypeError):
-                return True  # not a point of the domain: a run checks its own start
-            if abs(determinant) > mpmath.mpf(10) ** (-DIGITS // 2):
-                return True
+    everything = (*symbols.q, *symbols.v, *symbols.a)
+    for _ in range(SAMPLES):
+        point = {
+            n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
+            for n, s in zip(symbols.numbers(everything), everything, strict=True)
+        }
+        values = evaluated(symbols.graph, [n for _, n in M.values()], point, mpmath.fp)
+        matrix = np.zeros((len(symbols.q),) * 2)
+        for (i, j), (c, n) in M.items():
+            matrix[i, j] = matrix[j, i] = float(c) * values[n]
+        answers = [_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
+        if all(answers):
+            break
+    return answers
+
+
+def _conditioned(matrix: Any) -> bool:
+    return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
+
+
+def _regular(
+    M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]
+) -> bool:  # fmt: skip
+    """Tell whether the determinant of a block of M is not zero in a field."""
+    findings = Findings(symbols.graph, list(M.values()))
+    for at in findings.points:
+        rows = [
+            [at[M.get((max(i, j), min(i, j)), (0, UNIT))] if (max(i, j), min(i, j)) in M else 0
+             for j in block]
+            for i in block
+        ]  # fmt: skip
+        if _determinant(rows):
+            return True
     return False
 
 
-def _clearly_regular(matrix: mpmath.matrix) -> bool:
-    """Tell it from the singular values in ordinary precision, where that suffices."""
-    ordinary = np.array([[float(mpmath.re(x)) for x in row] for row in matrix.tolist()])
-    return bool(np.isfinite(ordinary).all() and np.linalg.cond(ordinary) < 1e8)
-
-
-def _sample(generator: random.Random, symbol: sp.Symbol, *, positive: bool) -> mpmath.mpf:
-    value = mpmath.mpf(generator.randint(3 * 10**8, 10**9)) / 10**9
-    negative = symbol.is_negative or symbol.is_nonpositive
-    return -value if negative and positive else value
+def _determinant(rows: list[list[Element]]) -> bool:
+    """Tell whether a matrix over the field is regular: Gauss's elimination."""
+    field = Numbers(0)
+    minus = field.prime - 1
+    for k in range(len(rows)):
+        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
+        if pivot is None:
+            return False
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        over = field.times(minus, field.inverse(rows[k][k]))
+        for row in rows[k + 1 :]:
+            if row[k]:
+                factor = field.times(row[k], over)
+                for j in range(k, len(rows)):
+                    row[j] = field.plus(row[j], field.times(factor, rows[k][j]))
+    return True

@@ -1,23 +1,29 @@
-"""What a system has and lacks, found by exact algebra."""
+"""What a system has and lacks: granted by algebra, or by identity tests in a finite field.
+
+Forces F = L_q and momenta P = L_v are asked what moves them; the error of an answer is below
+2^-100 (:mod:`symsimpson.graph.field`). What a field leaves open, 60 digits may refuse and SymPy may
+grant; the rest is undecided, and counts as not there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeAlias
+from fractions import Fraction
+from typing import TYPE_CHECKING
 
-import sympy as sp
-
-from symsimpson.mechanics.independence import Simplifier, fix, vanishes
-from symsimpson.mechanics.terms import Sum, connected
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Graph, Value
+from symsimpson.graph.rebuild import fixed
+from symsimpson.mechanics.independence import Dependence, dependence
+from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.quadratic import connected
 
 if TYPE_CHECKING:
-    from symsimpson.mechanics.plain import Plain
     from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["Structure", "Subsystem", "analyse"]
-
-Matrix: TypeAlias = sp.ImmutableDenseMatrix
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,9 @@ class Structure:
     zeros : mapping from str to (int, int)
         For M, its derivatives by q and the Hessian of V: entries that vanish, and all entries.
     undecided : tuple of str
-        What algebra could neither prove nor samples refuse; it counts as not there.
+        What could be neither proved nor refused; it counts as not there.
+    nearly : tuple of str
+        What fails by less than 1e-12, as 0.1 + 0.2 - 0.3 does: floats are taken as they are.
     plain : Plain
         The system in plain symbols, without what it was proved not to depend on.
     """
@@ -87,6 +95,7 @@ class Structure:
     subsystems: tuple[Subsystem, ...]
     zeros: dict[str, tuple[int, int]]
     undecided: tuple[str, ...]
+    nearly: tuple[str, ...]
     plain: Plain = field(compare=False)
     system: MechanicalSystem = field(compare=False)
 
@@ -111,166 +120,193 @@ def analyse(system: MechanicalSystem) -> Structure:
     Returns
     -------
     Structure
-        A finding is granted by algebra alone; samples at 60 digits may refuse it.
     """
-    given = system.plain
-    q, n = given.q, system.n
+    given, n = system.plain, system.n
     names = [user.func.__name__ for user in system.coordinates]
-    simplify = Simplifier(q)
-    mass = _simplified_mass(given.mass, simplify)
-    gyroscopic = tuple(
-        simplify(f"a_{name}", a) for name, a in zip(names, given.gyroscopic, strict=True)
-    )
-    potential = simplify("V", given.potential)
-    groups, potential = _groups(mass, gyroscopic, potential, q)
-    plain = replace(given, mass=mass, gyroscopic=gyroscopic, potential=potential)
-    entries = {place: entry for place, entry in mass.todok().items() if place[0] >= place[1]}
-    terms = Sum(potential, q)
-    present = set(potential.free_symbols).union(
-        *(entry.free_symbols for entry in (*entries.values(), *gyroscopic))
-    )
-    subsystems = tuple(_subsystem(plain, entries, terms, group, present) for group in groups)
-    open_questions = {
-        f"whether {what} depends on {names[q.index(x)]}" for what, x in simplify.open_questions
-    }
-    places = {(max(i, j), min(i, j)) for i, j in entries}
-    derivatives = sum((1 + (i != j)) * len(entries[i, j].free_symbols & set(q)) for i, j in places)
-    hessian = sum(1 + (i != j) for i, j in terms.pairs(q) if terms.diff(q[i], q[j]) != 0)
+    plain, questions = _freed(given, names)
+    look = _Look(plain)
+    groups = connected(n, look.couplings())
+    if len(groups) > len(connected(n, look.as_written())):
+        split = _split(plain, groups)
+        if split is None:
+            groups = connected(n, look.as_written())
+        else:
+            plain = split
+            look = _Look(plain)
+    subsystems = tuple(look.subsystem(group) for group in groups)
+    moving = {i for place, value in plain.M.items() if look.moves(value) for i in place}
+    triangle = {place: 1 + (place[0] != place[1]) for place in plain.M}
     return Structure(
         n=n,
         constant_mass=all(s.constant_mass for s in subsystems),
-        diagonal_mass=all(i == j for i, j in entries),
-        constant_rows=_constant_rows(entries, q, names),
-        gyroscopic=any(a != 0 for a in gyroscopic),
+        diagonal_mass=all(i == j for i, j in plain.M),
+        constant_rows=tuple(name for i, name in enumerate(names) if i not in moving),
+        gyroscopic=any(c for c, _ in plain.a),
         separable=all(s.separable for s in subsystems),
         linear=all(s.linear for s in subsystems),
         cyclic=tuple(names[i] for s in subsystems for i in s.cyclic),
-        periodic=tuple(names[i] for i in range(n) if q[i] in present and _angle(plain, q[i])),
+        periodic=tuple(names[i] for i, x in enumerate(look.q) if _angle(plain, x)),
         subsystems=subsystems,
         zeros={
-            "M": (n * n - sum(1 + (i != j) for i, j in places), n * n),
-            "dM/dq": (n**3 - derivatives, n**3),
-            "Hess V": (n * n - hessian, n * n),
+            "M": (n * n - sum(triangle.values()), n * n),
+            "dM/dq": (
+                n**3 - sum(triangle[place] * look.moves(value) for place, value in plain.M.items()),
+                n**3,
+            ),
+            "Hess V": (n * n - look.hessian_entries(), n * n),
         },
-        undecided=tuple(sorted(open_questions)),
+        undecided=questions[Dependence.UNDECIDED],
+        nearly=questions[Dependence.NEARLY],
         plain=plain,
         system=system,
     )
 
 
-def _simplified_mass(mass: Matrix, simplify: Simplifier) -> Matrix:
-    size = mass.rows
-    found = sp.MutableDenseMatrix.zeros(size, size)
-    for (i, j), entry in mass.todok().items():
-        if i >= j:
-            found[i, j] = found[j, i] = simplify(f"M[{i},{j}]", entry)
-    return Matrix(found)
+class _Look:
+    """Answers about the Lagrangian of a system."""
+
+    def __init__(self, plain: Plain) -> None:
+        graph, L = plain.graph, plain.L
+        self._plain = plain
+        self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
+        both = gradient(graph, L, [*self.q, *self.v])
+        self.F, self.P = both[: len(self.q)], both[len(self.q) :]
+        self._slope = gradient(graph, plain.V, self.q)
+        self._findings = Findings(graph, [*both, *self._slope, *plain.energies])
+
+    def couplings(self) -> list[tuple[int, int]]:
+        """List the pairs of coordinates that L couples."""
+        depends = self._findings.depends
+        return [
+            (i, k)
+            for k, (q, v) in enumerate(zip(self.q, self.v, strict=True))
+            for i, (F, P) in enumerate(zip(self.F, self.P, strict=True))
+            if i != k and any(depends(value, x) for value in (F, P) for x in (q, v))
+        ]
+
+    def as_written(self) -> list[tuple[int, int]]:
+        """List the pairs of coordinates of which one stands in the other's force or momentum."""
+        place = {x: i for group in (self.q, self.v) for i, x in enumerate(group)}
+        nodes = self._plain.graph.nodes
+        return [
+            (i, place[x])
+            for i, pair in enumerate(zip(self.F, self.P, strict=True))
+            for _, n in pair
+            for x in nodes[n].symbols if x in place
+        ]  # fmt: skip
+
+    def moves(self, value: Value) -> int:
+        """Count the coordinates that a value depends on."""
+        present = self._plain.graph.nodes[value[1]].symbols
+        return sum(x in present and self._findings.depends(value, x) for x in self.q)
+
+    def hessian_entries(self) -> int:
+        """Count the second derivatives of V that are not zero."""
+        return sum(map(self.moves, self._slope))
+
+    def subsystem(self, group: Sequence[int]) -> Subsystem:
+        """Say what the coordinates of a group have and lack."""
+        plain, vanishes = self._plain, self._findings.vanishes
+        inside = set(group)
+        own = [value for (i, _), value in plain.M.items() if i in inside]
+        constant = not any(map(self.moves, own))
+        separable = constant and all(vanishes(plain.a[i]) for i in group)
+        forces = [self._slope[i] for i in group]
+        x = [self.q[i] for i in group]
+        return Subsystem(
+            coordinates=tuple(group),
+            cyclic=tuple(i for i in group if vanishes(self.F[i])),
+            constant_mass=constant,
+            separable=separable,
+            linear=separable and all(self._findings.affine(forces, x)),
+        )
 
 
-def _constant_rows(
-    entries: dict[tuple[int, int], sp.Expr], q: Sequence[sp.Symbol], names: Sequence[str]
-) -> tuple[str, ...]:
-    moving = {
-        i for place, entry in entries.items() if not entry.free_symbols.isdisjoint(q)
-        for i in place
-    }  # fmt: skip
-    return tuple(name for i, name in enumerate(names) if i not in moving)
+def _freed(given: Plain, names: Sequence[str]) -> tuple[Plain, dict[Dependence, tuple[str, ...]]]:
+    """Write the energies without the coordinates that they do not depend on."""
+    graph, q = given.graph, given.numbers(given.q)
+    findings = Findings(graph, [given.T, *given.energies])
+    questions: dict[Dependence, list[str]] = {kind: [] for kind in Dependence}
+
+    def freed(what: str, value: Value) -> Value:
+        if findings.vanishes(value):
+            return ZERO
+        present = graph.nodes[value[1]].symbols
+        first = value
+        for name, x in zip(names, q, strict=True):
+            if x not in present:
+                continue
+            answer = Dependence.NONE
+            if findings.depends(first, x):
+                answer = dependence(given, findings, first, x)
+            if answer is Dependence.NONE:
+                value = fixed(graph, value, [x]) or value
+            questions[answer].append(f"whether {what} depends on {name}")
+        return value
+
+    M = {(i, j): freed(f"M[{i},{j}]", value) for (i, j), value in given.M.items()}
+    plain = replace(
+        given,
+        T=findings.freed(given.T, q),
+        M={place: value for place, value in M.items() if value[0]},
+        a=tuple(freed(f"a_{name}", a) for name, a in zip(names, given.a, strict=True)),
+        V=freed("V", given.V),
+    )
+    return plain, {kind: tuple(sorted(set(found))) for kind, found in questions.items()}
 
 
-def _groups(
-    mass: Matrix, gyroscopic: Sequence[sp.Expr], potential: sp.Expr, q: Sequence[sp.Symbol]
-) -> tuple[list[list[int]], sp.Expr]:
-    """Find the groups of coordinates that nothing couples, and V as a sum over them."""
-    place = {x: i for i, x in enumerate(q)}
-
-    def among(expression: sp.Expr) -> list[int]:
-        return [place[s] for s in expression.free_symbols if s in place]
-
-    joined = [
-        (i, k)
-        for (i, j), entry in mass.todok().items()
-        for k in (j, *among(entry))
-    ]  # fmt: skip
-    joined += [(i, k) for i, a in enumerate(gyroscopic) for k in among(a)]
-    as_written = connected(len(q), [*joined, *Sum(potential, q).pairs(q)])
-    # only where terms stand for the same pair of groups can they cancel
-    terms = Sum(potential, q)
-    exact = [(i, j) for i, j in terms.pairs(q) if i != j]
-    if len(exact) > len(q) * 4:
-        return as_written, potential
-    coupled = [(i, j) for i, j in exact if vanishes(terms.diff(q[i], q[j])) is not True]
-    groups = connected(len(q), [*joined, *coupled])
-    if len(groups) == len(as_written):
-        return as_written, potential
-    split = _split(potential, [[q[i] for i in group] for group in groups])
-    return (as_written, potential) if split is None else (groups, split)
-
-
-def _split(potential: sp.Expr, groups: Sequence[Sequence[sp.Symbol]]) -> sp.Expr | None:
-    """Write V, whose mixed derivatives vanish, as a sum over groups: the others stand still."""
-    parts = []
+def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
+    """Write L as a sum over groups that nothing couples; None if it has no value where x = 0."""
+    graph, q = plain.graph, plain.numbers(plain.q)
+    parts: list[Value] = []
     for k, group in enumerate(groups):
-        part: sp.Expr | None = potential
-        for other in (x for rest in groups if rest is not group for x in rest):
-            part = None if part is None else fix(part, other)
+        own = [q[i] for i in group]
+        part = fixed(graph, plain.V, [x for x in q if x not in own])
         if part is None:
             return None
         parts.append(part)
-        if k:
-            for x in group:
-                fixed = fix(part, x)
-                if fixed is None:
-                    return None
-                part = fixed
-            parts.append(-part)
-    return sp.expand(sp.Add(*parts))
+        if k and (constant := fixed(graph, part, own)) is not None:
+            parts.append((-constant[0], constant[1]))
+    return replace(plain, T=kinetic(plain), V=graph.add(parts))
 
 
-def _subsystem(
-    plain: Plain,
-    mass: dict[tuple[int, int], sp.Expr],
-    potential: Sum,
-    group: Sequence[int],
-    present: set[sp.Basic],
-) -> Subsystem:
-    q = plain.q
-    inside = set(group)
-    own = [entry for (i, _), entry in mass.items() if i in inside]
-    constant = all(entry.free_symbols.isdisjoint(q) for entry in own)
-    free_of_v = constant and all(plain.gyroscopic[i].free_symbols.isdisjoint(q) for i in group)
-    separable = free_of_v and all(plain.gyroscopic[i] == 0 for i in group)
-    return Subsystem(
-        coordinates=tuple(group),
-        cyclic=tuple(i for i in group if q[i] not in present),
-        constant_mass=constant,
-        separable=separable,
-        linear=separable and _quadratic(potential, [q[i] for i in group]),
+def kinetic(plain: Plain) -> Value:
+    """Write T by the entries of M."""
+    graph, v = plain.graph, plain.numbers(plain.v)
+    half = Fraction(1, 2)
+    return graph.add(
+        graph.multiply([value, (half if i == j else 1, v[i]), (1, v[j])])
+        for (i, j), value in plain.M.items()
     )
 
 
-def _quadratic(potential: Sum, q: Sequence[sp.Symbol]) -> bool:
-    """Tell whether the second derivatives of V are proved not to depend on q."""
-    return all(
-        potential.diff(q[i], q[j]).free_symbols.isdisjoint(q)
-        or sp.expand(potential.diff(q[i], q[j])).free_symbols.isdisjoint(q)
-        for i, j in potential.pairs(q)
-    )
+def _angle(plain: Plain, x: int) -> bool:
+    """Tell whether x stands in L, and in sines and cosines alone, by whole multiples."""
+    graph = plain.graph
+    work = [n for c, n in plain.energies if c and x in graph.nodes[n].symbols]
+    seen = set(work)
+    while work:
+        n = work.pop()
+        kind, parts, _ = graph.nodes[n]
+        if n == x:
+            return False
+        if kind == "function" and parts[0] in ("sin", "cos"):
+            if not _whole(graph, parts[1], x):
+                return False
+            continue
+        for m in graph.arguments(n):
+            if m not in seen and x in graph.nodes[m].symbols:
+                seen.add(m)
+                work.append(m)
+    return bool(seen)
 
 
-def _angle(plain: Plain, x: sp.Symbol) -> bool:
-    """Tell whether x stands in sines and cosines alone, by whole multiples."""
-
-    def walk(expression: sp.Expr) -> Iterator[bool]:
-        if x not in expression.free_symbols:
-            return
-        if isinstance(expression, (sp.sin, sp.cos, sp.tan)):
-            slope = expression.args[0].diff(x)
-            yield bool(slope.is_Integer)
-        elif expression == x:
-            yield False
-        else:
-            for argument in expression.args:
-                yield from walk(argument)
-
-    entries: list[sp.Expr] = [*plain.mass.todok().values(), *plain.gyroscopic, plain.potential]
-    return all(answer for entry in entries for answer in walk(entry))
+def _whole(graph: Graph, angle: Value, x: int) -> bool:
+    """Tell whether an angle holds a whole multiple of x, and x nowhere else."""
+    c, n = angle
+    if x not in graph.nodes[n].symbols:
+        return True
+    if n == x:
+        return Fraction(c).denominator == 1
+    kind, parts, _ = graph.nodes[n]
+    return kind == "sum" and all(_whole(graph, (c * d, m), x) for d, m in parts)

@@ -13,26 +13,19 @@ from typing import Any, TypeAlias
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.errors import ModelError
+from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import (
-    check_names,
     fail,
     read_coordinates,
     read_name,
     read_parameters,
     spell,
 )
-from symsimpson.mechanics.coordinates import momenta
-from symsimpson.mechanics.expressions import read_expression, same_number
+from symsimpson.mechanics.declaration import LARGE, energies, read_energies
+from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
-from symsimpson.mechanics.quadratic import (
-    check_degenerate,
-    check_mass_matrix,
-    gyroscopic_and_potential,
-    mass_matrix_of,
-)
+from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
-from symsimpson.mechanics.terms import Sum
 from symsimpson.progress import waiting
 
 __all__ = ["MechanicalSystem"]
@@ -108,7 +101,7 @@ class MechanicalSystem:
         coordinates = read_coordinates(name, self.coordinates)
         parameters = read_parameters(name, self.parameters, coordinates)
         with waiting(f"reading {name}"):
-            plain, positions, invariants = _read(name, coordinates, parameters, self)
+            plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         for key, value in {
             "coordinates": coordinates,
             "kinetic": sp.sympify(self.kinetic),
@@ -159,23 +152,20 @@ class MechanicalSystem:
         symbols = Symbols(functions, read_parameters(name, parameters, functions))
         allowed = (*symbols.q, *symbols.v, *symbols.a)
         with waiting(f"reading {name}"):
-            plain = read_expression(name, "Lagrangian", lagrangian, symbols.replace, allowed)
-            mass = mass_matrix_of(name, "Lagrangian", plain, symbols.v, symbols.back)
-            linear, potential = gyroscopic_and_potential(plain, symbols.v)
-        n = len(symbols.v)
-        pairs = ((i, j) for i in range(n) for j in range(n))
-        kinetic = sp.Add(*(mass[i, j] * symbols.v[i] * symbols.v[j] for i, j in pairs)) / 2
+            value = read_expression(
+                name, "Lagrangian", lagrangian, symbols, symbols.known, allowed
+            )  # fmt: skip
+            parts = polynomial(name, "Lagrangian", value, symbols)
+            kinetic, gyroscopic, potential = energies(sp.sympify(lagrangian), parts, symbols)
         return cls(
             name,
             coordinates=functions,
-            kinetic=symbols.restore(kinetic),
-            potential=symbols.restore(potential),
+            kinetic=kinetic,
+            potential=potential,
             parameters=parameters,
             positions=positions,
             invariants=invariants,
-            gyroscopic=symbols.restore(
-                sum((a * v for a, v in zip(linear, symbols.v, strict=True)), sp.S.Zero)
-            ),
+            gyroscopic=gyroscopic,
         )
 
     @classmethod
@@ -244,6 +234,12 @@ class MechanicalSystem:
         return Matrix(self.plain.mass.xreplace(dict(back)))
 
     @property
+    def large(self) -> bool:
+        """Whether T and V are too long to be shown."""
+        plain = self.plain
+        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > 10 * LARGE
+
+    @property
     def lagrangian(self) -> sp.Expr:
         """L = T + a.v - V in the user's own symbols."""
         return self.kinetic + self.gyroscopic - self.potential
@@ -258,14 +254,29 @@ class MechanicalSystem:
     def digest(self) -> str:
         """SHA-256 over names and equations, not over the parameters' values."""
         plain = self.plain
+        values = [plain.T, *plain.energies, *plain.invariants.values()]
+        nodes = plain.graph.reached(n for _, n in values)
+        place = {n: k for k, n in enumerate(nodes)}
+
+        def spelled(n: int) -> str:
+            kind, parts, _ = plain.graph.nodes[n]
+            match kind:
+                case "sum":
+                    return str([(str(c), place[m]) for c, m in parts])
+                case "product":
+                    return str([(place[m], str(e)) for m, e in parts])
+                case "function":
+                    return str([parts[0], *((str(c), place[m]) for c, m in parts[1:])])
+            return str(parts)
+
         content = [
             self.name,
             [str(q) for q in self.coordinates],
             [sp.srepr(a) for a in self.parameters],
-            sorted((place, sp.srepr(m)) for place, m in plain.mass.todok().items()),
-            [sp.srepr(a) for a in plain.gyroscopic],
-            sp.srepr(plain.potential),
-            {key: sp.srepr(value) for key, value in plain.invariants.items()},
+            sorted(plain.M),
+            [(plain.graph.nodes[n].kind, spelled(n)) for n in nodes],
+            [(str(c), place[n]) for c, n in values],
+            list(plain.invariants),
         ]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
@@ -288,79 +299,3 @@ class MechanicalSystem:
         from symsimpson.display.symbolic import system
 
         return system(self)
-
-
-def _read(
-    name: str,
-    coordinates: tuple[AppliedUndef, ...],
-    parameters: Mapping[sp.Symbol, float],
-    given: MechanicalSystem,
-) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
-    """Check the energies and write them in plain symbols."""
-    s = Symbols(coordinates, parameters)
-    read = read_expression
-    kinetic = read(name, "kinetic energy", given.kinetic, s.replace, (*s.q, *s.v, *s.a))
-    potential = read(name, "potential", given.potential, s.replace, (*s.q, *s.a))
-    linear = read(name, "gyroscopic term", given.gyroscopic, s.replace, (*s.q, *s.v, *s.a))
-    mass = mass_matrix_of(name, "kinetic energy", kinetic, s.v, s.back)
-    rest = gyroscopic_and_potential(kinetic, s.v)
-    if any(rest[0]) or rest[1] != 0:
-        leftover = sum((a * v for a, v in zip(rest[0], s.v, strict=True)), -rest[1])
-        raise fail(
-            name,
-            f"the kinetic energy is not a quadratic form in the velocities: it contains "
-            f"{spell(s.restore(leftover))}.",
-            "Move terms without velocities to the potential (with the opposite sign) and linear "
-            "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
-        )
-    gyroscopic, constant = gyroscopic_and_potential(linear, s.v)
-    check_degenerate(name, mass, gyroscopic, s.q, s.back)
-    check_mass_matrix(name, mass, s.q, s.v, s.a, s.back)
-    terms = Sum(linear)
-    if constant != 0 or any(terms.diff(s.v[i], s.v[j]) != 0 for i, j in terms.pairs(s.v)):
-        raise fail(
-            name,
-            f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
-            "It must have the form a(q).v; put the rest into T or V.",
-        )
-    positions: dict[str, tuple[Any, ...]] = {}
-    for key, point in (given.positions or {}).items():
-        nested = isinstance(point, (tuple, list))
-        body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
-        corners = point if body else [point]
-        found: list[tuple[sp.Expr, ...]] = []
-        for corner in corners:
-            single = not isinstance(corner, (tuple, list, sp.MatrixBase))
-            components = (corner,) if single else tuple(corner)
-            if not 1 <= len(components) <= 3:
-                raise fail(
-                    name, f"position {key!r} has {len(components)} components.",
-                    "A point has one to three Cartesian components.",
-                )  # fmt: skip
-            for component in components:
-                read(name, f"position {key!r}", component, s.replace, (*s.q, *s.a))
-            found.append(tuple(sp.sympify(c) for c in components))
-        positions[str(key)] = tuple(found) if body else found[0]
-    watch = {**s.replace, **dict(zip(momenta(*coordinates), s.p, strict=True))}
-    invariants: dict[str, sp.Expr] = {}
-    plain_invariants: dict[str, sp.Expr] = {}
-    for key, quantity in (given.invariants or {}).items():
-        if not isinstance(key, str):
-            raise ModelError(f"system '{name}': the invariant's name {key!r} is not a string.\n"
-                             "Write invariants={'angular momentum': ...}.")  # fmt: skip
-        plain_invariants[key] = read(
-            name, f"invariant {key!r}", quantity, watch, (*s.q, *s.v, *s.p, *s.a)
-        )
-        invariants[key] = sp.sympify(quantity)
-    names = [q.func.__name__ for q in coordinates]
-    momentum = [a + row for a, row in zip(gyroscopic, mass * sp.Matrix(s.v), strict=True)]
-    written_out = {
-        f"p_{x}" for x, p, value in zip(names, s.p, momentum, strict=True)
-        if f"p_{x}" in invariants and same_number(plain_invariants[f"p_{x}"], p, value)
-    }  # fmt: skip
-    check_names(name, names, [key for key in invariants if key not in written_out])
-    plain = Plain(
-        q=s.q, v=s.v, p=s.p, parameters=s.a, mass=mass, gyroscopic=gyroscopic,
-        potential=potential, invariants=MappingProxyType(plain_invariants),
-    )  # fmt: skip
-    return plain, MappingProxyType(positions), MappingProxyType(invariants)

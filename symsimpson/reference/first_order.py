@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import sympy as sp
 
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.nodes import UNIT, ZERO, Value
+from symsimpson.graph.program import Program
+from symsimpson.graph.read import line_written, number
+from symsimpson.graph.share import share
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["FirstOrder", "canonical", "reduced_top", "second_order"]
 
 Definition = tuple[sp.Symbol, sp.Expr]
+Key = tuple[Hashable, ...]
 
 
 @dataclass(frozen=True)
@@ -74,21 +80,36 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     q' = v with M v = p - a, and p' = dL/dq at (q, v).
     """
     plain = system.plain
-    p = _symbols("p", len(plain.q))
-    momenta = [x - a for x, a in zip(p, plain.gyroscopic, strict=True)]
-    definitions, v = _solve(plain.mass, momenta, "v")
-    forces = [force.xreplace(dict(zip(plain.v, v, strict=True))) for force in _forces(plain)]
-    return _system(system, "canonical", (*plain.q, *p), definitions, (*v, *forces))
+    p, n = _symbols("p", len(plain.q)), len(plain.q)
+    graph, L = plain.graph, plain.L
+    forces = gradient(graph, L, plain.numbers(plain.q))
+    lines = _Lines(plain, {**_mass_and_a(plain), **{("F", i): f for i, f in enumerate(forces)}})
+    momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
+    solution, v = _solve(lines.mass(n), momenta, "v")
+    known = dict(zip(plain.v, v, strict=True))
+    rates = [lines.value("F", i).xreplace(known) for i in range(n)]
+    later = [(name, value.xreplace(known)) for name, value in lines.later]
+    definitions = (*lines.early, *solution, *later)
+    return _system(system, "canonical", (*plain.q, *p), definitions, (*v, *rates))
 
 
 def second_order(system: MechanicalSystem) -> FirstOrder:
     """Write the Euler-Lagrange equations in (q, v): M v' = dL/dq - (d p/d q) v."""
-    plain = system.plain
-    momenta = plain.mass * sp.Matrix(plain.v) + sp.Matrix(plain.gyroscopic)
-    moving = momenta.jacobian(plain.q) * sp.Matrix(plain.v)
-    right = [force - move for force, move in zip(_forces(plain), moving, strict=True)]
-    definitions, a = _solve(plain.mass, right, "a")
-    return _system(system, "second order", (*plain.q, *plain.v), definitions, (*plain.v, *a))
+    plain, n = system.plain, system.n
+    graph, L = plain.graph, plain.L
+    q, v = plain.numbers(plain.q), plain.numbers(plain.v)
+    forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
+    right: dict[Key, Value] = {}
+    for i in range(n):
+        slopes = gradient(graph, momenta[i], q)
+        moving = [graph.multiply([(-1, 0), s, (1, x)]) for s, x in zip(slopes, v, strict=True)]
+        right["right", i] = graph.add([forces[i], *moving])
+    lines = _Lines(plain, {**_mass_and_a(plain), **right})
+    solution, rates = _solve(lines.mass(n), [lines.value("right", i) for i in range(n)], "a")
+    definitions = (*lines.early, *lines.later, *solution)
+    return _system(
+        system, "second order", (*plain.q, *plain.v), definitions, (*plain.v, *rates)
+    )  # fmt: skip
 
 
 def reduced_top(p_phi: Any, p_psi: Any, *, inertia: float = 1.0, A: Any = None) -> FirstOrder:
@@ -114,20 +135,51 @@ def _system(
     system: MechanicalSystem,
     form: str,
     unknowns: tuple[sp.Symbol, ...],
-    definitions: tuple[Definition, ...],
-    rates: tuple[sp.Expr, ...],
+    definitions: Sequence[Definition],
+    rates: Sequence[sp.Expr],
 ) -> FirstOrder:
     values = dict(zip(system.plain.parameters, system.parameters.values(), strict=True))
     names = tuple(str(symbol) for symbol in system.parameters)
-    return FirstOrder(f"{system.name}, {form}", unknowns, definitions, rates, values, names)
+    return FirstOrder(
+        f"{system.name}, {form}", unknowns, tuple(definitions), tuple(rates), values, names
+    )
 
 
-def _forces(plain: Plain) -> list[sp.Expr]:
-    """Give dL/dq."""
-    v = sp.Matrix(plain.v)
-    kinetic = (v.T * plain.mass * v)[0] / 2 + sp.Matrix(plain.gyroscopic).dot(v)
-    lagrangian = sp.expand(kinetic) - plain.potential
-    return [lagrangian.diff(x) for x in plain.q]
+class _Lines:
+    """Outputs as definitions, a line each: those of q alone, and those of v behind them."""
+
+    def __init__(self, plain: Plain, outputs: Mapping[Key, Value]) -> None:
+        level = plain.level(plain.graph)
+        program = share(Program.of(plain.graph, outputs, level))
+        self._outputs = program.outputs
+        self.early: list[Definition] = []
+        self.later: list[Definition] = []
+        symbols = (*plain.q, *plain.v, *plain.parameters)
+        self._done: dict[int, sp.Expr] = dict(zip(plain.numbers(symbols), symbols, strict=True))
+        self._done[UNIT] = sp.S.One
+        for n in program.order():
+            if n not in self._done:
+                line = program.lines[n]
+                name = sp.Symbol(f"x_{n}", real=True)
+                value = line_written(line.kind, line.parts, self._done)
+                (self.later if line.level > 1 else self.early).append((name, value))
+                self._done[n] = name
+
+    def value(self, *key: Hashable) -> sp.Expr:
+        """Give an output."""
+        coefficient, n = self._outputs.get(key, ZERO)
+        return number(coefficient) * self._done[n] if coefficient else sp.S.Zero
+
+    def mass(self, n: int) -> sp.ImmutableDenseMatrix:
+        """Give M."""
+        return sp.ImmutableDenseMatrix(
+            n, n, lambda i, j: self.value("M", max(i, j), min(i, j))
+        )  # fmt: skip
+
+
+def _mass_and_a(plain: Plain) -> dict[Key, Value]:
+    found: dict[Key, Value] = {("M", i, j): value for (i, j), value in plain.M.items()}
+    return found | {("a", i): value for i, value in enumerate(plain.a)}
 
 
 def _solve(

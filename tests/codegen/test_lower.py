@@ -1,5 +1,7 @@
 """What is computed once, and lines in an order that no hash decides."""
 
+import re
+
 import mpmath
 import numpy as np
 import pytest
@@ -28,9 +30,9 @@ def test_values_move_to_the_next_step_in_the_order_of_their_names():
 
 def test_a_sum_of_known_angles_needs_no_sine_of_its_own():
     text = source(ss.systems.double_pendulum(), ss.SIMPSON)
-    assert "sincos(q1_1)" in text
-    assert "sincos(angle" not in text
-    assert "sin_angle1_1 = cos_q2_1*sin_q1_1 - cos_q1_1*sin_q2_1" in text
+    newton = text.partition("def newton(")[2].partition("\ndef ")[0]
+    angles = re.findall(r"sincos\((\w+)\)", newton)
+    assert sorted(angles) == ["q1_1", "q1_2", "q2_1", "q2_2"]
 
 
 def test_a_sine_that_something_is_divided_by_keeps_its_digits():
@@ -80,14 +82,13 @@ def test_numbers_beyond_64_bits(number, scheme):
     np.testing.assert_allclose(swung(number, {}), swung(k, {k: float(number)}), rtol=1e-14)
 
 
-def test_numbers_that_no_double_holds_are_refused():
+def test_numbers_with_long_denominators():
     (x,) = ss.coordinates("x")
     tiny = ss.MechanicalSystem(
         "tiny", coordinates=(x,), kinetic=x.diff() ** 2 / 2,
         potential=sp.Rational(0.1) ** 30 * x**2, parameters={},
     )  # fmt: skip
-    with pytest.raises(ss.GenerationError, match="larger than doubles can be"):
-        ss.compile(tiny)
+    assert ss.compile(tiny).energy([[3.0]], [[0.0]])[0] == pytest.approx(9e-30, rel=1e-15)
 
 
 @pytest.mark.parametrize(

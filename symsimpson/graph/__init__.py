@@ -1,0 +1,1 @@
+"""Expressions as a graph in which everything is written once."""

@@ -1,0 +1,144 @@
+"""Exact derivatives on the graph: forward by one symbol, in reverse by many."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+
+from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, exact
+
+__all__ = ["Derivatives", "gradient", "slopes"]
+
+
+class Derivatives:
+    """Derivatives of nodes by symbols, each taken once."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._known: dict[tuple[int, int], Value] = {}
+
+    def __call__(self, value: Value, x: int) -> Value:
+        """Differentiate a value by the symbol x."""
+        graph, known = self._graph, self._known
+        coefficient, root = value
+        if not coefficient or x not in graph.nodes[root].symbols:
+            return ZERO
+        work = [root]
+        while work:  # without recursion: chains of sums may be long
+            n = work[-1]
+            if (n, x) in known:
+                work.pop()
+                continue
+            moving = [m for m in graph.arguments(n) if x in graph.nodes[m].symbols]
+            missing = [m for m in moving if (m, x) not in known]
+            if missing:
+                work += missing
+                continue
+            known[n, x] = self._node(n, x)
+            work.pop()
+        slope, n = known[root, x]
+        return exact(coefficient * slope), n
+
+    def _node(self, n: int, x: int) -> Value:
+        graph, known = self._graph, self._known
+        if n == x:
+            return ONE
+        terms = []
+        for m, outer in slopes(graph, n):
+            if x in graph.nodes[m].symbols:
+                terms.append(graph.multiply([outer, known[m, x]]))
+        return graph.add(terms)
+
+
+def gradient(graph: Graph, value: Value, symbols: Sequence[int]) -> list[Value]:
+    """Differentiate a value by many symbols in one pass from the value down."""
+    coefficient, root = value
+    wanted = set(symbols)
+    collected: dict[int, list[Value]] = {root: [(coefficient, 0)]}
+    found: dict[int, Value] = {}
+    for n in reversed(graph.reached([root])):
+        if n not in collected or graph.nodes[n].symbols.isdisjoint(wanted):
+            continue
+        adjoint = graph.add(collected.pop(n))
+        if n in wanted:
+            found[n] = adjoint
+            continue
+        for m, outer in slopes(graph, n):
+            if not graph.nodes[m].symbols.isdisjoint(wanted):
+                collected.setdefault(m, []).append(graph.multiply([adjoint, outer]))
+    return [found.get(x, ZERO) for x in symbols]
+
+
+def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
+    """Give the derivatives of a node by the nodes that it is made of."""
+    kind, parts, _ = graph.nodes[n]
+    if kind == "sum":
+        return [(m, (c, 0)) for c, m in parts]
+    if kind == "product":
+        found = []
+        for k, (m, e) in enumerate(parts):
+            others = [(1, base, f) for base, f in (*parts[:k], *parts[k + 1 :])]
+            found.append((m, graph.multiply([(e, m, e - 1), *others])))
+        return found
+    if kind == "function":
+        name, *arguments = parts
+        outer = _outer(graph, n, name, arguments)
+        return [
+            (m, graph.multiply([(c, 0), slope]))
+            for (c, m), slope in zip(arguments, outer, strict=True)
+        ]
+    return []
+
+
+def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[Value]:
+    """Give the derivatives of a function by its arguments."""
+    x = arguments[0]
+    square = graph.power(x, 2)
+    own = (1, n)
+    half = Fraction(1, 2)
+
+    def with_one(sign: int, of_square: int) -> Value:
+        return graph.add([(sign, 0), graph.multiply([(of_square, 0), square])])
+
+    def minus(value: Value) -> Value:
+        return -value[0], value[1]
+
+    match name:
+        case "sin":
+            return [graph.function("cos", x)]
+        case "cos":
+            return [minus(graph.function("sin", x))]
+        case "asin":
+            return [graph.power(with_one(1, -1), -half)]
+        case "acos":
+            return [minus(graph.power(with_one(1, -1), -half))]
+        case "atan":
+            return [graph.power(with_one(1, 1), -1)]
+        case "sinh":
+            return [graph.function("cosh", x)]
+        case "cosh":
+            return [graph.function("sinh", x)]
+        case "tanh":
+            return [graph.add([ONE, minus(graph.power(own, 2))])]
+        case "asinh":
+            return [graph.power(with_one(1, 1), -half)]
+        case "acosh":
+            return [graph.power(with_one(-1, 1), -half)]
+        case "atanh":
+            return [graph.power(with_one(1, -1), -1)]
+        case "exp":
+            return [own]
+        case "log":
+            return [graph.power(x, -1)]
+        case "erf" | "erfc":
+            bell = graph.function("exp", minus(square))
+            factor = graph.power(graph.constant("pi"), -half)
+            return [graph.multiply([(2 if name == "erf" else -2, 0), factor, bell])]
+        case "pow":
+            slope = graph.multiply([arguments[1], own, graph.power(x, -1)])
+            return [slope, graph.multiply([own, graph.function("log", x)])]
+        case "atan2":
+            y, x = arguments
+            over = graph.power(graph.add([graph.power(x, 2), graph.power(y, 2)]), -1)
+            return [graph.multiply([x, over]), minus(graph.multiply([y, over]))]
+    raise AssertionError(name)

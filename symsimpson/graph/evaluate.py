@@ -1,0 +1,71 @@
+"""Nodes in ordinary numbers: doubles, or many digits of mpmath."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+from symsimpson.graph.nodes import Exact, Graph
+
+__all__ = ["evaluated", "line_value"]
+
+
+def evaluated(
+    graph: Graph, roots: Iterable[int], symbols: Mapping[int, Any], context: Any
+) -> dict[int, Any]:
+    """Evaluate nodes and all that they are made of.
+
+    Parameters
+    ----------
+    graph : Graph
+    roots : iterable of int
+    symbols : mapping from node to number
+    context : mpmath context
+        ``mpmath.mp`` for the digits that it is set to, ``mpmath.fp`` for doubles.
+
+    Returns
+    -------
+    dict from node to number
+        NaN where there is no real value.
+    """
+    values = dict(symbols)
+    for n in graph.reached(roots):
+        if n not in values:
+            kind, parts, _ = graph.nodes[n]
+            values[n] = line_value(kind, parts, values, context)
+    return values
+
+
+def line_value(kind: str, parts: Sequence[Any], values: Mapping[int, Any], context: Any) -> Any:
+    """Evaluate one node, or one line of a program, from those that it is made of."""
+    try:
+        match kind:
+            case "sum":
+                value = context.fsum(_number(context, c) * values[m] for c, m in parts)
+            case "product":
+                value = context.fprod(values[m] ** _number(context, e) for m, e in parts)
+            case "function":
+                arguments = [_number(context, c) * values[m] for c, m in parts[1:]]
+                value = _function(context, parts[0])(*arguments)
+            case _:
+                value = _constant(context, parts)
+    except (ZeroDivisionError, ValueError, OverflowError):
+        return context.nan
+    return context.nan if isinstance(value, (complex, context.mpc)) else value
+
+
+def _number(context: Any, x: Exact) -> Any:
+    return context.mpf(x.numerator) / x.denominator if x.denominator != 1 else int(x)
+
+
+def _constant(context: Any, parts: Sequence[str]) -> Any:
+    if not parts:
+        return context.mpf(1)
+    return {"pi": context.pi, "EulerGamma": context.euler, "Catalan": context.catalan}[parts[0]]
+
+
+def _function(context: Any, name: str) -> Callable[..., Any]:
+    if name == "pow":
+        return lambda x, y: x**y
+    function: Callable[..., Any] = getattr(context, name)
+    return function

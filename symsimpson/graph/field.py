@@ -1,0 +1,331 @@
+"""Values of nodes at random points of a finite field: what is zero there is zero identically.
+
+A point draws numbers modulo a prime for symbols, points of the unit circle for the nodes that
+angles are made of, units for exponentials, and numbers that are equal for equal arguments for all
+other functions. An expression that is rational in symbols, sines, cosines, exponentials and
+independent square roots is not zero as a function where its value is not, and where it is zero at
+two points, it is no zero with a probability below (degree/2^61)^2 [1]_, [2]_. Other functions are
+never taken for zero by mistake: their values are drawn without regard to what they are.
+
+References
+----------
+.. [1] J. T. Schwartz, Fast probabilistic algorithms for verification of polynomial identities,
+   Journal of the ACM 27 (1980), 701-717.
+.. [2] G. H. Gonnet, Determining equivalence of expressions in random polynomial time,
+   Proc. 16th ACM Symposium on Theory of Computing (1984), 334-341.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterable, Sequence
+from fractions import Fraction
+from math import lcm
+from typing import Any, Protocol
+
+from symsimpson.graph.nodes import Exact, Graph, Value
+
+__all__ = ["PRIME", "Arithmetic", "Evaluation", "Numbers"]
+
+#: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
+PRIME = 2**61 - 1
+#: A number, or a pair (a, b) for a + b i.
+Element = Any
+
+
+class Arithmetic(Protocol):
+    """What an evaluation must be told of the numbers that it computes with."""
+
+    prime: int
+
+    def draw(self, *key: object) -> Element:
+        """Give a random number that is the same for the same key."""
+        ...
+
+    def inverse(self, x: Element) -> Element:
+        """Give 1/x.
+
+        Raises
+        ------
+        ZeroDivisionError
+            If x is zero.
+        """
+        ...
+
+    def root(self, x: Element) -> Element:
+        """Give a square root."""
+        ...
+
+    def times(self, x: Element, y: Element) -> Element:
+        """Give x y."""
+        ...
+
+    def plus(self, x: Element, y: Element) -> Element:
+        """Give x + y."""
+        ...
+
+
+class Numbers:
+    """Single numbers modulo :data:`PRIME`, and pairs of them where roots need i."""
+
+    prime = PRIME
+
+    def __init__(self, seed: int) -> None:
+        self._seed = seed
+
+    def draw(self, *key: object) -> int:
+        """Give a random number that is the same for the same key."""
+        text = repr((self._seed, *key)).encode()
+        return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % PRIME
+
+    def inverse(self, x: Element) -> Element:
+        """Give 1/x."""
+        if isinstance(x, int):
+            if not x:
+                raise ZeroDivisionError
+            return pow(x, -1, PRIME)
+        a, b = x
+        norm = pow(a * a + b * b, -1, PRIME)
+        return a * norm % PRIME, -b * norm % PRIME
+
+    def root(self, x: Element) -> Element:
+        """Give a square root; of a number without one in the field, a random number."""
+        if not isinstance(x, int):
+            return self.draw("root", x)
+        found = pow(x, (PRIME + 1) // 4, PRIME)
+        if found * found % PRIME == x:
+            return found
+        return 0, pow(-x, (PRIME + 1) // 4, PRIME)
+
+    def times(self, x: Element, y: Element) -> Element:
+        """Give x y."""
+        if isinstance(x, int) and isinstance(y, int):
+            return x * y % PRIME
+        (a, b), (c, d) = _pair(x), _pair(y)
+        return _reduced(a * c - b * d, a * d + b * c)
+
+    def plus(self, x: Element, y: Element) -> Element:
+        """Give x + y."""
+        if isinstance(x, int) and isinstance(y, int):
+            return (x + y) % PRIME
+        (a, b), (c, d) = _pair(x), _pair(y)
+        return _reduced(a + c, b + d)
+
+
+def _pair(x: Element) -> tuple[int, int]:
+    return (x, 0) if isinstance(x, int) else x
+
+
+def _reduced(a: int, b: int) -> Element:
+    b %= PRIME
+    return (a % PRIME, b) if b else a % PRIME
+
+
+class Evaluation:
+    """The values of nodes at one random point.
+
+    Parameters
+    ----------
+    graph : Graph
+    roots : iterable of int
+        Nodes to evaluate, with all that they are made of.
+    arithmetic : Arithmetic
+    opaque : collection of int
+        Nodes whose square roots are drawn as those of other functions are.
+
+    Raises
+    ------
+    ZeroDivisionError
+        If something is divided by zero at this point: take another one.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        roots: Iterable[int],
+        arithmetic: Arithmetic,
+        opaque: Collection[int] = (),
+    ) -> None:
+        self._graph, self._arithmetic, self._opaque = graph, arithmetic, opaque
+        self._angles: dict[int, dict[int, Exact]] = {}
+        self._divisors: dict[int, int] = {}
+        self._powers: dict[tuple[int, Any], tuple[Element, Element]] = {}
+        nodes = graph.reached(roots)
+        for n in nodes:
+            self._note(n)
+        self.values: dict[int, Element] = {}
+        self._symbols: dict[int, Element] = {}
+        self._evaluate(nodes, self.values)
+        self._having: dict[int, list[int]] | None = None
+
+    def __getitem__(self, value: Value) -> Element:
+        """Give the value of a value."""
+        coefficient, n = value
+        return self._arithmetic.times(self._number(coefficient), self.values[n])
+
+    def having(self, x: int) -> Sequence[int]:
+        """List the nodes that contain a symbol."""
+        if self._having is None:
+            self._having = {}
+            for n in self.values:
+                for s in self._graph.nodes[n].symbols:
+                    self._having.setdefault(s, []).append(n)
+        return self._having.get(x, [])
+
+    def moved(self, x: int) -> set[int]:
+        """Give the nodes whose values change when a symbol takes another value."""
+        own = self.having(x)
+        if not own:
+            return set()
+        values = _Layered(self.values)
+        self._symbols[x] = self._arithmetic.draw("moved", self._graph.nodes[x].parts[0])
+        try:
+            self._evaluate(own, values)
+        finally:
+            del self._symbols[x]
+        return {n for n in own if values[n] != self.values[n]}
+
+    def at(self, symbols: dict[int, Element]) -> Evaluation:
+        """Give the values of the same nodes where symbols have these values."""
+        other = object.__new__(Evaluation)
+        other.__dict__.update(self.__dict__)
+        other._symbols, other.values, other._having = symbols, {}, None
+        other._evaluate(sorted(self.values), other.values)
+        return other
+
+    def _note(self, n: int) -> None:
+        """Note by what a node that angles are made of is divided in some of them."""
+        kind, parts, _ = self._graph.nodes[n]
+        if kind == "function" and parts[0] in ("sin", "cos", "exp", "sinh", "cosh", "tanh"):
+            for m, c in self._angle(parts[1]).items():
+                self._divisors[m] = lcm(self._divisors.get(m, 1), c.denominator)
+
+    def _angle(self, value: Value) -> dict[int, Exact]:
+        """Write an angle as a rational combination of nodes that are no sums."""
+        coefficient, n = value
+        if n not in self._angles:
+            kind, parts, _ = self._graph.nodes[n]
+            if kind == "sum":
+                found: dict[int, Exact] = {}
+                for c, m in parts:
+                    for base, f in self._angle((c, m)).items():
+                        found[base] = found.get(base, 0) + f
+                self._angles[n] = {m: c for m, c in found.items() if c}
+            else:
+                self._angles[n] = {n: 1}
+        return {m: Fraction(coefficient) * c for m, c in self._angles[n].items()}
+
+    def _number(self, x: Exact) -> int:
+        p = self._arithmetic.prime
+        if isinstance(x, int):
+            return x % p
+        return x.numerator * pow(x.denominator, -1, p) % p
+
+    def _evaluate(self, nodes: Iterable[int], values: dict[int, Element]) -> None:
+        times, plus = self._arithmetic.times, self._arithmetic.plus
+        for n in nodes:
+            kind, parts, _ = self._graph.nodes[n]
+            if kind == "sum":
+                total: Element = 0
+                for c, m in parts:
+                    total = plus(total, times(self._number(c), values[m]))
+                values[n] = total
+            elif kind == "product":
+                product: Element = 1
+                for m, e in parts:
+                    product = times(product, self._power(m, values[m], e))
+                values[n] = product
+            elif kind == "function":
+                values[n] = self._function(parts, values)
+            elif kind == "symbol":
+                own = self._symbols.get(n)
+                values[n] = self._arithmetic.draw("symbol", parts[0]) if own is None else own
+            else:
+                values[n] = 1 if n == 0 else self._arithmetic.draw("constant", *parts)
+
+    def _power(self, n: int, x: Element, e: Exact) -> Element:
+        if e.denominator == 2 and n not in self._opaque:
+            x = self._arithmetic.root(x)
+        elif e.denominator != 1:
+            x = self._arithmetic.draw("power", x, e.denominator)
+        return self._whole_power(x, e.numerator)
+
+    def _whole_power(self, x: Element, e: int) -> Element:
+        times = self._arithmetic.times
+        if e < 0:
+            x, e = self._arithmetic.inverse(x), -e
+        result: Element = 1
+        while e:
+            if e & 1:
+                result = times(result, x)
+            x, e = times(x, x), e >> 1
+        return result
+
+    def _function(self, parts: tuple[Any, ...], values: dict[int, Element]) -> Element:
+        name, *arguments = parts
+        a = self._arithmetic
+        times, plus = a.times, a.plus
+        if name in ("sin", "cos"):
+            c, s = 1, 0
+            for m, factor in self._angle(arguments[0]).items():
+                d, r = self._turned(m, values[m], factor)
+                minus = times(a.prime - 1, times(s, r))
+                c, s = plus(times(c, d), minus), plus(times(s, d), times(c, r))
+            return s if name == "sin" else c
+        if name in ("exp", "sinh", "cosh", "tanh"):
+            unit: Element = 1
+            for m, factor in self._angle(arguments[0]).items():
+                own = a.draw("exp", self._share(m, values[m]))
+                unit = times(unit, self._whole_power(own, int(factor * self._divisors[m])))
+            if name == "exp":
+                return unit
+            back = times(a.prime - 1, a.inverse(unit))
+            half = (a.prime + 1) // 2
+            sinh, cosh = (
+                times(half, plus(unit, back)),
+                times(half, plus(unit, times(a.prime - 1, back))),
+            )
+            return (
+                {"sinh": sinh, "cosh": cosh}.get(name)
+                if name != "tanh"
+                else times(sinh, a.inverse(cosh))
+            )
+        return a.draw(name, *(times(self._number(c), values[m]) for c, m in arguments))
+
+    def _share(self, n: int, value: Element) -> Element:
+        """Give the part of a node of which angles hold whole multiples."""
+        return self._arithmetic.times(self._number(Fraction(1, self._divisors[n])), value)
+
+    def _turned(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:
+        """Give cosine and sine of a multiple of a node."""
+        a = self._arithmetic
+        times, plus = a.times, a.plus
+        t = a.draw("circle", self._share(n, value))
+        square = times(t, t)
+        over = a.inverse(plus(1, square))
+        c, s = times(plus(1, times(a.prime - 1, square)), over), times(times(2, t), over)
+        whole = int(factor * self._divisors[n])
+        if whole < 0:
+            s, whole = times(a.prime - 1, s), -whole
+        found: tuple[Element, Element] = (1, 0)
+        while whole:
+            if whole & 1:
+                x, y = found
+                found = (
+                    plus(times(x, c), times(a.prime - 1, times(y, s))),
+                    plus(times(x, s), times(y, c)),
+                )
+            c, s = plus(times(c, c), times(a.prime - 1, times(s, s))), times(2, times(s, c))
+            whole >>= 1
+        return found
+
+
+class _Layered(dict[int, Element]):
+    """Values above others that stay as they are."""
+
+    def __init__(self, below: dict[int, Element]) -> None:
+        super().__init__()
+        self._below = below
+
+    def __missing__(self, n: int) -> Element:
+        return self._below[n]

@@ -1,0 +1,112 @@
+"""What values depend on, found by moving symbols in a finite field.
+
+That something moves is a proof; that it does not is an identity test at two points, whose error is
+below 2^-100. What is made of functions of which the field knows nothing counts as moving.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from symsimpson.graph.field import Element, Evaluation, Numbers
+from symsimpson.graph.merge import evaluations
+from symsimpson.graph.nodes import ZERO, Graph, Value
+from symsimpson.graph.rebuild import fixed
+from symsimpson.graph.roots import dependent_radicands
+
+__all__ = ["Findings"]
+
+POINTS = 2
+#: Functions that a field knows as well as algebra does.
+KNOWN = frozenset(["sin", "cos", "exp", "sinh", "cosh", "tanh"])
+
+
+class Findings:
+    """Answers about values, and what they are made of.
+
+    Parameters
+    ----------
+    graph : Graph
+    values : sequence of Value
+        All that will be asked about.
+    """
+
+    def __init__(self, graph: Graph, values: Sequence[Value]) -> None:
+        self._graph = graph
+        roots = [n for _, n in values]
+        self._opaque = dependent_radicands(graph, roots)
+        self.points = evaluations(graph, roots, POINTS, self._opaque)
+        self._moved: dict[int, frozenset[int]] = {}
+
+    def vanishes(self, value: Value) -> bool:
+        """Tell whether a value is zero."""
+        return not value[0] or all(not at.values[value[1]] for at in self.points)
+
+    def equal(self, first: Value, second: Value) -> bool:
+        """Tell whether two values are the same."""
+        return all(at[first] == at[second] for at in self.points)
+
+    def moved(self, x: int) -> frozenset[int]:
+        """Give the nodes that depend on a symbol."""
+        if x not in self._moved:
+            found: set[int] = set()
+            for at in self.points:
+                found |= at.moved(x)
+            self._moved[x] = frozenset(found)
+        return self._moved[x]
+
+    def depends(self, value: Value, x: int) -> bool:
+        """Tell whether a value depends on a symbol."""
+        return value[1] in self.moved(x)
+
+    def idle(self, value: Value, symbols: Iterable[int]) -> list[int]:
+        """List the symbols that stand in a value which does not depend on them."""
+        present = self._graph.nodes[value[1]].symbols
+        return [x for x in symbols if x in present and not self.depends(value, x)]
+
+    def freed(self, value: Value, symbols: Iterable[int]) -> Value:
+        """Write a value without the symbols that it does not depend on, where that can be."""
+        if self.vanishes(value):
+            return ZERO
+        for x in self.idle(value, symbols):
+            value = fixed(self._graph, value, [x]) or value
+        return value
+
+    def affine(self, values: Sequence[Value], symbols: Sequence[int]) -> list[bool]:
+        """Tell of each value whether its second differences in some symbols vanish."""
+        answer = [True] * len(values)
+        for number, point in enumerate(self.points):
+            corners = [
+                [at[value] for value in values] for at in _corners(point, symbols, number)
+            ]  # fmt: skip
+            arithmetic = Numbers(0)
+            for k, (base, one, other, both) in enumerate(zip(*corners, strict=True)):
+                left, right = arithmetic.plus(base, both), arithmetic.plus(one, other)
+                answer[k] = answer[k] and left == right
+        return answer
+
+    def opaque(self, value: Value) -> bool:
+        """Tell whether a value holds functions of which the field knows nothing."""
+        for n in self._graph.reached([value[1]]):
+            kind, parts, _ = self._graph.nodes[n]
+            if kind == "function" and parts[0] not in KNOWN:
+                return True
+            if kind == "product" and any(
+                e.denominator > 2 or (e.denominator == 2 and m in self._opaque) for m, e in parts
+            ):
+                return True
+        return False
+
+
+def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:
+    """Give a parallelogram of points: z, z + u, z + w, z + u + w."""
+    draw = Numbers(number + 1000)
+    for u, w in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        moved: dict[int, Element] = {
+            x: draw.plus(
+                draw.draw("base", x),
+                draw.plus(u * draw.draw("first", x), w * draw.draw("second", x)),
+            )
+            for x in symbols
+        }
+        yield at.at(moved)

@@ -1,0 +1,275 @@
+"""Values as pairs of an exact coefficient and a node; every node is made once.
+
+Nodes are numbered upward, so that ascending numbers are an order in which they can be computed.
+Sums in sums and products of sums stay as they are written: multiplied out, nothing would be shared
+any more. A float is the dyadic rational that it is, so that nothing is rounded here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from math import gcd, lcm
+from typing import Any, NamedTuple, TypeAlias
+
+__all__ = ["ONE", "UNIT", "ZERO", "Exact", "Graph", "Node", "Value", "exact", "magnitude"]
+
+#: A whole number or a fraction; a fraction is never whole.
+Exact: TypeAlias = int | Fraction
+#: A coefficient and the number of a node.
+Value: TypeAlias = tuple[Exact, int]
+
+#: The node of the number one, the first of every graph.
+UNIT = 0
+ZERO: Value = (0, UNIT)
+ONE: Value = (1, UNIT)
+
+#: Common factors of the coefficients of a sum are pulled out if no part of them reaches this.
+LARGE = 2**40
+#: Functions f(-x) = -f(x), and f(-x) = f(x), with their value at zero.
+ODD = frozenset(["sin", "tan", "asin", "atan", "sinh", "tanh", "asinh", "atanh", "erf"])
+#: Nodes that are pulled out of sums, where all terms have them.
+COMMON = frozenset(["symbol", "function", "sum"])
+EVEN = frozenset(["cos", "cosh"])
+AT_ZERO = {**dict.fromkeys(ODD, 0), **dict.fromkeys(EVEN, 1), "exp": 1, "erfc": 1}
+
+
+class Node(NamedTuple):
+    """A node, and the symbols that it contains by their own numbers.
+
+    ``parts`` of a symbol or a constant are its name; of a sum, pairs (coefficient, node); of a
+    product, pairs (node, exponent); of a function, its name and the values of its arguments.
+    """
+
+    kind: str
+    parts: tuple[Any, ...]
+    symbols: frozenset[int]
+
+
+class Graph:
+    """Nodes, each made once and numbered from the arguments up.
+
+    With ``factored``, what all terms of a sum have in common as a factor stands before the sum.
+    """
+
+    def __init__(self, *, factored: bool = False) -> None:
+        self.nodes: list[Node] = []
+        self.factored = factored
+        self._numbers: dict[tuple[str, tuple[Any, ...]], int] = {}
+        self._sets: dict[frozenset[int], frozenset[int]] = {}
+        self._make("unit", (), frozenset())
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def _make(self, kind: str, parts: tuple[Any, ...], symbols: frozenset[int]) -> int:
+        number = self._numbers.get((kind, parts))
+        if number is None:
+            number = self._numbers[kind, parts] = len(self.nodes)
+            symbols = self._sets.setdefault(symbols, symbols)
+            self.nodes.append(Node(kind, parts, symbols))
+        return number
+
+    def _united(self, numbers: Iterable[int]) -> frozenset[int]:
+        sets = {self.nodes[n].symbols for n in numbers}
+        return next(iter(sets)) if len(sets) == 1 else frozenset().union(*sets)
+
+    def symbol(self, name: str) -> Value:
+        """Give the symbol of a name."""
+        known = self._numbers.get(("symbol", (name,)))
+        number = len(self.nodes) if known is None else known
+        return 1, self._make("symbol", (name,), frozenset([number]))
+
+    def constant(self, name: str) -> Value:
+        """Give a number that is not rational, by its name."""
+        return 1, self._make("constant", (name,), frozenset())
+
+    def add(self, values: Iterable[Value]) -> Value:
+        """Add values; equal nodes are collected."""
+        terms: dict[int, Exact] = {}
+        for coefficient, n in values:
+            if coefficient:
+                terms[n] = terms.get(n, 0) + coefficient
+        items = [(n, exact(c)) for n, c in sorted(terms.items()) if c]
+        if not items:
+            return ZERO
+        if len(items) == 1:
+            return items[0][1], items[0][0]
+        if self.factored and (common := self._common([n for n, _ in items])):
+            rest = [self.multiply([(c, n), *((1, b, -e) for b, e in common)]) for n, c in items]
+            return self.multiply([self.add(rest), *((1, b, e) for b, e in common)])
+        content = _content([c for _, c in items])
+        if content != 1:
+            items = [(n, exact(c / Fraction(content))) for n, c in items]
+        parts = tuple((c, n) for n, c in items)
+        return content, self._make("sum", parts, self._united(n for n, _ in items))
+
+    def multiply(self, values: Iterable[tuple[Exact, int] | tuple[Exact, int, Exact]]) -> Value:
+        """Multiply values; a third entry is the exponent of the node."""
+        coefficient: Exact = 1
+        factors: dict[int, Exact] = {}
+        open_: list[tuple[int, Exact]] = []
+        for value in values:
+            coefficient *= value[0]
+            open_.append((value[1], value[2] if len(value) == 3 else 1))
+        if not coefficient:
+            return ZERO
+        while open_:
+            for n, e in open_:
+                if n != UNIT:
+                    factors[n] = factors.get(n, 0) + e
+            open_ = []
+            for n, e in list(factors.items()):
+                kind, parts, _ = self.nodes[n]
+                if not e:
+                    del factors[n]
+                elif exact(e).denominator == 1:
+                    if kind == "product":
+                        del factors[n]
+                        open_ += [(base, exact(f * e)) for base, f in parts]
+                    elif kind == "sum" and len(parts) == 1:
+                        del factors[n]
+                        coefficient *= Fraction(parts[0][0]) ** int(e)
+                        open_.append((parts[0][1], e))
+        coefficient = exact(coefficient)
+        parts = tuple((n, exact(e)) for n, e in sorted(factors.items()))
+        if not parts:
+            return coefficient, UNIT
+        if len(parts) == 1 and parts[0][1] == 1:
+            return coefficient, parts[0][0]
+        return coefficient, self._make("product", parts, self._united(n for n, _ in parts))
+
+    def power(self, value: Value, exponent: Exact) -> Value:
+        """Raise a value to a rational power.
+
+        Raises
+        ------
+        ZeroDivisionError
+            For a negative power of zero.
+        """
+        coefficient, n = value
+        exponent = exact(exponent)
+        if not coefficient:
+            if exponent < 0:
+                raise ZeroDivisionError
+            return ZERO if exponent else ONE
+        if exponent.denominator == 1:
+            outside = exact(Fraction(coefficient) ** int(exponent))
+            return self.multiply([(outside, n, exponent)])
+        root = _root(magnitude(coefficient), Fraction(exponent))
+        if root is not None:
+            return self.multiply([(root, self.kept((1 if coefficient > 0 else -1, n)), exponent)])
+        return self.multiply([(1, self.kept(value), exponent)])
+
+    def kept(self, value: Value) -> int:
+        """Give a node that stands for a value together with its coefficient."""
+        coefficient, n = value
+        if coefficient == 1:
+            return n
+        return self._make("sum", ((coefficient, n),), self.nodes[n].symbols)
+
+    def function(self, name: str, *arguments: Value) -> Value:
+        """Apply a function; tan, cot, sec and csc are made of sine and cosine."""
+        coefficient, n = arguments[0]
+        quotients = {"tan": (1, -1), "cot": (-1, 1), "sec": (0, -1), "csc": (-1, 0)}
+        if name in quotients:
+            sine, cosine = self.function("sin", *arguments), self.function("cos", *arguments)
+            e, f = quotients[name]
+            return self.multiply([self.power(sine, e), self.power(cosine, f)])
+        if not coefficient and name in AT_ZERO:
+            return AT_ZERO[name], UNIT
+        if name == "log" and arguments[0] == ONE:
+            return ZERO
+        sign = 1
+        if coefficient < 0 and (name in ODD or name in EVEN):
+            arguments = ((-coefficient, n),)
+            sign = -1 if name in ODD else 1
+        symbols = self._united(a[1] for a in arguments)
+        return sign, self._make("function", (name, *arguments), symbols)
+
+    def _common(self, numbers: list[int]) -> list[tuple[int, Exact]]:
+        """List the symbols, functions and sums, with their powers, that all have as factors."""
+        shared: dict[int, Exact] | None = None
+        for n in numbers:
+            own = {
+                base: e for base, e in self.factors(n)
+                if self.nodes[base].kind in COMMON and e > 0
+            }  # fmt: skip
+            if shared is None:
+                shared = own
+            else:
+                shared = {base: min(e, own[base]) for base, e in shared.items() if base in own}
+            if not shared:
+                return []
+        return list((shared or {}).items())
+
+    def factors(self, n: int) -> tuple[tuple[int, Exact], ...]:
+        """Give the factors of a node and their exponents."""
+        node = self.nodes[n]
+        return node.parts if node.kind == "product" else ((n, 1),)
+
+    def arguments(self, n: int) -> list[int]:
+        """List the nodes that a node is made of."""
+        kind, parts, _ = self.nodes[n]
+        match kind:
+            case "sum":
+                return [m for _, m in parts]
+            case "product":
+                return [m for m, _ in parts]
+            case "function":
+                return [value[1] for value in parts[1:]]
+        return []
+
+    def reached(self, roots: Iterable[int]) -> list[int]:
+        """List all nodes that some are made of, themselves among them, in ascending order."""
+        seen: set[int] = set()
+        work = list(roots)
+        while work:
+            n = work.pop()
+            if n not in seen:
+                seen.add(n)
+                work += self.arguments(n)
+        return sorted(seen)
+
+
+def exact(number: Exact) -> Exact:
+    """Give a fraction that is whole as a whole number."""
+    return number if isinstance(number, int) or number.denominator != 1 else number.numerator
+
+
+def magnitude(number: Exact) -> Exact:
+    """Give a number without its sign."""
+    return number if number >= 0 else -number
+
+
+def _content(coefficients: list[Exact]) -> Exact:
+    """Give the common factor of coefficients, with the sign of the first; floats keep theirs."""
+    sign = 1 if coefficients[0] > 0 else -1
+    top = gcd(*(c.numerator for c in coefficients))
+    bottom = lcm(*(c.denominator for c in coefficients))
+    if any(max(abs(c.numerator), c.denominator) >= LARGE for c in coefficients):
+        return sign
+    return exact(Fraction(sign * top, bottom)) if max(top, bottom) < LARGE else sign
+
+
+def _root(number: Exact, exponent: Fraction) -> Exact | None:
+    """Give a power of a positive number if it is rational."""
+    parts = []
+    for whole in (number.numerator, number.denominator):
+        root = _whole_root(whole, exponent.denominator)
+        if root is None:
+            return None
+        parts.append(root)
+    return exact(Fraction(*parts) ** exponent.numerator)
+
+
+def _whole_root(number: int, degree: int) -> int | None:
+    if number in (0, 1):
+        return number
+    if number.bit_length() > 10**4 or degree > 64:
+        return None
+    low, high = 1, 1 << -(-number.bit_length() // degree)
+    while low < high:
+        middle = (low + high + 1) // 2
+        low, high = (middle, high) if middle**degree <= number else (low, middle - 1)
+    return low if low**degree == number else None

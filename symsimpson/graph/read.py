@@ -1,0 +1,169 @@
+"""SymPy expressions read into a graph, and small ones written back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.graph.nodes import Graph, Value, exact
+
+__all__ = ["Reader", "fraction", "line_written", "number", "tree_size", "written"]
+
+#: SymPy's functions by their names in a graph.
+FUNCTIONS: dict[Any, str] = {
+    sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.cot: "cot", sp.sec: "sec", sp.csc: "csc",
+    sp.asin: "asin", sp.acos: "acos", sp.atan: "atan", sp.atan2: "atan2", sp.sinh: "sinh",
+    sp.cosh: "cosh", sp.tanh: "tanh", sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh",
+    sp.exp: "exp", sp.log: "log", sp.erf: "erf", sp.erfc: "erfc",
+}  # fmt: skip
+CONSTANTS: dict[Any, str] = {sp.pi: "pi", sp.EulerGamma: "EulerGamma", sp.Catalan: "Catalan"}
+#: A root has at most this index; other powers are functions.
+HIGHEST_ROOT = 24
+#: Fractions with a larger denominator, a power of two, were floats.
+FLOAT = 2**10
+
+_BY_NAME = {name: function for function, name in FUNCTIONS.items()}
+_CONSTANT_OF = {name: constant for constant, name in CONSTANTS.items()}
+
+
+class Reader:
+    """Reads expressions, each node of them once.
+
+    Parameters
+    ----------
+    graph : Graph
+    known : mapping from SymPy expression to Value
+        What symbols, coordinates and velocities stand for.
+    check : callable, optional
+        Called once with each node that is not known, before its arguments are read.
+
+    Attributes
+    ----------
+    done : dict from SymPy expression to Value
+        All that was read, and what was known.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        known: Mapping[sp.Basic, Value],
+        check: Callable[[sp.Basic], None] = lambda node: None,
+    ) -> None:
+        self._graph, self._check = graph, check
+        self.done: dict[sp.Basic, Value] = dict(known)
+
+    def __call__(self, expression: sp.Basic) -> Value:
+        """Give the value of an expression."""
+        done, work = self.done, [(expression, False)]
+        while work:
+            node, checked = work.pop()
+            if node in done:
+                continue
+            if not checked:
+                self._check(node)
+                work.append((node, True))
+                work += [(a, False) for a in reversed(node.args) if a not in done]
+            else:
+                done[node] = self._read(node)
+        return done[expression]
+
+    def _read(self, node: Any) -> Value:
+        graph = self._graph
+        arguments = [self.done[a] for a in node.args]
+        if node.is_Rational or node.is_Float:
+            return fraction(node), 0
+        if node.is_Add:
+            return graph.add(arguments)
+        if node.is_Mul:
+            return graph.multiply(arguments)
+        if node in CONSTANTS:
+            return graph.constant(CONSTANTS[node])
+        if node is sp.E:
+            return graph.function("exp", (1, 0))
+        if node.is_Pow and not isinstance(node, sp.exp):
+            return self._power(node, *arguments)
+        if node.is_Function:
+            return graph.function(FUNCTIONS[node.func], *arguments)
+        return self(node.expand(func=True))  # the golden ratio and its kin
+
+    def _power(self, node: Any, base: Value, exponent: Value) -> Value:
+        if node.base is sp.E:
+            return self._graph.function("exp", exponent)
+        if node.exp.is_number and exponent[1] == 0:
+            e = exact(exponent[0])
+            if e.denominator <= HIGHEST_ROOT:
+                return self._graph.power(base, e)
+        return self._graph.function("pow", base, exponent)
+
+
+def fraction(number: Any) -> int | Fraction:
+    """Give a SymPy number as the fraction that it is."""
+    if number.is_Rational:
+        return exact(Fraction(int(number.p), int(number.q)))
+    sign, mantissa, exponent, _ = number._mpf_
+    whole = -int(mantissa) if sign else int(mantissa)
+    return exact(whole * Fraction(2) ** int(exponent))
+
+
+def number(value: int | Fraction) -> sp.Number:
+    """Give a fraction as a SymPy number; what was a float is one again."""
+    q = value.denominator
+    huge = max(abs(value.numerator), q).bit_length() > 1000
+    if huge or (q > FLOAT and q & (q - 1) == 0 and Fraction(float(value)) == value):
+        return sp.Float(float(value))
+    return sp.Rational(value.numerator, q)
+
+
+def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr:
+    """Write a value as an expression of SymPy: a tree, so that only short ones should be.
+
+    Parameters
+    ----------
+    graph : Graph
+    value : Value
+    names : mapping from node to expression
+        What stands for symbols, and for any other node.
+    """
+    done: dict[int, sp.Expr] = {0: sp.S.One, **names}
+    for n in _needed(graph, value[1], done):
+        kind, parts, _ = graph.nodes[n]
+        done[n] = line_written(kind, parts, done)
+    return number(value[0]) * done[value[1]]
+
+
+def tree_size(graph: Graph, value: Value) -> int:
+    """Count the nodes of a value written as a tree."""
+    size: dict[int, int] = {}
+    for n in graph.reached([value[1]]):
+        size[n] = 1 + sum(size[m] for m in graph.arguments(n))
+    return size[value[1]]
+
+
+def _needed(graph: Graph, root: int, done: Mapping[int, sp.Expr]) -> Iterable[int]:
+    seen: set[int] = set()
+    work = [root]
+    while work:
+        n = work.pop()
+        if n not in seen and n not in done:
+            seen.add(n)
+            work += graph.arguments(n)
+    return sorted(seen)
+
+
+def line_written(kind: str, parts: Sequence[Any], done: Mapping[int, sp.Expr]) -> sp.Expr:
+    """Write one node or line, made of others that are written."""
+    match kind:
+        case "sum":
+            return sp.Add(*(number(c) * done[m] for c, m in parts))
+        case "product":
+            return sp.Mul(*(sp.Pow(done[m], number(e)) for m, e in parts))
+        case "function":
+            name, *values = parts
+            arguments = [number(c) * done[m] for c, m in values]
+            return sp.Pow(*arguments) if name == "pow" else _BY_NAME[name](*arguments)
+        case "constant":
+            return _CONSTANT_OF[parts[0]]
+    raise AssertionError(kind)

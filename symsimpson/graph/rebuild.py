@@ -1,0 +1,79 @@
+"""A graph written anew: with other values in place of some nodes, or in another graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from symsimpson.graph.nodes import Graph, Value, exact
+
+__all__ = ["again", "fixed", "rebuilt"]
+
+
+def rebuilt(
+    graph: Graph, values: Iterable[Value], replaced: Mapping[int, Value], into: Graph | None = None
+) -> list[Value]:
+    """Write values with others in place of some nodes.
+
+    Parameters
+    ----------
+    graph : Graph
+    values : iterable of Value
+    replaced : mapping from node to Value
+        The values belong to ``into``.
+    into : Graph, optional
+        Where to write; the same graph if not given. Nodes without a symbol are written there, too.
+
+    Raises
+    ------
+    ZeroDivisionError
+        If something is divided by zero then.
+    """
+    values = list(values)
+    same = into is None or into is graph
+    target = graph if into is None else into
+    touched = frozenset().union(*(graph.nodes[n].symbols for n in replaced)) if same else None
+    done: dict[int, Value] = dict(replaced)
+    reached = graph.reached(n for _, n in values)
+    for n in reached:
+        if n in done:
+            continue
+        if touched is not None and graph.nodes[n].symbols.isdisjoint(touched):
+            done[n] = (1, n)
+            continue
+        done[n] = again(graph, n, done, target)
+    return [(exact(c * done[n][0]) if done[n][0] else 0, done[n][1]) for c, n in values]
+
+
+def again(graph: Graph, n: int, done: Mapping[int, Value], target: Graph) -> Value:
+    """Write one node in a graph, of arguments that are done."""
+    kind, parts, _ = graph.nodes[n]
+    match kind:
+        case "sum":
+            terms = [(exact(c * done[m][0]), done[m][1]) for c, m in parts]
+            return target.add(terms)
+        case "product":
+            return target.multiply([target.power(done[m], e) for m, e in parts])
+        case "function":
+            name, *arguments = parts
+            return target.function(
+                name, *((exact(c * done[m][0]), done[m][1]) for c, m in arguments)
+            )
+        case "symbol":
+            return target.symbol(*parts)
+        case "constant":
+            return target.constant(*parts)
+    return 1, n
+
+
+def fixed(graph: Graph, value: Value, symbols: Iterable[int]) -> Value | None:
+    """Put numbers for symbols that a value does not depend on; None if none of them will do."""
+    for x in sorted(symbols):
+        for number in (0, 1, 2):
+            try:
+                (value,) = rebuilt(graph, [value], {x: (number, 0)})
+                break
+            except ZeroDivisionError:
+                continue
+        else:
+            return None
+    return value

@@ -1,0 +1,126 @@
+"""Square roots that depend on each other.
+
+A root has two signs in a field: where a product of radicands is a square, as in sqrt(a b) and
+sqrt(a) sqrt(b), a point of the field may take the wrong ones and call something zero that is not.
+Which products are squares is seen from the quadratic characters of the radicands at many points: a
+dependence among these is one among the radicands.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.graph.field import Evaluation
+from symsimpson.graph.nodes import Graph
+
+__all__ = ["dependent_radicands", "radicands"]
+
+Row = NDArray[np.int64]
+
+#: A product of two numbers modulo this fits into 64 bits.
+PRIME = 2**31 - 1
+#: A dependence that is none survives so many more points than radicands with chance 2^-40.
+MORE = 40
+
+
+def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
+    """List the nodes of which square roots are taken."""
+    found: dict[int, None] = {}
+    for n in nodes:
+        kind, parts, _ = graph.nodes[n]
+        if kind == "product":
+            for m, e in parts:
+                if e.denominator == 2:
+                    found[m] = None
+    return sorted(found)
+
+
+def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
+    """Give the radicands of which some product is a square, or may be one.
+
+    Parameters
+    ----------
+    graph : Graph
+    roots : iterable of int
+        Nodes that hold the square roots.
+    """
+    found = radicands(graph, graph.reached(roots))
+    nested = {m for m in found if radicands(graph, graph.reached([m]))}
+    plain = [m for m in found if m not in nested]
+    if not plain:
+        return frozenset(nested)
+    try:
+        at = Evaluation(graph, plain, _Rows(len(plain) + MORE))
+    except ZeroDivisionError:
+        return frozenset(found)
+    bits = [_bits(np.broadcast_to(at.values[m], len(plain) + MORE)) for m in plain]
+    return frozenset(nested | {plain[k] for k in _kernel(bits)})
+
+
+class _Rows:
+    """Rows of numbers modulo a prime below 2^31, one for each point."""
+
+    prime = PRIME
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def draw(self, *key: object) -> Row:
+        """Give random numbers that are the same for the same key."""
+        text = repr([k.tobytes() if isinstance(k, np.ndarray) else k for k in key]).encode()
+        seed = int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
+        return np.random.default_rng(seed).integers(1, PRIME, self._count)
+
+    def inverse(self, x: Any) -> Row:
+        """Give 1/x."""
+        return _power(np.broadcast_to(np.asarray(x, dtype=np.int64), self._count), PRIME - 2)
+
+    def root(self, x: Any) -> Row:
+        """Radicands with roots in them are not evaluated."""
+        raise AssertionError
+
+    def times(self, x: Any, y: Any) -> Any:
+        """Give x y."""
+        return x * y % PRIME
+
+    def plus(self, x: Any, y: Any) -> Any:
+        """Give x + y."""
+        return (x + y) % PRIME
+
+
+def _power(x: Row, e: int) -> Row:
+    result = np.ones_like(x)
+    while e:
+        if e & 1:
+            result = result * x % PRIME
+        x, e = x * x % PRIME, e >> 1
+    return result
+
+
+def _bits(values: Row) -> int:
+    """Give the points at which a radicand is no square, as the bits of a number."""
+    character = _power(values.astype(np.int64), (PRIME - 1) // 2)
+    return int("".join("1" if c == PRIME - 1 else "0" for c in character), 2)
+
+
+def _kernel(bits: list[int]) -> set[int]:
+    """Give the places that take part in a dependence modulo two."""
+    basis: dict[int, tuple[int, int]] = {}
+    found: set[int] = set()
+    for place, row in enumerate(bits):
+        members = 1 << place
+        while row:
+            top = row.bit_length()
+            if top not in basis:
+                basis[top] = (row, members)
+                break
+            other, more = basis[top]
+            row, members = row ^ other, members ^ more
+        else:
+            found |= {k for k in range(place + 1) if members >> k & 1}
+    return found

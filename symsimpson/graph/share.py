@@ -1,0 +1,204 @@
+"""Names for what products and sums have in common.
+
+Powers of one base come from one inverse or root of it; then the pair of factors that most products
+share gets a line, until none is shared, and the same for pairs of terms [1]_.
+
+References
+----------
+.. [1] A. Hosangadi, F. Fallah, R. Kastner, Optimizing polynomial expressions by algebraic
+   factorization and common subexpression elimination, IEEE Transactions on Computer-Aided Design
+   of Integrated Circuits and Systems 25 (2006), 2012-2022.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterable
+from fractions import Fraction
+from itertools import combinations
+from typing import Any
+
+from symsimpson.graph.fold import Fold
+from symsimpson.graph.nodes import exact
+from symsimpson.graph.powers import write_powers
+from symsimpson.graph.program import Item, Program, add_factor
+
+__all__ = ["share"]
+
+#: Longer sums, and products, are not searched for pairs.
+LONGEST = 40
+#: Programs with more lines than this are not searched for pairs.
+MOST_LINES = 12000
+
+Pair = tuple[Item, Item]
+
+
+def share(program: Program) -> Program:
+    """Write a program with fewer operations; it is changed in place."""
+    _gather_constants(program)
+    write_powers(program)
+    Fold(program).run()
+    if len(program.lines) <= MOST_LINES:
+        _Factors(program, 1).run()
+        _Factors(program, 9).run()
+        _Terms(program, 9).run()
+    program.resolve()
+    return program
+
+
+def _gather_constants(program: Program) -> None:
+    """Make one constant of the factors, and one of the terms, that are known before a run."""
+    for n in program.order():
+        line = program.lines[n]
+        if not line.level or line.kind not in ("sum", "product"):
+            continue
+        place = 1 if line.kind == "sum" else 0
+        early = [part for part in line.parts if not program.lines[part[place]].level]
+        if len(early) > 1:
+            constant = program.line(line.kind, early, 0)
+            rest = [part for part in line.parts if program.lines[part[place]].level]
+            line.parts = [*rest, (1, constant) if place else (constant, 1)]
+
+
+class _Pairs:
+    """Finds the pair that most lines of one kind have in common, and names it, again and again."""
+
+    kind = ""
+
+    def __init__(self, program: Program, level: int) -> None:
+        self._program, self._level = program, level
+        self._where: dict[Pair, dict[int, None]] = {}
+        self._heap: list[tuple[int, Any, Pair]] = []
+
+    def run(self) -> None:
+        """Name pairs until none is shared."""
+        for n in self._program.order():
+            if self._program.lines[n].kind == self.kind and self._program.lines[n].level:
+                self._count(n, self._pairs(n))
+        for pair in self._where:
+            self._push(pair)
+        while self._heap:
+            count, _, pair = heapq.heappop(self._heap)
+            users = self._where.get(pair, {})
+            if len(users) != -count:
+                if len(users) > 1:
+                    self._push(pair)
+                continue
+            if len(users) < 2:
+                break
+            self._name(pair, list(users))
+
+    def _push(self, pair: Pair) -> None:
+        users = len(self._where[pair])
+        if users > 1:
+            heapq.heappush(self._heap, (-users, self._rank(pair), pair))
+
+    def _name(self, pair: Pair, users: list[int]) -> None:
+        number = self._line(pair)
+        touched: dict[Pair, None] = {}
+        for n in users:
+            if n == number:
+                continue
+            before = self._pairs(n)
+            self._replace(n, pair, number)
+            after = self._pairs(n)
+            for gone in before:
+                if gone not in after:
+                    self._where[gone].pop(n, None)
+                    touched[gone] = None
+            for new in after:
+                if new not in before:
+                    self._where.setdefault(new, {})[n] = None
+                    touched[new] = None
+        self._where[pair].pop(number, None)
+        if len(self._where[pair]) < 2:
+            del self._where[pair]
+        for other in touched:
+            if other in self._where:
+                self._push(other)
+
+    def _count(self, n: int, pairs: Iterable[Pair]) -> None:
+        for pair in pairs:
+            self._where.setdefault(pair, {})[n] = None
+
+    def _pairs(self, n: int) -> dict[Pair, None]:
+        raise NotImplementedError
+
+    def _line(self, pair: Pair) -> int:
+        raise NotImplementedError
+
+    def _replace(self, n: int, pair: Pair, number: int) -> None:
+        raise NotImplementedError
+
+    def _rank(self, pair: Pair) -> Any:
+        """Order pairs of which there are equally many: first what is known early."""
+        raise NotImplementedError
+
+
+class _Factors(_Pairs):
+    """Pairs of factors; items are (line, exponent)."""
+
+    kind = "product"
+
+    def _pairs(self, n: int) -> dict[Pair, None]:
+        lines = self._program.lines
+        own = sorted(
+            item for item in lines[n].parts if lines[item[0]].level <= self._level
+        )  # fmt: skip
+        return dict.fromkeys(combinations(own, 2)) if len(own) <= LONGEST else {}
+
+    def _rank(self, pair: Pair) -> Any:
+        levels = [self._program.lines[m].level for m, _ in pair]
+        return sum(levels), [float(x) for item in pair for x in item]
+
+    def _line(self, pair: Pair) -> int:
+        for n in self._where[pair]:
+            if sorted(self._program.lines[n].parts) == list(pair):
+                return n
+        return self._program.line("product", pair, self._program.level([m for m, _ in pair]))
+
+    def _replace(self, n: int, pair: Pair, number: int) -> None:
+        line = self._program.lines[n]
+        for item in pair:
+            line.parts.remove(item)
+        add_factor(line.parts, number, 1)
+
+
+class _Terms(_Pairs):
+    """Pairs of terms, by the ratio of their coefficients; items are (1 or the ratio, line)."""
+
+    kind = "sum"
+
+    def _pairs(self, n: int) -> dict[Pair, None]:
+        lines = self._program.lines
+        own = sorted((m, c) for c, m in lines[n].parts if 0 < lines[m].level <= self._level)
+        if len(own) > LONGEST:
+            return {}
+        return dict.fromkeys(
+            ((1, a), (exact(Fraction(d) / c), b)) for (a, c), (b, d) in combinations(own, 2)
+        )
+
+    def _rank(self, pair: Pair) -> Any:
+        levels = [self._program.lines[m].level for _, m in pair]
+        return sum(levels), [float(x) for item in pair for x in item]
+
+    def _line(self, pair: Pair) -> int:
+        (_, a), (ratio, b) = pair
+        for n in self._where[pair]:
+            parts = self._program.lines[n].parts
+            if len(parts) == 2 and sorted((m, c) for c, m in parts) == [(a, 1), (b, ratio)]:
+                return n
+        return self._program.line("sum", pair, self._program.level([a, b]))
+
+    def _replace(self, n: int, pair: Pair, number: int) -> None:
+        (_, a), (ratio, b) = pair
+        line = self._program.lines[n]
+        coefficient = next(c for c, m in line.parts if m == a)
+        line.parts.remove((coefficient, a))
+        line.parts.remove((exact(coefficient * ratio), b))
+        held = next((c for c, m in line.parts if m == number), None)
+        if held is not None:
+            line.parts.remove((held, number))
+            coefficient = exact(coefficient + held)
+        if coefficient or not line.parts:
+            line.parts.append((coefficient, number))

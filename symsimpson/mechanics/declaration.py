@@ -1,0 +1,160 @@
+"""A declaration read into a graph, part by part, each with its checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.errors import ModelError
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.graph.read import tree_size
+from symsimpson.mechanics.checks import check_names, fail, spell
+from symsimpson.mechanics.coordinates import momenta
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.mechanics.quadratic import (
+    Polynomial,
+    check_degenerate,
+    check_mass_matrix,
+    polynomial,
+)
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["LARGE", "energies", "read_energies"]
+
+Positions = Mapping[str, Sequence[Any]]
+#: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
+LARGE = 2000
+
+
+def energies(
+    lagrangian: sp.Expr, parts: Polynomial, symbols: Symbols
+) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
+    """Give T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
+    graph, v = symbols.graph, symbols.numbers(symbols.v)
+    restored = symbols.restored
+    linear = restored(
+        graph.add(graph.multiply([a, (1, x)]) for a, x in zip(parts.a, v, strict=True))
+    )
+    potential: sp.Expr = -restored(parts.rest)
+    entries = sum(tree_size(graph, value) for value in parts.M.values())
+    if entries > LARGE:
+        return lagrangian - linear + potential, linear, potential
+    velocities = [symbols.back[x] for x in symbols.v]
+    kinetic = sp.Add(*(
+        restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
+        for (i, j), value in parts.M.items()
+    ))  # fmt: skip
+    return kinetic, linear, potential
+
+
+def read_energies(
+    name: str,
+    coordinates: tuple[AppliedUndef, ...],
+    parameters: Mapping[sp.Symbol, float],
+    given: MechanicalSystem,
+) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
+    """Check the energies and read them into a graph."""
+    s = Symbols(coordinates, parameters)
+
+    def read(what: str, expression: Any, *allowed: Sequence[sp.Symbol]) -> Value:
+        places = [symbol for group in (*allowed, s.q, s.a) for symbol in group]
+        return read_expression(name, what, expression, s, s.known, places)
+
+    kinetic = read("kinetic energy", given.kinetic, s.v)
+    potential = read("potential", given.potential)
+    linear = read("gyroscopic term", given.gyroscopic, s.v)
+    parts = polynomial(name, "kinetic energy", kinetic, s)
+    findings = Findings(s.graph, [*parts.a, parts.rest])
+    left = [*(a for a in parts.a), parts.rest]
+    if not all(map(findings.vanishes, left)):
+        terms = [s.graph.multiply([a, (1, v)])
+                 for a, v in zip(parts.a, s.numbers(s.v), strict=True)]  # fmt: skip
+        leftover = s.graph.add([*terms, parts.rest])
+        raise fail(
+            name,
+            f"the kinetic energy is not a quadratic form in the velocities: it contains "
+            f"{spell(s.restored(leftover))}.",
+            "Move terms without velocities to the potential (with the opposite sign) and linear "
+            "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
+        )
+    gyroscopic = polynomial(name, "gyroscopic term", linear, s)
+    check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
+    check_mass_matrix(name, parts.M, s)
+    if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
+        raise fail(
+            name,
+            f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
+            "It must have the form a(q).v; put the rest into T or V.",
+        )
+    positions = _read_positions(name, given, read)
+    watch = s.known | {
+        user: s.graph.symbol(own.name)
+        for user, own in zip(momenta(*coordinates), s.p, strict=True)
+    }  # fmt: skip
+    invariants: dict[str, sp.Expr] = {}
+    values: dict[str, Value] = {}
+    for key, quantity in (given.invariants or {}).items():
+        if not isinstance(key, str):
+            raise ModelError(f"system '{name}': the invariant's name {key!r} is not a string.\n"
+                             "Write invariants={'angular momentum': ...}.")  # fmt: skip
+        values[key] = read_expression(
+            name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a)
+        )
+        invariants[key] = sp.sympify(quantity)
+    plain = Plain(
+        graph=s.graph, q=s.q, v=s.v, p=s.p, parameters=s.a, T=kinetic, M=dict(parts.M),
+        a=gyroscopic.a, V=potential, invariants=MappingProxyType(values),
+    )  # fmt: skip
+    names = [q.func.__name__ for q in coordinates]
+    written_out = _momenta_written_out(plain, names)
+    check_names(name, names, [key for key in invariants if key not in written_out])
+    return plain, MappingProxyType(positions), MappingProxyType(invariants)
+
+
+def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
+    """List the invariants that have the name of a momentum and its value."""
+    graph, v, p = plain.graph, plain.numbers(plain.v), plain.numbers(plain.p)
+    found = set()
+    for i, x in enumerate(names):
+        key = f"p_{x}"
+        if key in plain.invariants:
+            terms = [graph.multiply([plain.entry(i, j), (1, v[j])]) for j in range(len(v))]
+            momentum = graph.add([plain.a[i], *terms])
+            given: Value = plain.invariants[key]
+            findings = Findings(graph, [given, momentum, (1, p[i])])
+            if any(findings.equal(given, other) for other in (momentum, (1, p[i]))):
+                found.add(key)
+    return found
+
+
+def _read_positions(
+    name: str, given: MechanicalSystem, read: Callable[[str, Any], Value]
+) -> dict[str, tuple[Any, ...]]:
+    """Check what is to be drawn."""
+    positions: dict[str, tuple[Any, ...]] = {}
+    for key, point in (given.positions or {}).items():
+        nested = isinstance(point, (tuple, list))
+        body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
+        corners = point if body else [point]
+        found: list[tuple[sp.Expr, ...]] = []
+        for corner in corners:
+            single = not isinstance(corner, (tuple, list, sp.MatrixBase))
+            components = (corner,) if single else tuple(corner)
+            if not 1 <= len(components) <= 3:
+                raise fail(
+                    name, f"position {key!r} has {len(components)} components.",
+                    "A point has one to three Cartesian components.",
+                )  # fmt: skip
+            for component in components:
+                read(f"position {key!r}", component)
+            found.append(tuple(sp.sympify(c) for c in components))
+        positions[str(key)] = tuple(found) if body else found[0]
+    return positions

@@ -1,0 +1,159 @@
+"""Nodes, derivatives and programs stand for the expressions that they were made of."""
+
+import mpmath as mp
+import pytest
+import sympy as sp
+
+from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.evaluate import evaluated, line_value
+from symsimpson.graph.merge import merged
+from symsimpson.graph.nodes import Graph
+from symsimpson.graph.program import Program
+from symsimpson.graph.read import Reader, tree_size, written
+from symsimpson.graph.rebuild import fixed, rebuilt
+from symsimpson.graph.share import share
+
+x, y, z = sp.symbols("x y z", real=True)
+a = sp.Symbol("a", positive=True)
+SYMBOLS = (x, y, z, a)
+EXPRESSIONS = [
+    (x + y) ** 2 * sp.sin(x * y) / (1 + z**2),
+    a * sp.sqrt(x**2 + y**2) ** -3 + sp.Float(0.1) * x**5 / a,
+    sp.tan(x / 2) + sp.sec(y) * sp.cot(z) + sp.csc(z + x),
+    sp.exp(-x * y) * sp.log(a + x**2) + sp.cosh(y) * sp.sinh(z) / sp.tanh(a),
+    sp.asin(x / 9) + sp.acos(y / 9) * sp.atan(z) + sp.atan2(y, 2 + x**2),
+    sp.asinh(x) + sp.acosh(2 + y**2) - sp.atanh(z / 9),
+    sp.erf(x) * sp.erfc(y) + sp.pi * x - sp.E * y + sp.EulerGamma * z,
+    x ** sp.Rational(1, 3) + (2 * x) ** 1.5 + (1 + x) ** a + x**0.1,
+    sp.sqrt(-4 * -x) + sp.sqrt(8 * y) + sp.GoldenRatio * z,
+    sum((x - k) ** -6 - (y + k) ** -12 for k in range(2, 5)),
+]
+
+
+def read(*expressions, factored=False):
+    graph = Graph(factored=factored)
+    known = {s: graph.symbol(s.name) for s in SYMBOLS}
+    reader = Reader(graph, known)
+    return graph, [reader(e) for e in expressions], {s: n for s, (_, n) in known.items()}
+
+
+def point(places):
+    return {n: mp.mpf(3 + k) / 7 for k, n in enumerate(places.values())}
+
+
+def number(value, numbers):
+    c, n = value
+    return mp.mpf(c.numerator) / c.denominator * numbers[n]
+
+
+def truth(expression, places):
+    at = {s: sp.Rational(3 + k, 7) for k, s in enumerate(places)}
+    return mp.mpf(sp.N(expression.subs(at), 50))
+
+
+@pytest.mark.parametrize("expression", EXPRESSIONS)
+@pytest.mark.parametrize("factored", [False, True])
+def test_values_and_derivatives(expression, factored):
+    graph, (value,), places = read(expression, factored=factored)
+    derivatives = Derivatives(graph)
+    forward = {s: derivatives(value, n) for s, n in places.items()}
+    reverse = dict(zip(places, gradient(graph, value, list(places.values())), strict=True))
+    with mp.workdps(50):
+        roots = [value, *forward.values(), *reverse.values()]
+        numbers = evaluated(graph, [n for _, n in roots], point(places), mp.mp)
+        exact = expression.xreplace({f: sp.nsimplify(f) for f in expression.atoms(sp.Float)})
+        if not expression.has(sp.Float):
+            assert abs(number(value, numbers) - truth(exact, places)) < 1e-45
+        for s in SYMBOLS:
+            slope = truth(expression.diff(s), places)
+            tolerance = 1e-14 if expression.has(sp.Float) else 1e-43
+            assert abs(number(forward[s], numbers) - slope) < tolerance * (1 + abs(slope))
+            assert abs(number(reverse[s], numbers) - slope) < tolerance * (1 + abs(slope))
+
+
+@pytest.mark.parametrize("expression", EXPRESSIONS)
+def test_written_expressions_are_read_again(expression):
+    graph, (value,), places = read(expression)
+    text = written(graph, value, {n: s for s, n in places.items()})
+    assert Reader(graph, {s: (1, n) for s, n in places.items()})(text) == value
+
+
+@pytest.mark.parametrize("factored", [False, True])
+def test_programs_keep_the_values(factored):
+    graph, values, places = read(*EXPRESSIONS, factored=factored)
+    derivatives = Derivatives(graph)
+    values += [derivatives(value, n) for value in values for n in places.values()]
+
+    def level(n):
+        symbols = graph.nodes[n].symbols
+        return 2 if places[z] in symbols else 1 if symbols - {places[a]} else 0
+
+    with mp.workdps(50):
+        before = evaluated(graph, [n for _, n in values], point(places), mp.mp)
+        equal = merged(graph, values, level)
+        program = Program.of(graph, dict(enumerate(equal)), level)
+        count = program.operations()
+        share(program)
+        assert program.operations() < count
+        after = point(places)
+        for n in program.order():
+            line = program.lines[n]
+            if line.kind != "symbol":
+                after[n] = line_value(line.kind, line.parts, after, mp.mp)
+                levels = [program.lines[m].level for m in program.arguments(n)]
+                assert line.level == max(levels, default=0)
+        for k, value in enumerate(values):
+            exact = number(value, before)
+            assert abs(number(program.outputs[k], after) - exact) < 1e-40 * (1 + abs(exact))
+
+
+def test_equal_nodes_are_one():
+    root = sp.sqrt(x**2 + y**2)
+    graph, values, _ = read(
+        (sp.sin(x) ** 2 + sp.cos(x) ** 2) * y, root - x**2 / root, y**2 / root, x - y, (y - x) ** 3
+    )
+    one, first, second, third, power = merged(graph, values, lambda n: 0)
+    assert one == (1, graph.symbol("y")[1])
+    assert first == second
+    assert graph.nodes[power[1]].parts == ((third[1], 3),)
+
+
+def test_the_square_of_lennard_and_jones_takes_few_powers():
+    r = sp.symbols("r0:6", real=True)
+    square = sum((r[i] - r[i + 3]) ** 2 for i in range(3))
+    graph = Graph(factored=True)
+    known = {s: graph.symbol(s.name) for s in (*r, a)}
+    value = Reader(graph, known)(4 * a * (square**-6 - square**-3))
+    derivatives = Derivatives(graph)
+    slopes = [derivatives(value, known[s][1]) for s in r]
+    every = slopes + [derivatives(slope, known[s][1]) for slope in slopes for s in r]
+    program = Program.of(graph, dict(enumerate(every)), lambda n: int(n > 0 and n != known[a][1]))
+    share(program)
+    divisions = [p for n in program.order() for p in [program.lines[n]] if p.kind == "product"
+                 and any(e < 0 for _, e in p.parts)]  # fmt: skip
+    assert len(divisions) == 1
+    assert program.operations() < 60
+
+
+def test_nothing_is_expanded():
+    """A product of twenty sums of sums is a hundred nodes, and a tree of a million."""
+    total = x
+    for _ in range(20):
+        total = total * (total + y)
+    graph, (value,), _ = read(total)
+    assert len(graph) < 100
+    assert tree_size(graph, value) > 10**6
+
+
+def test_fixing_avoids_poles():
+    graph, (value,), places = read(y + x / x**2 * x)
+    assert graph.nodes[value[1]].symbols == {places[y]}
+    graph, (value,), places = read(y + (x + x**2) / (1 + x) / x)
+    assert rebuilt(graph, [fixed(graph, value, [places[x]])], {places[y]: (0, 0)}) == [(1, 0)]
+
+
+def test_floats_are_exact():
+    _, values, _ = read(sp.Float(0.1) * x + sp.Float(0.2) * x, sp.Float(0.3) * x)
+    assert values[0] != values[1]
+    _, values, _ = read(sp.Float(0.1) * x + sp.Float(0.2) * x, sp.Float(0.1 + 0.2) * x)
+    assert abs(float(values[0][0]) - 0.3) < 1e-15
