@@ -1,6 +1,7 @@
 """One system, two forms of code; one text, four arithmetics."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import mpmath as mp
@@ -119,6 +120,111 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
     np.testing.assert_allclose(W[block(module, "VELOCITY", 5), 0], velocity, rtol=1e-13)
 
 
+def swinging_chain():
+    """Six coordinates, each coupled to the next one, and terms linear in the velocities."""
+    x = ss.coordinates("x0:6")
+    v = [c.diff() for c in x]
+    pairs = list(pairwise(range(6)))
+    kinetic = sum((2 + sp.cos(a)) * u**2 for a, u in zip(x, v, strict=True))
+    kinetic += sum(sp.cos(x[i] - x[j]) * v[i] * v[j] for i, j in pairs)
+    return ss.MechanicalSystem(
+        "swinging_chain", coordinates=x, kinetic=kinetic / 2,
+        potential=sum((x[i] - x[j]) ** 4 / 4 for i, j in pairs) + sum(a**4 for a in x),
+        gyroscopic=sum(sp.sin(x[i]) * v[j] / 3 for i, j in pairs), parameters={},
+    )  # fmt: skip
+
+
+def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
+    """And the momentum of a velocity, with M and what is linear in v written down by hand."""
+    system = swinging_chain()
+    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    equations = discretise(system, ss.SIMPSON, ("sparse",))
+    text = emit(equations, kernels.lower(equations))
+    assert "BAND = 1\n" in text
+    assert '5 terms v_1*sin(q_0)/3."""' in text
+    module = bind_float(text)
+    q, v = map(np.array, random_state(1, 6))
+    W = new_workspace(module, q, [0.0] * 6, [])
+    W[block(module, "VELOCITY", 6), 0] = v
+    module.prepare(0.1, 0.0, W)
+    module.legendre(0.1, 0.0, W)
+    between = np.cos(q[:-1] - q[1:]) / 2
+    mass = np.diag(2 + np.cos(q)) + np.diag(between, 1) + np.diag(between, -1)
+    momentum = mass @ v + [0.0, *np.sin(q[:-1]) / 3]
+    np.testing.assert_allclose(W[block(module, "MOMENTUM", 6), 0], momentum, rtol=1e-14)
+    W[block(module, "VELOCITY", 6), 0] = 0.0
+    module.energy(0.1, 0.0, W)
+    np.testing.assert_allclose(W[block(module, "VELOCITY", 6), 0], v, rtol=1e-13)
+    assert W[module.KINETIC, 0] == pytest.approx(v @ mass @ v / 2, rel=1e-13)
+
+
+@pytest.mark.parametrize(("exploit", "width"), [((), 12), (("sparse",), 3)])
+def test_rows_are_exchanged_where_pivots_are_small(exploit, width, monkeypatch):
+    """Matrices of random numbers, and of some zeros on the diagonal, against numpy."""
+    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    equations = discretise(swinging_chain(), ss.SIMPSON, exploit)
+    module = bind_float(emit(equations, kernels.lower(equations)))
+    size, pick = module.NEWTON_UNKNOWNS, np.random.default_rng(4)
+    for _ in range(5):
+        matrix = pick.uniform(-1, 1, (size, size)) * pick.choice([1e-3, 1], (size, 1))
+        for i, j in np.ndindex(matrix.shape):
+            matrix[i, j] *= abs(i - j) <= width and (i != j or i % 3 > 0)
+        right = pick.uniform(-1, 1, size)
+        W = np.zeros((module.ROWS, 1))
+        for i, j in np.argwhere(matrix):
+            place = i * module.SOLVE_STRIDE + j + module.SOLVE_OFFSET
+            W[module.JACOBIAN + place, 0] = matrix[i, j]
+        W[block(module, "RESIDUAL", size), 0] = right
+        module.solve_pivoted(W, 0)
+        found = W[block(module, "RESIDUAL", size), 0]
+        np.testing.assert_allclose(matrix @ found, right, atol=1e-11 * np.abs(found).max())
+
+
+@pytest.mark.parametrize(
+    ("system", "scheme", "exploit"),
+    [
+        (ss.systems.henon_heiles(), "simpson", "all"),
+        (ss.systems.henon_heiles(), "lobatto6", "all"),
+        (ss.systems.henon_heiles(), "gauss4", "all"),
+        (ss.systems.lagrange_top(), "simpson", "all"),
+        (ss.systems.lagrange_top(), "gauss4", "all"),
+        (ss.systems.double_pendulum(), "simpson", "all"),
+        (ss.systems.double_pendulum(), "lobatto_3_3", "all"),
+        (ss.systems.fermi_pasta_ulam(3), "simpson", ("constant_mass", "sparse")),
+        (ss.systems.fermi_pasta_ulam(3), "lobatto6", ("constant_mass", "sparse")),
+        (swinging_chain(), "simpson", ("sparse",)),
+        (swinging_chain(), "simpson", ()),
+    ],
+    ids=lambda value: getattr(value, "name", value if isinstance(value, str) else "loops"),
+)
+def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
+    """In 60 digits; wrong entries of a Jacobian only make it slow, which nothing else sees."""
+    if exploit != "all":
+        monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    equations = discretise(system, read_scheme(scheme), exploit)
+    text = emit(equations, kernels.lower(equations))
+    assert ("newton_pivoted" in text) == (exploit == "all")
+    q, p = random_state(7, system.n)
+    p = [x / 100 for x in p]
+    with mp.workdps(60):
+        module = bind_mpmath(text)
+        given = [[mp.mpf(x) for x in values] for values in (q, p, system.parameters.values())]
+        h = mp.mpf("0.02")
+        W = begin(module, *given, h, dtype=object)
+        rows, size = block(module, "INCREMENT", module.UNKNOWNS), (module.DEGREE, system.n)
+        solved = [m - 1 for m in getattr(module, "SOLVE_COLUMNS", range(1, module.DEGREE + 1))]
+        sizes = []
+        for _ in range(4):
+            old = W[rows, 0].reshape(size)[solved]
+            module.newton(h, 0, W)
+            new, metric = W[rows, 0].reshape(size)[solved], W[block(module, "METRIC", system.n), 0]
+            for name, values in (("CORRECTION_SQUARED", new - old), ("INCREMENT_SQUARED", new)):
+                exact = (metric * values**2).sum()
+                assert abs(W[getattr(module, name), 0] - exact) <= 1e-50 * mp.sqrt(exact) + 1e-110
+            sizes.append(mp.sqrt(W[module.CORRECTION_SQUARED, 0] / W[module.INCREMENT_SQUARED, 0]))
+    assert all(after < before**2 + 1e-55 for before, after in pairwise(sizes))
+
+
 @pytest.mark.parametrize(
     ("measures", "doubt"),
     [
@@ -129,6 +235,7 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
         ({"MISMATCH_SQUARED": 4.5, "INCREMENT_SQUARED": 1.5}, 0),
         ({"CYCLIC_SPREAD": 0.6}, 3),
         ({"CYCLIC_SPREAD": 0.6, "CYCLIC_MISMATCH_SQUARED": 1e30}, 2),
+        ({"SCALE": 0.0, "INCREMENT_SQUARED": 0.0, "SURPRISE_SQUARED": 0.0}, 0),  # all at rest
     ],
 )
 def test_what_is_in_doubt(measures, doubt):
@@ -142,6 +249,61 @@ def test_what_is_in_doubt(measures, doubt):
     assert W[module.IN_DOUBT, 0] == doubt
     known, increment = ((quiet | measures)[k] for k in ("SCALE", "INCREMENT_SQUARED"))
     assert W[module.SCALE, 0] == (known if doubt == 1 else max(known, increment))
+
+
+@pytest.mark.parametrize(
+    ("correction", "increment", "verdict"),
+    [(0, 0, 0), (0, 1, 0), ("1e-40", 1, 0), ("1e-2", 1, 1), (1, 0, 1), (0, "inf", -3),
+     ("inf", 1, -3), ("nan", 1, -3), (1, "nan", -3)],
+)  # fmt: skip
+def test_when_an_iteration_is_done(correction, increment, verdict):
+    """By the second correction: that of a body at rest is none of nothing."""
+    module = bind_mpmath(source(ss.systems.pendulum()), judging=True)
+    W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
+    given = {"CORRECTION_SQUARED": correction, "INCREMENT_SQUARED": increment, "ACTIVE": 1,
+             "RELATIVE": "1e-4", "CONTRACTION": 1}  # fmt: skip
+    for name, value in given.items():
+        W[getattr(module, name), 0] = mp.mpf(value)
+    module.judge(W, 0)
+    assert W[module.ACTIVE, 0] == verdict
+    assert W[module.ITERATIONS, 0] == 1
+    if verdict == -3:
+        assert W[module.RELATIVE, 0] == mp.mpf("1e-4")
+    module.judge(W, 0)
+    assert W[module.ITERATIONS, 0] == 1 + (verdict == 1)
+
+
+@pytest.mark.parametrize(
+    ("correction", "before", "factor", "seen", "verdict"),
+    [
+        ("1e-10", "inf", 1, 1, 1),  # the first one
+        ("1e-10", "1e-7", "1e-3", "1e-3", 1),
+        ("1e-10", "1e-7", "1e-1", "0.025", 1),  # of late it was slower
+        ("1e-26", "1e-20", "1e-6", "1e-6", 0),
+        ("1e-26", "1e-20", "1e-3", "0.25e-3", 1),
+        ("1e-26", "2e-26", "1e-3", "0.5", 0),  # it shrinks no more
+        (0, "1e-20", "1e-3", "0.25e-3", 0),
+        ("nan", "1e-20", "1e-3", None, -3),
+    ],
+)
+def test_when_stages_are_done(correction, before, factor, seen, verdict):
+    """By the largest of the factors of late; sizes are sums over the nodes."""
+    with mp.workdps(15):
+        module = bind_mpmath(source(ss.systems.pendulum(), "gauss6"), judging=True)
+        W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
+        given = {"ACTIVE": 1, "RELATIVE": before, "CONTRACTION": factor}
+        given["STAGE_EXPECTED"] = 2  # nothing is judged before
+        for name, value in given.items():
+            W[getattr(module, name), 0] = mp.mpf(value)
+        W[block(module, "STAGE_CORRECTION", 3), 0] = [mp.mpf(correction) * k for k in (1, 2, 1)]
+        W[block(module, "STAGE_SIZE", 3), 0] = [mp.mpf(k) for k in (1, 1, 2)]
+        module.judge_stages(W, 0)
+        assert W[module.ACTIVE, 0] == 1
+        assert W[module.RELATIVE, 0] == mp.mpf(before)
+        module.judge_stages(W, 0)
+        assert W[module.ACTIVE, 0] == verdict
+        if seen is not None:
+            assert abs(W[module.CONTRACTION, 0] / mp.mpf(seen) - 1) < 1e-12
 
 
 @pytest.mark.slow
