@@ -40,6 +40,11 @@ def test_tables_agree_with_root_finding(kind, nodes, degree):
             assert all(map(near, scheme.B[i], slopes))
 
 
+def test_how_far_radicals_go():
+    assert [gauss(nodes).exact for nodes in (1, 4, 5)] == [True, True, False]
+    assert [lobatto(nodes).exact for nodes in (2, 5, 6)] == [True, True, False]
+
+
 @pytest.mark.parametrize(("kind", "nodes", "degree"), FAMILY)
 def test_order_of_the_quadrature(kind, nodes, degree):
     rule = {"gauss": gauss, "lobatto": lobatto}[kind](nodes)
@@ -101,8 +106,13 @@ def test_tables_that_modules_make(scheme):
         assert tuple(map(float, found.points)) == module.POINTS
         for made, table in ((module.BASIS, found.A), (module.BASIS_SLOPE, found.B)):
             np.testing.assert_allclose(made, np.array(table, dtype=float), rtol=0, atol=1e-13)
+        for name, table in (("EXTRAPOLATION", found.extrapolation), ("END_SLOPE", found.end_slope),
+                            ("START_SLOPE", found.correction)):  # fmt: skip
+            exact = np.array(table, dtype=float)
+            np.testing.assert_allclose(getattr(module, name), exact, rtol=1e-13, atol=1e-13)
     if found.by_stages:
-        path, impulse, ahead, _ = module.STAGE_TABLE[:, :nodes].reshape(4, nodes, nodes)
+        path, impulse, ahead, smooth = module.STAGE_TABLE[:, :nodes].reshape(4, nodes, nodes)
+        assert not module.STAGE_TABLE[:, nodes:].any()
         assert np.all(path + impulse.T == 1.0)  # b_i a_ij + b_j a_ji^ = b_i b_j, without rounding
         b, c = (
             np.array(x, dtype=float) for x in (found.quadrature.weights, found.quadrature.nodes)
@@ -112,6 +122,11 @@ def test_tables_that_modules_make(scheme):
                 (b * c**power) @ path, c ** (power + 1) / (power + 1), atol=1e-14
             )
         np.testing.assert_allclose(b * c @ ahead, b * (1 + c), rtol=1e-9)
+        for power in range(nodes):  # of what is not as smooth nothing is left
+            part = np.polynomial.Legendre.basis(power, domain=[0, 1])
+            left = b * part(1 + c) * (power <= nodes - 3)
+            rounding = 1e-13 * np.abs(smooth).max(axis=0)
+            assert np.all(np.abs(b * part(c) @ smooth - left) <= rounding)
     assert degree == module.DEGREE
 
 
