@@ -11,6 +11,7 @@ from workspace import begin, block, sweep, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float
+from symsimpson.codegen.names import BLOCKS, NameTable
 from symsimpson.codegen.pipeline import source
 
 HOSTILE = [
@@ -75,6 +76,19 @@ def test_coordinate(name, expected, tmp_path, monkeypatch):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
     assert len(name) < 6 or name.isidentifier() or name not in text
     assert not list(tmp_path.iterdir())
+
+
+def test_rows_of_the_workspace_are_no_names():
+    (x,) = ss.coordinates("x")
+    rows = sp.symbols(BLOCKS)
+    system = ss.MechanicalSystem(
+        "rows", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.Add(*rows) * x**2,
+        parameters=dict.fromkeys(rows, 1.0),
+    )  # fmt: skip
+    names = NameTable(system)
+    assert len(set(names.parameters)) == len(BLOCKS)
+    assert not set(names.parameters) & set(BLOCKS)
+    assert not {names.fresh(row).name for row in BLOCKS} & set(BLOCKS)
 
 
 @pytest.mark.slow

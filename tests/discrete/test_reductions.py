@@ -5,6 +5,7 @@ import sympy as sp
 from workspace import sweep
 
 import symsimpson as ss
+from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.factors import factorise
 from symsimpson.discrete.reductions import annihilating, reduce, shear_factors
 from symsimpson.schemes.named import read_scheme
@@ -105,3 +106,14 @@ def test_every_coordinate_is_in_one_part(exploit):
         parts = reduce(found, ss.SIMPSON, frozenset(exploit))
         taken = [i for part in parts for i in (*part.coordinates, *getattr(part, "cyclic", ()))]
         assert sorted(taken) == list(range(found.n))
+
+
+@pytest.mark.parametrize(("exploit", "count"), [((), 1), ("linear", 1), ("decoupled", 2)])
+def test_what_is_not_to_be_decoupled_is_one_part(exploit, count):
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "two", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**4 + sp.cos(y), parameters={},
+    )  # fmt: skip
+    parts = discretise(system, ss.SIMPSON, exploit).parts
+    assert [len(part.coordinates) for part in parts] == [2 // count] * count

@@ -9,7 +9,7 @@ from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.codegen import kernels
-from symsimpson.codegen.pipeline import _source
+from symsimpson.codegen.pipeline import _source, source
 from symsimpson.schemes.composition import COMPOSITIONS
 
 HENON = ss.systems.henon_heiles()
@@ -63,6 +63,14 @@ def test_kicks_and_drifts(name):
     assert np.abs(run.q[-1] - q).max() < 1e-14
     assert np.abs(run.p[-1] - p).max() < 1e-14
     assert run.newton_iterations.sum() == 0
+
+
+@pytest.mark.parametrize("name", COMPOSITIONS)
+def test_a_step_takes_as_many_forces_as_drifts(name):
+    """The force at the last kick is that at the first one of the next step."""
+    text = source(ss.systems.pendulum(), name)
+    advance = text[text.index("def advance(") :].partition("\n\n\n")[0]
+    assert advance.count(" = sincos(") == len(ss.composition(name).drifts)
 
 
 @pytest.mark.parametrize("name", sweep(["suzuki4", "blanes_moan6", "kahan_li8"], 0))

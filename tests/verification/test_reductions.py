@@ -4,7 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from random_systems import random_state, structured_system
-from workspace import begin, block, new_workspace, state, sweep
+from workspace import begin, block, new_workspace, state, sweep, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float, bind_mpmath
@@ -157,6 +157,20 @@ def test_how_much_cyclic_masses_change(scheme):
     spread = mass.mean() * (1 / mass).mean() - 1
     assert spread > 1e-6
     assert W[module.CYCLIC_SPREAD, 0] == pytest.approx(spread, rel=1e-6)
+
+
+@pytest.mark.parametrize("scheme", ["simpson", "gauss4", "gauss_3_2"])
+def test_how_far_cyclic_velocities_are_from_a_path(scheme):
+    """At the end of a step, in the error of an extrapolation of degree one, squared, times h^2."""
+    system = ss.systems.lagrange_top()
+    module = bind_float(source(system, scheme))
+    found = []
+    for h in (0.02, 0.01, 0.005):
+        W = begin(module, [0.2, 0.7, 0.1], [0.03, -0.002, 0.04], system.parameters.values(), h)
+        take_step(module, W, h)
+        found.append(W[module.CYCLIC_MISMATCH_SQUARED, 0])
+    assert 5.9 < np.log2(found[0] / found[1]) < 6.2
+    assert 5.9 < np.log2(found[1] / found[2]) < 6.2
 
 
 def test_cyclic_momenta_do_not_change_a_bit():
