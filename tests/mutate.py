@@ -114,8 +114,9 @@ def run(copy, tests, limit):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    for name, default in (("mutants", 200), ("seed", 1), ("limit", 60.0), ("minutes", 1e9)):
-        parser.add_argument(f"--{name}", type=type(default), default=default)  # limit: in seconds
+    numbers = {"mutants": 200, "first": 0, "seed": 1, "limit": 60.0, "minutes": 1e9}
+    for name, default in numbers.items():  # limit: in seconds; first: so many were run before
+        parser.add_argument(f"--{name}", type=type(default), default=default)
     parser.add_argument("tests", nargs="*", default=[*selection()])
     options = parser.parse_args()
     pick, begun, counts = random.Random(options.seed), time.time(), collections.Counter()
@@ -129,7 +130,7 @@ def main():
         shutil.copy2(ROOT / "pyproject.toml", copy)
         if (found := run(copy, tests, 10 * options.limit))[0] != "survived":
             sys.exit(f"without any change: {found}")
-        for path, line, first, last, new in pick.sample(places, options.mutants):
+        for path, line, first, last, new in pick.sample(places, options.mutants)[options.first :]:
             if time.time() - begun > 60 * options.minutes:
                 break
             text, where = path.read_bytes(), path.relative_to(ROOT)
