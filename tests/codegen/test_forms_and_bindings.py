@@ -234,6 +234,8 @@ def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
         ({"MISMATCH_SQUARED": 4.5}, 1),
         ({"MISMATCH_SQUARED": 4.5, "INCREMENT_SQUARED": 1.5}, 0),
         ({"CYCLIC_SPREAD": 0.6}, 3),
+        ({"CYCLIC_MISMATCH_SQUARED": 0.1}, 0),
+        ({"CYCLIC_MISMATCH_SQUARED": 0.15}, 2),
         ({"CYCLIC_SPREAD": 0.6, "CYCLIC_MISMATCH_SQUARED": 1e30}, 2),
         ({"SCALE": 0.0, "INCREMENT_SQUARED": 0.0, "SURPRISE_SQUARED": 0.0}, 0),  # all at rest
     ],
