@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         SymsimpsonError,
     )
     from symsimpson.mechanics import catalogue as systems
+    from symsimpson.mechanics.arms import Link, serial_arm
     from symsimpson.mechanics.coordinates import coordinates, momenta
     from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.runtime.archive import open_trajectory
@@ -55,6 +56,8 @@ _HOME = {
     "resume": "api",
     "ConvergenceError": "errors",
     "GenerationError": "errors",
+    "Link": "mechanics.arms",
+    "serial_arm": "mechanics.arms",
     "InputError": "errors",
     "Interrupted": "errors",
     "ModelError": "errors",
@@ -94,6 +97,7 @@ __all__ = [
     "GenerationError",
     "InputError",
     "Interrupted",
+    "Link",
     "MechanicalSystem",
     "ModelError",
     "ResolutionWarning",
@@ -117,6 +121,7 @@ __all__ = [
     "momenta",
     "open_trajectory",
     "resume",
+    "serial_arm",
     "systems",
     "work_precision",
 ]

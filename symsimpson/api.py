@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.pipeline import derive, source
 from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
@@ -86,14 +86,15 @@ def compile(
         numbers = read_precision(precision, arithmetic)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}
     with waiting(f"deriving {found.name} for {system.name}", progress):
-        text = source(system, found, exploit)
+        derivation = derive(system, found, exploit)
     return Stepper(
-        text,
+        derivation.text,
         f"{system.name}__{found.name}",
         defaults=defaults,
         numbers=numbers,
         reference_state=getattr(system, "reference_state", None),
         declared=system,
+        derivation=derivation,
     )
 
 

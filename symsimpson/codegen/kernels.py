@@ -26,14 +26,17 @@ from symsimpson.discrete.reductions import Composed, Linear, Part, Routh, Separa
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
-#: Parts with up to so many unknowns are emitted as straight lines; with more, all is loops.
-UNROLLED_UNKNOWNS = 8
-#: In an explicit step so many forces count as one unknown.
-UNROLLED_FORCES = 30
+#: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
+#: which each is a function of its own, 12 s in all. They run two to five times as fast.
+MOST_LINES = 5000
+#: Parts with more unknowns are not written out, whatever they are made of.
+UNROLLED_UNKNOWNS = 16
+#: Nor are explicit steps with more forces, one for each kick and coordinate.
+UNROLLED_FORCES = 270
 #: Loops over families of terms are worth their indices from so many members on, on average.
 FAMILY_MEMBERS = 2
-#: With more coordinates than this, nodes are not taken as lanes.
-STAGE_COORDINATES = 12
+#: With more coordinates than this, nodes are not taken as lanes: a solve at each takes n^3/6.
+STAGE_COORDINATES = 24
 
 
 def lower(equations: DiscreteEquations) -> Module:
@@ -53,7 +56,21 @@ def lower(equations: DiscreteEquations) -> Module:
 
 def unrolled(equations: DiscreteEquations) -> bool:
     """Tell whether the parts are emitted one by one as straight lines, or all as loops."""
-    return equations.scheme.exact and max(map(_size, equations.parts)) <= UNROLLED_UNKNOWNS
+    few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
+    return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
+
+
+def _lines(equations: DiscreteEquations) -> float:
+    """Estimate how many lines all kernels have, from operations that are known before.
+
+    Two kernels evaluate the jet at all nodes and eliminate, others parts of it once.
+    """
+    operations, stages = equations.jet.operations, equations.scheme.stages
+    if any(isinstance(part, Composed) for part in equations.parts):
+        return operations + equations.jet.force_operations * stages
+    unknowns = [part_unknowns(part) for part in equations.parts]
+    elimination = sum(u**2 + u**3 / 12 for u in unknowns)
+    return (2 * stages + 1.5) * operations + 2 * elimination
 
 
 def _straight(equations: DiscreteEquations) -> Module:
@@ -170,7 +187,8 @@ def _size(part: Part) -> int:
     if isinstance(part, Linear):
         return 2 * len(part.coordinates)
     if isinstance(part, Composed):
-        return len(part.coordinates) * len(part.drifts) // UNROLLED_FORCES
+        forces = len(part.coordinates) * len(part.drifts)
+        return UNROLLED_UNKNOWNS * forces // UNROLLED_FORCES
     multipliers = len(part.cyclic) * len(part.annihilator) if isinstance(part, Routh) else 0
     return max(part_unknowns(part), multipliers)
 

@@ -6,14 +6,16 @@ from collections.abc import Iterable
 from functools import lru_cache
 
 from symsimpson.codegen.emit import emit
-from symsimpson.codegen.kernels import lower
+from symsimpson.codegen.kernels import lower, unrolled
+from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.stopwatch import collecting, timed
 
-__all__ = ["source"]
+__all__ = ["derive", "source"]
 
 
 def source(
@@ -35,11 +37,38 @@ def source(
     str
         The module's text, the same bytes every time; remembered for systems asked for of late.
     """
-    return _source(system, read_scheme(scheme), read_exploit(exploit))
+    return derive(system, scheme, exploit).text
+
+
+def derive(
+    system: MechanicalSystem,
+    scheme: str | Scheme = "simpson",
+    exploit: str | Iterable[str] = "all",
+) -> Derivation:
+    """Generate the module of a system and a scheme, and say what that took.
+
+    Parameters
+    ----------
+    system, scheme, exploit
+        As for :func:`source`.
+
+    Returns
+    -------
+    Derivation
+    """
+    return _derive(system, read_scheme(scheme), read_exploit(exploit))
 
 
 @lru_cache(maxsize=64)
-def _source(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -> str:
-    equations = discretise(system, scheme, exploit)  # MechanicalSystem, Scheme -> DiscreteEquations
-    module = lower(equations)  # DiscreteEquations -> Module of kernels
-    return emit(equations, module)  # Module -> text
+def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -> Derivation:
+    with collecting() as seconds:
+        # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
+        equations = discretise(system, scheme, exploit)
+        with timed("text"):
+            module = lower(equations)
+            text = emit(equations, module)
+    jet = seconds.get("jet", 0.0)
+    stages = {**system.seconds, "jet": jet, "text": seconds["text"] - jet}
+    straight = unrolled(equations)
+    operations = equations.jet.operations if straight else None
+    return Derivation(text, stages, operations, straight)

@@ -7,7 +7,7 @@ always the shortest; each is tried, and the one with the fewest operations is ta
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
@@ -21,14 +21,15 @@ from symsimpson.graph.program import Program
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
 from symsimpson.mechanics.structure import kinetic
+from symsimpson.stopwatch import timed
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Jet", "derive_jet", "watched"]
 
-#: With more nodes in L than this, only some ways are tried.
-FEW_NODES = 2000
+#: Where the first ways give more operations than this, no others are tried.
+FEW_OPERATIONS = 300
 Key = tuple[str, *tuple[Hashable, ...]]
 
 
@@ -49,10 +50,14 @@ class Way(NamedTuple):
 #: Ways that are always tried: for deep chains, for flat sums, for a few links.
 FIRST = (
     Way(by_mass=False, reverse=True, second_reverse=False, factored=False),
+    Way(by_mass=False, reverse=True, second_reverse=True, factored=False),
     Way(by_mass=False, reverse=False, second_reverse=False, factored=True),
     Way(by_mass=True, reverse=False, second_reverse=False, factored=False),
     Way(by_mass=True, reverse=False, second_reverse=False, factored=True),
 )
+
+
+OTHERS = tuple(way for way in map(Way._make, product((False, True), repeat=4)) if way not in FIRST)
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,12 @@ class Jet:
         return self.program.outputs[key]
 
     @property
+    def force_operations(self) -> int:
+        """Operations of the forces alone."""
+        forces = [value for key, value in self.program.outputs.items() if key[0] == "F"]  # type: ignore[index]
+        return self.program.operations(forces)
+
+    @property
     def forced(self) -> tuple[int, ...]:
         """The coordinates on which a force acts."""
         forces = (key for key in self.program.outputs if key[0] == "F")  # type: ignore[index]
@@ -97,8 +108,20 @@ def derive_jet(
     half_angles : sequence of int
         Coordinates whose sine and cosine are written by those of the half, to keep digits.
     """
-    candidates = (_derived(plain, way, more, half_angles) for way in _ways(plain))
-    return min(candidates, key=lambda jet: jet.operations)
+    with timed("jet"):
+        return _shortest(plain, more, half_angles)
+
+
+def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
+    found: list[Jet] = []
+    for ways in (FIRST, OTHERS):
+        for way in ways:
+            if not way.by_mass or kinetic(plain) != plain.T:
+                found.append(_derived(plain, way, more, half_angles))
+        best = min(found, key=lambda jet: jet.operations)
+        if best.operations > FEW_OPERATIONS:
+            break
+    return best
 
 
 def watched(plain: Plain) -> Jet:
@@ -106,14 +129,6 @@ def watched(plain: Plain) -> Jet:
     graph = plain.graph
     outputs: dict[Key, Value] = {("invariant", key): x for key, x in plain.invariants.items()}
     return _jet(plain, graph, outputs)
-
-
-def _ways(plain: Plain) -> Iterator[Way]:
-    yield from FIRST
-    if len(plain.graph.reached([plain.L[1]])) <= FEW_NODES:
-        yield from (
-            way for way in map(Way._make, product((False, True), repeat=4)) if way not in FIRST
-        )
 
 
 def _derived(plain: Plain, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:

@@ -26,6 +26,9 @@ MOST_NUMBERS = 42
 
 def system(one: MechanicalSystem) -> str:
     """Give T, V, M and, for few coordinates, the equations of motion."""
+    if one.large:
+        text = rf"{_plain(one.name)}: {one.n} coordinates, T and V too long to be shown"
+        return rf"$\text{{{text}}}$"
     t = dynamicsymbols._t
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))

@@ -222,18 +222,23 @@ class Evaluation:
         return x.numerator * pow(x.denominator, -1, p) % p
 
     def _evaluate(self, nodes: Iterable[int], values: dict[int, Element]) -> None:
-        times, plus = self._arithmetic.times, self._arithmetic.plus
+        times, plus, prime = self._arithmetic.times, self._arithmetic.plus, self._arithmetic.prime
         for n in nodes:
             kind, parts, _ = self._graph.nodes[n]
             if kind == "sum":
+                terms = [(self._number(c), values[m]) for c, m in parts]
+                if all(type(x) is int for _, x in terms):
+                    values[n] = sum(c * x for c, x in terms) % prime
+                    continue
                 total: Element = 0
-                for c, m in parts:
-                    total = plus(total, times(self._number(c), values[m]))
+                for c, x in terms:
+                    total = plus(total, times(c, x))
                 values[n] = total
             elif kind == "product":
                 product: Element = 1
                 for m, e in parts:
-                    product = times(product, self._power(m, values[m], e))
+                    x = values[m] if e == 1 else self._power(m, values[m], e)
+                    product = times(product, x)
                 values[n] = product
             elif kind == "function":
                 values[n] = self._function(parts, values)

@@ -29,14 +29,19 @@ class Findings:
     graph : Graph
     values : sequence of Value
         All that will be asked about.
+    dependent : frozenset of int, optional
+        The radicands of which some product is a square, if they are known.
     """
 
-    def __init__(self, graph: Graph, values: Sequence[Value]) -> None:
+    def __init__(
+        self, graph: Graph, values: Sequence[Value], dependent: frozenset[int] | None = None
+    ) -> None:
         self._graph = graph
         roots = [n for _, n in values]
-        self._opaque = dependent_radicands(graph, roots)
-        self.points = evaluations(graph, roots, POINTS, self._opaque)
-        self._moved: dict[int, frozenset[int]] = {}
+        self.dependent = dependent_radicands(graph, roots) if dependent is None else dependent
+        self.points = evaluations(graph, roots, POINTS, self.dependent)
+        self._moved: dict[tuple[int, int], set[int]] = {}
+        self._known_opaque: dict[int, bool] = {}
 
     def vanishes(self, value: Value) -> bool:
         """Tell whether a value is zero."""
@@ -46,18 +51,16 @@ class Findings:
         """Tell whether two values are the same."""
         return all(at[first] == at[second] for at in self.points)
 
-    def moved(self, x: int) -> frozenset[int]:
-        """Give the nodes that depend on a symbol."""
-        if x not in self._moved:
-            found: set[int] = set()
-            for at in self.points:
-                found |= at.moved(x)
-            self._moved[x] = frozenset(found)
-        return self._moved[x]
+    def _moved_at(self, number: int, x: int) -> set[int]:
+        if (number, x) not in self._moved:
+            self._moved[number, x] = self.points[number].moved(x)
+        return self._moved[number, x]
 
     def depends(self, value: Value, x: int) -> bool:
         """Tell whether a value depends on a symbol."""
-        return value[1] in self.moved(x)
+        if not value[0] or x not in self._graph.nodes[value[1]].symbols:
+            return False
+        return any(value[1] in self._moved_at(number, x) for number in range(POINTS))
 
     def idle(self, value: Value, symbols: Iterable[int]) -> list[int]:
         """List the symbols that stand in a value which does not depend on them."""
@@ -87,15 +90,18 @@ class Findings:
 
     def opaque(self, value: Value) -> bool:
         """Tell whether a value holds functions of which the field knows nothing."""
-        for n in self._graph.reached([value[1]]):
-            kind, parts, _ = self._graph.nodes[n]
-            if kind == "function" and parts[0] not in KNOWN:
-                return True
-            if kind == "product" and any(
-                e.denominator > 2 or (e.denominator == 2 and m in self._opaque) for m, e in parts
-            ):
-                return True
-        return False
+        if value[1] not in self._known_opaque:
+            nodes = self._graph.reached([value[1]])
+            self._known_opaque[value[1]] = any(map(self._is_opaque, nodes))
+        return self._known_opaque[value[1]]
+
+    def _is_opaque(self, n: int) -> bool:
+        kind, parts, _ = self._graph.nodes[n]
+        if kind == "function":
+            return parts[0] not in KNOWN
+        return kind == "product" and any(
+            e.denominator > 2 or (e.denominator == 2 and m in self.dependent) for m, e in parts
+        )
 
 
 def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:

@@ -6,7 +6,7 @@ products have in common can be named.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -78,10 +78,10 @@ class Program:
                 return [value[1] for value in line.parts[1:]]
         return []
 
-    def order(self) -> list[int]:
+    def order(self, values: Iterable[Value] | None = None) -> list[int]:
         """List the lines that outputs need, each behind those that it is made of."""
         placed: dict[int, None] = {}
-        for _, root in self.outputs.values():
+        for _, root in self.outputs.values() if values is None else values:
             work = [root]
             while work:
                 n = work[-1]
@@ -127,11 +127,15 @@ class Program:
             count[n] = count.get(n, 0) + 1
         return count
 
-    def operations(self) -> int:
-        """Count the operations on what is not known before; sine and cosine of an angle are one."""
+    def operations(self, values: Sequence[Value] | None = None) -> int:
+        """Count the operations on what is not known before, for all outputs or for some values.
+
+        Sine and cosine of an angle are one.
+        """
+        values = list(self.outputs.values()) if values is None else values
         total = 0
         angles: set[Any] = set()
-        for n in self.order():
+        for n in self.order(values):
             line = self.lines[n]
             if not line.level:
                 continue
@@ -146,7 +150,7 @@ class Program:
                 total += len(late) - 1 + bool(early) + self._multiples(late)
             elif line.kind == "product":
                 total += self._product(line)
-        return total + len(angles) + self._multiples(list(self.outputs.values()))
+        return total + len(angles) + self._multiples(values)
 
     def _multiples(self, values: Sequence[Value]) -> int:
         """Count products with numbers other than one and minus one."""

@@ -14,7 +14,7 @@ from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import FLOAT, tree_size
 from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Dependence", "dependence", "vanishes"]
+__all__ = ["Dependence", "certain", "dependence", "vanishes"]
 
 DIGITS = 60
 #: Where sums of terms of size one end that vanish identically.
@@ -37,21 +37,22 @@ class Dependence(Enum):
     UNDECIDED = "perhaps"
 
 
-def dependence(plain: Plain, findings: Findings, value: Value, x: int) -> Dependence:
-    """Tell how a value depends on a symbol that moves it in a field.
+def certain(plain: Plain, findings: Findings, value: Value) -> bool:
+    """Tell whether all that moves a value in a field truly does, and by no rounding of floats."""
+    return not findings.opaque(value) and not _has_floats(plain, value)
+
+
+def dependence(plain: Plain, value: Value, x: int) -> Dependence:
+    """Tell how a value depends on a symbol that moves it in a field, where that is not certain.
 
     Parameters
     ----------
     plain : Plain
-    findings : Findings
     value : Value
     x : int
         The symbol.
     """
     graph = plain.graph
-    opaque, floats = findings.opaque(value), _has_floats(plain, value)
-    if not opaque and not floats:
-        return Dependence.REAL
     slope = Derivatives(graph)(value, x)
     sizes = [_relative(plain, slope, sample) for sample in SAMPLES]
     if any(size is not None and size > NEARLY for size in sizes) or None in sizes:

@@ -16,7 +16,7 @@ from symsimpson.graph.derive import gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import fixed
-from symsimpson.mechanics.independence import Dependence, dependence
+from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected
 
@@ -123,8 +123,8 @@ def analyse(system: MechanicalSystem) -> Structure:
     """
     given, n = system.plain, system.n
     names = [user.func.__name__ for user in system.coordinates]
-    plain, questions = _freed(given, names)
-    look = _Look(plain)
+    plain, questions, dependent = _freed(given, names)
+    look = _Look(plain, dependent)
     groups = connected(n, look.couplings())
     if len(groups) > len(connected(n, look.as_written())):
         split = _split(plain, groups)
@@ -132,7 +132,7 @@ def analyse(system: MechanicalSystem) -> Structure:
             groups = connected(n, look.as_written())
         else:
             plain = split
-            look = _Look(plain)
+            look = _Look(plain, None)
     subsystems = tuple(look.subsystem(group) for group in groups)
     moving = {i for place, value in plain.M.items() if look.moves(value) for i in place}
     triangle = {place: 1 + (place[0] != place[1]) for place in plain.M}
@@ -165,24 +165,28 @@ def analyse(system: MechanicalSystem) -> Structure:
 class _Look:
     """Answers about the Lagrangian of a system."""
 
-    def __init__(self, plain: Plain) -> None:
+    def __init__(self, plain: Plain, dependent: frozenset[int] | None) -> None:
         graph, L = plain.graph, plain.L
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
+        self._positions = frozenset(self.q)
         both = gradient(graph, L, [*self.q, *self.v])
         self.F, self.P = both[: len(self.q)], both[len(self.q) :]
         self._slope = gradient(graph, plain.V, self.q)
-        self._findings = Findings(graph, [*both, *self._slope, *plain.energies])
+        values = [*both, *self._slope, *plain.energies]
+        self._findings = Findings(graph, values, dependent)
 
     def couplings(self) -> list[tuple[int, int]]:
         """List the pairs of coordinates that L couples."""
         depends = self._findings.depends
-        return [
-            (i, k)
-            for k, (q, v) in enumerate(zip(self.q, self.v, strict=True))
-            for i, (F, P) in enumerate(zip(self.F, self.P, strict=True))
-            if i != k and any(depends(value, x) for value in (F, P) for x in (q, v))
-        ]
+        symbols = {x: k for group in (self.q, self.v) for k, x in enumerate(group)}
+        found: dict[tuple[int, int], None] = {}
+        for i, pair in enumerate(zip(self.F, self.P, strict=True)):
+            for value in pair:
+                for x in sorted(self._plain.graph.nodes[value[1]].symbols & symbols.keys()):
+                    if symbols[x] != i and depends(value, x):
+                        found[i, symbols[x]] = None
+        return list(found)
 
     def as_written(self) -> list[tuple[int, int]]:
         """List the pairs of coordinates of which one stands in the other's force or momentum."""
@@ -197,8 +201,8 @@ class _Look:
 
     def moves(self, value: Value) -> int:
         """Count the coordinates that a value depends on."""
-        present = self._plain.graph.nodes[value[1]].symbols
-        return sum(x in present and self._findings.depends(value, x) for x in self.q)
+        present = self._plain.graph.nodes[value[1]].symbols & self._positions
+        return sum(self._findings.depends(value, x) for x in present)
 
     def hessian_entries(self) -> int:
         """Count the second derivatives of V that are not zero."""
@@ -222,8 +226,13 @@ class _Look:
         )
 
 
-def _freed(given: Plain, names: Sequence[str]) -> tuple[Plain, dict[Dependence, tuple[str, ...]]]:
-    """Write the energies without the coordinates that they do not depend on."""
+def _freed(
+    given: Plain, names: Sequence[str]
+) -> tuple[Plain, dict[Dependence, tuple[str, ...]], frozenset[int] | None]:
+    """Write the energies without the coordinates that they do not depend on.
+
+    Gives what is open, too, and the radicands that depend on each other, if nothing was changed.
+    """
     graph, q = given.graph, given.numbers(given.q)
     findings = Findings(graph, [given.T, *given.energies])
     questions: dict[Dependence, list[str]] = {kind: [] for kind in Dependence}
@@ -232,13 +241,13 @@ def _freed(given: Plain, names: Sequence[str]) -> tuple[Plain, dict[Dependence, 
         if findings.vanishes(value):
             return ZERO
         present = graph.nodes[value[1]].symbols
-        first = value
+        first, sure = value, certain(given, findings, value)
         for name, x in zip(names, q, strict=True):
             if x not in present:
                 continue
             answer = Dependence.NONE
             if findings.depends(first, x):
-                answer = dependence(given, findings, first, x)
+                answer = Dependence.REAL if sure else dependence(given, first, x)
             if answer is Dependence.NONE:
                 value = fixed(graph, value, [x]) or value
             questions[answer].append(f"whether {what} depends on {name}")
@@ -252,7 +261,9 @@ def _freed(given: Plain, names: Sequence[str]) -> tuple[Plain, dict[Dependence, 
         a=tuple(freed(f"a_{name}", a) for name, a in zip(names, given.a, strict=True)),
         V=freed("V", given.V),
     )
-    return plain, {kind: tuple(sorted(set(found))) for kind, found in questions.items()}
+    same = plain.energies == given.energies
+    answers = {kind: tuple(sorted(set(found))) for kind, found in questions.items()}
+    return plain, answers, findings.dependent if same else None
 
 
 def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:

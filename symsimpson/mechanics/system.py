@@ -27,6 +27,7 @@ from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
 from symsimpson.progress import waiting
+from symsimpson.stopwatch import collecting, timed
 
 __all__ = ["MechanicalSystem"]
 
@@ -95,12 +96,13 @@ class MechanicalSystem:
     invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
     gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
     plain: Plain = field(init=False)
+    seconds: dict[str, float] = field(init=False)
 
     def __post_init__(self) -> None:
         name = read_name(self.name)
         coordinates = read_coordinates(name, self.coordinates)
         parameters = read_parameters(name, self.parameters, coordinates)
-        with waiting(f"reading {name}"):
+        with collecting() as seconds, waiting(f"reading {name}"), timed("reading"):
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         for key, value in {
             "coordinates": coordinates,
@@ -111,6 +113,7 @@ class MechanicalSystem:
             "positions": positions,
             "invariants": invariants,
             "plain": plain,
+            "seconds": seconds,
         }.items():
             object.__setattr__(self, key, value)
 
@@ -237,7 +240,7 @@ class MechanicalSystem:
     def large(self) -> bool:
         """Whether T and V are too long to be shown."""
         plain = self.plain
-        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > 10 * LARGE
+        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
 
     @property
     def lagrangian(self) -> sp.Expr:
@@ -247,8 +250,10 @@ class MechanicalSystem:
     @cached_property
     def structure(self) -> Structure:
         """What the system has and lacks, and what the generator therefore skips."""
-        with waiting(f"analysing {self.name}"):
-            return analyse(self)
+        with collecting() as seconds, waiting(f"analysing {self.name}"), timed("structure"):
+            found = analyse(self)
+        self.seconds.update(seconds)
+        return found
 
     @cached_property
     def digest(self) -> str:

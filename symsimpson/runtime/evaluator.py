@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.derivation import Derivation
 from symsimpson.runtime.evaluate import evaluate_energy, evaluate_equations
 from symsimpson.runtime.inputs import read_parameters
 from symsimpson.runtime.load import Facts, read_facts
@@ -35,6 +36,7 @@ class Evaluator:
         numbers: Numbers = FLOAT64,
         reference_state: Mapping[str, Any] | None = None,
         declared: Any = None,
+        derivation: Derivation | None = None,
     ) -> None:
         facts = read_facts(source, where)
         self.source, self._where = source, where
@@ -44,7 +46,7 @@ class Evaluator:
         self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
         self.coordinates, self.parameters = facts.coordinates, facts.parameters
         self.invariants, self.reference_state = facts.invariants, reference_state
-        self._declared = declared
+        self._declared, self._derivation = declared, derivation
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(facts.coordinates)}

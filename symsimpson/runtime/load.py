@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import re
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -198,6 +199,7 @@ class Kernels:
         self._facts = facts
         self._staged = facts.by_stages and lanes == 1  # nodes are lanes, or members are
         self._single: dict[tuple[str, bool], int] = {}
+        self.seconds = 0.0  # spent on compiling, or on loading what is compiled
 
     @cached_property
     def ladder(self) -> tuple[str, ...]:
@@ -266,8 +268,7 @@ class Kernels:
         text = self._text.replace(f"ROWS = {before}\n", f"ROWS = {before + rows}\n", 1)
         return int(self._addresses(f"{text}\n\n{kernel}", "observe", ("observe",))[0])
 
-    @staticmethod
-    def _addresses(text: str, label: str, names: tuple[str, ...]) -> NDArray[np.int64]:
+    def _addresses(self, text: str, label: str, names: tuple[str, ...]) -> NDArray[np.int64]:
         def compile_kernels(module: ModuleType) -> tuple[list[Any], NDArray[np.int64]]:
             from numba import cfunc
 
@@ -277,4 +278,7 @@ class Kernels:
             ]
             return kernels, np.array([kernel.address for kernel in kernels], dtype=np.int64)
 
-        return compiled(text, label, compile_kernels)[1]
+        start = time.perf_counter()
+        found = compiled(text, label, compile_kernels)[1]
+        self.seconds += time.perf_counter() - start
+        return found

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
+from symsimpson.derivation import Report
 from symsimpson.errors import Interrupted
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_failure
@@ -39,6 +40,8 @@ class Stepper(Evaluator):
         A state to start from: q0, and v0 or p0.
     declared : MechanicalSystem, optional
         What the module was generated from; by it steps that are too large are warned of.
+    derivation : Derivation, optional
+        What generating it took.
 
     Attributes
     ----------
@@ -59,6 +62,29 @@ class Stepper(Evaluator):
         from symsimpson.display.results import stepper
 
         return stepper(self)
+
+    def report(self) -> Report:
+        """Say how long deriving and compiling took, and how long the result is.
+
+        Returns
+        -------
+        Report
+            Seconds for reading T and V, for the structure, the jet, the text, and for compiling or
+            loading what has been run so far; lines of the module and operations of the jet.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> report = ss.compile(ss.systems.double_pendulum()).report()
+        >>> report.form, report.operations < 35, list(report.seconds)
+        ('straight lines', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
+        """
+        derived, lines = self._derivation, len(self.source.splitlines())
+        seconds = {"compilation": float(getattr(self._kernels, "seconds", 0.0))}
+        if derived is None:
+            return Report(seconds, lines, None, "")
+        form = "straight lines" if derived.straight else "loops"
+        return Report({**derived.seconds, **seconds}, lines, derived.operations, form)
 
     def integrate(
         self,

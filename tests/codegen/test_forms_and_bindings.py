@@ -141,7 +141,7 @@ def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
     equations = discretise(system, ss.SIMPSON, ("sparse",))
     text = emit(equations, kernels.lower(equations))
     assert "BAND = 1\n" in text
-    assert '5 terms v_1*sin(q_0)/3."""' in text
+    assert '5 terms v_0*sin(q_1)/3."""' in text
     module = bind_float(text)
     q, v = map(np.array, random_state(1, 6))
     W = new_workspace(module, q, [0.0] * 6, [])

@@ -87,10 +87,10 @@ def test_what_contains_no_coordinate_is_a_family_of_its_own():
 
 def test_loops_over_families_take_constants():
     """The constant is in the energy, which is kept."""
-    stepper = ss.compile(ring(1, n=3), "gauss6")
+    stepper = ss.compile(ring(1, n=6), "gauss6")
     assert "FAMILY_3" in stepper.source
-    q0 = np.array([0.1, 0.2, -0.1])
-    run = stepper.integrate(q0, v0=[0.0] * 3, h=0.1, steps=20)
+    q0 = np.array([0.1, 0.2, -0.1, 0.3, 0.0, -0.2])
+    run = stepper.integrate(q0, v0=[0.0] * 6, h=0.1, steps=20)
     assert np.isclose(run.energy[0], 1.5 * (1 - np.cos(q0 - np.roll(q0, -1))).sum(), rtol=1e-14)
     assert abs(run.energy_error).max() < 1e-9
 

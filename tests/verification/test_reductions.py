@@ -251,18 +251,18 @@ def test_overflow_stops_before_the_step(every):
 
 
 def test_chain_costs_grow_with_its_length():
-    """Operations of a step, not time: chains of 16 and 64 coordinates."""
-    short, long = (cost(source(ss.systems.fermi_pasta_ulam(n))) for n in (8, 32))
+    """Operations of a step, not time: chains of 32 and 128 coordinates."""
+    short, long = (cost(source(ss.systems.fermi_pasta_ulam(n))) for n in (16, 64))
     for a, b in ((short.iteration, long.iteration), (short.closing, long.closing)):
         assert b < 4.4 * a
-    dense = cost(source(ss.systems.fermi_pasta_ulam(8), "simpson", ("constant_mass",)))
+    dense = cost(source(ss.systems.fermi_pasta_ulam(16), "simpson", ("constant_mass",)))
     assert dense.iteration > 2 * short.iteration
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "lobatto6", "midpoint", "lobatto2"], 2))
 def test_chain(scheme):
-    """Sixteen coordinates: loops, bands and another order against the general path."""
-    system = ss.systems.fermi_pasta_ulam(8)
+    """Twenty coordinates: loops, bands and another order against the general path."""
+    system = ss.systems.fermi_pasta_ulam(10)
     given = system.reference_state
     assert gap(system, scheme, given["q0"], given["v0"], 0.002, steps=5) < 1e-13
 

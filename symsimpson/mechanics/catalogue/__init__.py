@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from symsimpson.mechanics.catalogue.argon import argon, argon_cluster
 from symsimpson.mechanics.catalogue.cart_pole import cart_pole
+from symsimpson.mechanics.catalogue.cloth import cloth
 from symsimpson.mechanics.catalogue.double_pendulum import double_pendulum
 from symsimpson.mechanics.catalogue.elastic_pendulum import elastic_pendulum
 from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.catalogue.fermi_pasta_ulam import fermi_pasta_ulam
 from symsimpson.mechanics.catalogue.geodesics import ellipsoid_geodesic, torus_geodesic
+from symsimpson.mechanics.catalogue.gravity import n_body, outer_solar_system
 from symsimpson.mechanics.catalogue.harmonic_oscillator import harmonic_oscillator
 from symsimpson.mechanics.catalogue.henon_heiles import henon_heiles
 from symsimpson.mechanics.catalogue.kepler import kepler
 from symsimpson.mechanics.catalogue.lagrange_top import lagrange_top, lagrange_top_cusps
 from symsimpson.mechanics.catalogue.n_pendulum import n_pendulum
 from symsimpson.mechanics.catalogue.pendulum import pendulum
+from symsimpson.mechanics.catalogue.puma560 import puma560
 from symsimpson.mechanics.catalogue.rigid_body import heavy_top, rigid_body
 from symsimpson.mechanics.catalogue.spherical_pendulum import spherical_pendulum
+from symsimpson.mechanics.catalogue.water import water
 
 _MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
     pendulum,
@@ -38,13 +43,30 @@ _MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
     ellipsoid_geodesic,
 )
 
+#: Models with many coordinates or long energies.
+_LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
+    puma560,
+    water,
+    argon,
+    argon_cluster,
+    n_body,
+    outer_solar_system,
+    cloth,
+)
+
 #: Name of each function of the catalogue, and the function.
 CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
+#: The same of models with many coordinates or long energies, of which no modules are kept.
+MODELS: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _LARGE}
 
 __all__ = [
     "CATALOGUE",
+    "MODELS",
     "CatalogueSystem",
+    "argon",
+    "argon_cluster",
     "cart_pole",
+    "cloth",
     "double_pendulum",
     "elastic_pendulum",
     "ellipsoid_geodesic",
@@ -55,9 +77,13 @@ __all__ = [
     "kepler",
     "lagrange_top",
     "lagrange_top_cusps",
+    "n_body",
     "n_pendulum",
+    "outer_solar_system",
     "pendulum",
+    "puma560",
     "rigid_body",
     "spherical_pendulum",
     "torus_geodesic",
+    "water",
 ]

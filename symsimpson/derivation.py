@@ -1,0 +1,68 @@
+"""What deriving a module took, and what came out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+__all__ = ["Derivation", "Report"]
+
+
+@dataclass(frozen=True)
+class Derivation:
+    """The text of a module, and how it came about.
+
+    Attributes
+    ----------
+    text : str
+    seconds : mapping from str to float
+        Of the stages: reading, structure, jet, text.
+    operations : int or None
+        Of the jet at a node: forces, momenta and their derivatives; None if terms are summed up in
+        loops over families.
+    straight : bool
+        Whether the kernels are straight lines, else loops.
+    """
+
+    text: str
+    seconds: Mapping[str, float]
+    operations: int | None
+    straight: bool
+
+
+@dataclass(frozen=True, repr=False)
+class Report:
+    """What deriving and compiling a stepper took; shown as a table.
+
+    Attributes
+    ----------
+    seconds : mapping from str to float
+        Of the stages: reading, structure, jet, text, and compilation as far as it was needed.
+    lines : int
+        Of the module's text.
+    operations : int or None
+        Of the jet at a node; None if terms are summed up in loops, or nothing was derived here.
+    form : str
+        "straight lines", "loops", or "" if nothing was derived here.
+    """
+
+    seconds: Mapping[str, float]
+    lines: int
+    operations: int | None
+    form: str
+
+    def rows(self) -> list[tuple[str, str]]:
+        """List names and values."""
+        found = [(stage, f"{value:.2f} s") for stage, value in self.seconds.items()]
+        form = f", {self.form}" if self.form else ""
+        found.append(("module", f"{self.lines} lines{form}"))
+        if self.operations is not None:
+            found.append(("jet of L", f"{self.operations} operations at a node"))
+        return found
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{name:<12} {value}" for name, value in self.rows())
+
+    def _repr_html_(self) -> str:
+        rows = "".join(f"<tr><td>{name}</td><td>{value}</td></tr>" for name, value in self.rows())
+        return f"<table>{rows}</table>"

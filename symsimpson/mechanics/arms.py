@@ -1,0 +1,249 @@
+"""Serial arms: T and V handed from link to link, by Denavit and Hartenberg's parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.errors import ModelError
+from symsimpson.mechanics.checks import fail, read_name
+from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["Link", "arm_energies", "serial_arm"]
+
+Vector = tuple[Any, Any, Any]
+Rows = tuple[Vector, Vector, Vector]
+#: Floats this close to multiples of pi/2 are taken for these.
+CLOSE = 1e-12
+
+
+@dataclass(frozen=True)
+class Link:
+    """A link of a serial arm and the joint before it; numbers or symbols, in SI units or others.
+
+    Parameters
+    ----------
+    a, alpha, d, theta : number or expression
+        Denavit and Hartenberg's parameters: length, twist, offset and angle. The coordinate of the
+        joint is added to ``theta`` of a revolute joint, to ``d`` of a prismatic one.
+    mass : number or expression
+    centre : three numbers or expressions
+        Centre of mass in the frame of the link.
+    inertia : three or six numbers or expressions
+        Moments of inertia about the centre in the frame of the link: xx, yy, zz and, if they are
+        not zero, xy, yz, xz.
+    rotor : number or expression
+        Inertia of the motor as the joint feels it, gear ratio squared times its own.
+    prismatic : bool
+        Whether the joint slides along its axis rather than turn about it.
+    """
+
+    a: Any = 0
+    alpha: Any = 0
+    d: Any = 0
+    theta: Any = 0
+    mass: Any = 0
+    centre: Sequence[Any] = (0, 0, 0)
+    inertia: Sequence[Any] = (0, 0, 0)
+    rotor: Any = 0
+    prismatic: bool = False
+
+
+def serial_arm(
+    name: str,
+    links: Sequence[Link],
+    *,
+    gravity: Sequence[Any] = (0, 0, -9.81),
+    modified: bool = False,
+    parameters: Mapping[sp.Symbol, float] | None = None,
+    joints: str | None = None,
+) -> MechanicalSystem:
+    """Declare a serial arm by its links.
+
+    Parameters
+    ----------
+    name : str
+    links : sequence of Link
+        From the base to the tool.
+    gravity : three numbers or expressions
+        Acceleration in the frame of the base.
+    modified : bool
+        Whether the parameters follow the modified convention (Craig), in which ``a`` and ``alpha``
+        of a link come before its joint; in the standard one (Denavit and Hartenberg [1]_) behind.
+    parameters : mapping from symbol to number, optional
+        Values of the symbols that links and gravity are made of.
+    joints : str, optional
+        Names of the coordinates; q1, q2, ... if not given.
+
+    Returns
+    -------
+    MechanicalSystem
+        With the joints and the tool as positions to draw.
+
+    Raises
+    ------
+    ModelError
+        If there is no link, a vector has another number of entries, or as for MechanicalSystem.
+
+    Notes
+    -----
+    Velocities are written in the frame of each link, from those of the link before (Luh, Walker
+    and Paul [2]_): so T is as long as the arm, and not as its matrices multiplied out.
+
+    References
+    ----------
+    .. [1] J. Denavit, R. S. Hartenberg, A kinematic notation for lower-pair mechanisms based on
+       matrices, ASME Journal of Applied Mechanics 22 (1955), 215-221.
+    .. [2] J. Y. S. Luh, M. W. Walker, R. P. C. Paul, On-line computational scheme for mechanical
+       manipulators, ASME Journal of Dynamic Systems, Measurement and Control 102 (1980), 69-76.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> bar = ss.Link(a=0.5, mass=2.0, centre=(-0.25, 0, 0), inertia=(0, 0.04, 0.04))
+    >>> arm = ss.serial_arm("two_bars", [bar, bar], gravity=(0, -9.81, 0))
+    >>> arm.n, arm.structure.periodic
+    (2, ('q1', 'q2'))
+    """
+    name = read_name(name)
+    q = coordinates(joints or f"q1:{len(links) + 1}") if links else ()
+    kinetic, potential, positions = arm_energies(name, links, q, gravity, modified=modified)
+    return MechanicalSystem(
+        name, coordinates=q, kinetic=kinetic, potential=potential, parameters=parameters or {},
+        positions=positions,
+    )  # fmt: skip
+
+
+def arm_energies(
+    name: str,
+    links: Sequence[Link],
+    q: Sequence[Any],
+    gravity: Sequence[Any] = (0, 0, -9.81),
+    *,
+    modified: bool = False,
+) -> tuple[sp.Expr, sp.Expr, dict[str, tuple[Any, ...]]]:
+    """Give T, V and the points to draw of a serial arm, to which other terms may be added.
+
+    Parameters
+    ----------
+    name : str
+        Of the system, for messages.
+    links : sequence of Link
+    q : sequence of coordinates
+    gravity : three numbers or expressions
+    modified : bool
+
+    Raises
+    ------
+    ModelError
+    """
+    if not links or len(links) != len(q):
+        raise ModelError(
+            f"system '{name}': {len(links)} links and {len(q)} joints.\n"
+            "An arm has a link behind each joint, one at least."
+        )
+    zero: Vector = (sp.S.Zero,) * 3
+    omega, velocity, origin, height = zero, zero, zero, sp.S.Zero
+    pull = _vector(name, "gravity", gravity)
+    frame: Rows = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    terms: list[sp.Expr] = []
+    weights: list[sp.Expr] = []
+    points = [origin]
+    for link, x in zip(links, q, strict=True):
+        rotation, shift, axis = _joint(link, x, modified=modified)
+        turn, slide = (sp.S.Zero, x.diff()) if link.prismatic else (x.diff(), sp.S.Zero)
+        origin = _add(origin, _times(frame, shift))
+        frame = _product(frame, rotation)
+        points.append(origin)
+        height -= _dot(pull, shift)
+        before = omega
+        omega = _add(omega, _scaled(turn, axis))
+        # the axis of the modified convention goes through the link's origin
+        lever = before if modified else omega
+        velocity = _add(_add(velocity, _cross(lever, shift)), _scaled(slide, axis))
+        omega, velocity, pull = (_turned(rotation, y) for y in (omega, velocity, pull))
+        centre = _vector(name, "centre", link.centre)
+        v = _add(velocity, _cross(omega, centre))
+        terms += [link.mass * _dot(v, v), _spin(name, link, omega), link.rotor * x.diff() ** 2]
+        weights.append(link.mass * (height - _dot(pull, centre)))
+    names = ["base", *(f"joint {k}" for k in range(2, len(links) + 1)), "tool"]
+    return sp.Add(*terms) / 2, sp.Add(*weights), dict(zip(names, points, strict=True))
+
+
+def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Rows, Vector, Vector]:
+    """Give rotation and shift from the frame before, and the joint's axis in that frame."""
+    theta, d = (link.theta, link.d + x) if link.prismatic else (link.theta + x, link.d)
+    c, s = (_number(f(theta)) for f in (sp.cos, sp.sin))
+    ca, sa = _cosine_and_sine(link.alpha)
+    if modified:
+        rotation: Rows = ((c, -s, 0), (s * ca, c * ca, -sa), (s * sa, c * sa, ca))
+        return rotation, (link.a, -d * sa, d * ca), (0, -sa, ca)
+    rotation = ((c, -s * ca, s * sa), (s, c * ca, -c * sa), (0, sa, ca))
+    return rotation, (link.a * c, link.a * s, d), (0, 0, 1)
+
+
+def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
+    """Give omega.I.omega."""
+    inertia = tuple(link.inertia)
+    if len(inertia) not in (3, 6):
+        raise fail(name, f"a link's inertia has {len(inertia)} entries.",
+                   "Give xx, yy, zz, or xx, yy, zz, xy, yz, xz.")  # fmt: skip
+    xx, yy, zz, xy, yz, xz = (*inertia, 0, 0, 0)[:6]
+    x, y, z = omega
+    squares = xx * x**2 + yy * y**2 + zz * z**2
+    return squares + 2 * (xy * x * y + yz * y * z + xz * x * z)
+
+
+def _vector(name: str, what: str, given: Sequence[Any]) -> Vector:
+    entries = tuple(given)
+    if len(entries) != 3:
+        raise fail(name, f"a link's {what} has {len(entries)} entries.", "Give x, y and z.")
+    return entries
+
+
+def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
+    """Give cosine and sine; those of floats that are meant as right angles are whole."""
+    if isinstance(angle, (int, float)):
+        quarters = round(2 * angle / math.pi)
+        if abs(angle - quarters * math.pi / 2) < CLOSE:
+            return ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4]
+    return _number(sp.cos(angle)), _number(sp.sin(angle))
+
+
+def _number(value: Any) -> Any:
+    return value if value != 0 else sp.S.Zero
+
+
+def _dot(a: Vector, b: Vector) -> Any:
+    return sp.Add(*(x * y for x, y in zip(a, b, strict=True)))
+
+
+def _add(a: Vector, b: Vector) -> Vector:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+def _scaled(factor: Any, a: Vector) -> Vector:
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _times(rows: Rows, a: Vector) -> Vector:
+    return _dot(rows[0], a), _dot(rows[1], a), _dot(rows[2], a)
+
+
+def _turned(rows: Rows, a: Vector) -> Vector:
+    """Write a vector of the frame before in the frame of a link."""
+    return _times(tuple(zip(*rows, strict=True)), a)  # type: ignore[arg-type]
+
+
+def _product(rows: Rows, others: Rows) -> Rows:
+    columns = [_times(rows, column) for column in zip(*others, strict=True)]
+    return tuple(zip(*columns, strict=True))  # type: ignore[return-value]

@@ -1,0 +1,83 @@
+"""Bodies that attract each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import sympy as sp
+
+from symsimpson.errors import ModelError
+from symsimpson.mechanics.catalogue.entry import CatalogueSystem, State
+from symsimpson.mechanics.coordinates import coordinates
+
+__all__ = ["n_body", "outer_solar_system"]
+
+#: Sun with the inner planets, and the outer planets: mass in units of the Sun's, position in
+#: astronomical units, velocity in these a day, on 5 September 1994.
+SOLAR_SYSTEM = (
+    ("Sun", 1.00000597682, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ("Jupiter", 0.000954786104043, (-3.5023653, -3.8169847, -1.5507963),
+     (0.00565429, -0.00412490, -0.00190589)),
+    ("Saturn", 0.000285583733151, (9.0755314, -3.0458353, -1.6483708),
+     (0.00168318, 0.00483525, 0.00192462)),
+    ("Uranus", 0.0000437273164546, (8.3101420, -16.2901086, -7.2521278),
+     (0.00354178, 0.00137102, 0.00055029)),
+    ("Neptune", 0.0000517759138449, (11.4707666, -25.7294829, -10.8169456),
+     (0.00288930, 0.00114527, 0.00039677)),
+    ("Pluto", 1 / 1.3e8, (-15.5387357, -25.2225594, -3.1902382),
+     (0.00276725, -0.00170702, -0.00136504)),
+)  # fmt: skip
+
+
+def outer_solar_system() -> CatalogueSystem:
+    """The Sun, the four outer planets and Pluto; days, astronomical units, solar masses."""
+    _, masses, places, velocities = zip(*SOLAR_SYSTEM, strict=True)
+    return _bodies(
+        "outer_solar_system", masses, 2.95912208286e-4,
+        {"q0": sum(places, ()), "v0": sum(velocities, ())},
+        "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2.4",
+    )  # fmt: skip
+
+
+def n_body(n: int = 3) -> CatalogueSystem:
+    """Bodies of equal mass at the corners of a regular polygon that turns about its centre."""
+    if isinstance(n, bool) or not isinstance(n, int) or n < 2:
+        raise ModelError(f"bodies that attract each other are two at least, not {n!r}.\nUse 3.")
+    angles = [2 * math.pi * k / n for k in range(n)]
+    square = sum(1 / math.sin(math.pi * k / n) for k in range(1, n)) / 4
+    omega = math.sqrt(square)
+    places = [(math.cos(x), math.sin(x), 0.0) for x in angles]
+    velocities = [(-omega * y, omega * x, 0.0) for x, y, _ in places]
+    return _bodies(
+        f"n_body_{n}", (1.0,) * n, 1.0, {"q0": sum(places, ()), "v0": sum(velocities, ())},
+        "L. M. Perko, E. L. Walter, Regular polygon solutions of the N-body problem, "
+        "Proc. AMS 94 (1985), 301-309",
+    )  # fmt: skip
+
+
+def _bodies(
+    name: str, masses: Sequence[float], constant: float, state: State, source: str
+) -> CatalogueSystem:
+    """Declare bodies in space by their masses."""
+    n = len(masses)
+    G = sp.Symbol("G", positive=True)
+    m = sp.symbols(f"m0:{n}", positive=True)
+    q = coordinates(" ".join(f"{axis}{i}" for i in range(n) for axis in "xyz"))
+    points = [q[3 * i : 3 * i + 3] for i in range(n)]
+    potential = [
+        -G * m[i] * m[j] / sp.sqrt(sp.Add(*((x - y) ** 2 for x, y in zip(a, b, strict=True))))
+        for i, a in enumerate(points)
+        for j, b in enumerate(points[:i])
+    ]
+    kinetic = [m[i] * x.diff() ** 2 / 2 for i, point in enumerate(points) for x in point]
+    return CatalogueSystem(
+        name,
+        coordinates=q,
+        kinetic=sp.Add(*kinetic),
+        potential=sp.Add(*potential),
+        parameters={**dict(zip(m, masses, strict=True)), G: constant},
+        positions={f"body {i}": point for i, point in enumerate(points)},
+        reference_state=state,
+        source=source,
+    )
