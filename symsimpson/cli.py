@@ -169,12 +169,12 @@ def _words(text: str) -> list[str]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from symsimpson.mechanics.catalogue import CATALOGUE
+    from symsimpson.mechanics.catalogue import CATALOGUE, MODELS
 
-    for name, make in CATALOGUE.items():
+    for name, make in {**CATALOGUE, **MODELS}.items():
         system = make()
         first = (make.__doc__ or "").splitlines()[0]
-        print(f"{name:<20} n = {system.n}   {first}")
+        print(f"{name:<20} n = {system.n:<4} {first}")
     return 0
 
 
@@ -346,11 +346,12 @@ def _bench(options: argparse.Namespace) -> int:
 
 def _find(name: str) -> MechanicalSystem:
     """Find a system by its name in the catalogue or by file and attribute."""
-    from symsimpson.mechanics.catalogue import CATALOGUE
+    from symsimpson.mechanics.catalogue import CATALOGUE, MODELS
     from symsimpson.mechanics.system import MechanicalSystem
 
-    if name in CATALOGUE:
-        return CATALOGUE[name]()
+    known = {**CATALOGUE, **MODELS}
+    if name in known:
+        return known[name]()
     for make in CATALOGUE.values():
         system = make()
         if system.name == name:

@@ -30,7 +30,7 @@ def own(tmp_path):
 def test_list(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
-    assert all(name in out for name in ss.systems.CATALOGUE)
+    assert all(name in out for name in (*ss.systems.CATALOGUE, *ss.systems.MODELS))
 
 
 def test_generate(tmp_path, own, capsys):

@@ -28,7 +28,7 @@ __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
 #: Straight lines are written up to about so many: each takes some 3 ms to compile, and loops, of
 #: which each is a function of its own, 12 s in all. They run two to five times as fast.
-MOST_LINES = 5000
+MOST_LINES = 4000
 #: Parts with more unknowns are not written out, whatever they are made of.
 UNROLLED_UNKNOWNS = 16
 #: Nor are explicit steps with more forces, one for each kick and coordinate.

@@ -85,6 +85,9 @@ def rows(found: Structure) -> list[Row]:
                   "their terms, and fill in elimination"))  # fmt: skip
     for question in found.undecided:
         table.append(("undecided", question, "zero at every sample, not proved", "nothing"))
+    for question in found.nearly:
+        why = "by less than 1e-12: floats are taken for the numbers that they are"
+        table.append(("nearly not", question, why, "nothing"))
     return table
 
 

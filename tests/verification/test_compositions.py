@@ -9,7 +9,7 @@ from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.codegen import kernels
-from symsimpson.codegen.pipeline import _source, source
+from symsimpson.codegen.pipeline import _derive, source
 from symsimpson.schemes.composition import COMPOSITIONS
 
 HENON = ss.systems.henon_heiles()
@@ -79,11 +79,11 @@ def test_loops_are_straight_lines(name, monkeypatch):
     given = {**CHAIN.reference_state, "h": 0.001, "steps": 500, "every": None}
     straight = ss.compile(CHAIN, name).integrate(**given)
     monkeypatch.setattr(kernels, "UNROLLED_FORCES", 1)
-    _source.cache_clear()
+    _derive.cache_clear()
     looped = ss.compile(CHAIN, name)
     assert "range(len(DRIFTS))" in looped.source
     run = looped.integrate(**given)
-    _source.cache_clear()
+    _derive.cache_clear()
     assert np.abs(run.q - straight.q).max() < 1e-14
     other = ss.compile(CHAIN, "gauss8").integrate(**given)
     assert np.abs(run.q - other.q).max() < 1e-8
