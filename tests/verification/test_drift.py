@@ -57,7 +57,7 @@ def drift(stepper, together):
 def test_the_mean_energy_stays(scheme, exploit, loops, together, monkeypatch):
     if loops:
         monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
-    pipeline._source.cache_clear()
+    pipeline._derive.cache_clear()
     stepper = Stepper(pipeline.source(ss.systems.henon_heiles(), scheme, exploit), "drift")
-    pipeline._source.cache_clear()
+    pipeline._derive.cache_clear()
     assert abs(drift(stepper, together)) < MOST
