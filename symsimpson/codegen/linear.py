@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 
 import sympy as sp
 
@@ -11,8 +12,9 @@ from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Linear
+from symsimpson.errors import GenerationError
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.graph.nodes import Graph, Value
 from symsimpson.graph.rebuild import rebuilt
 
 __all__ = ["LinearSolver"]
@@ -32,19 +34,18 @@ class LinearSolver(Explicit):
         self._shears = part.shears
         plain, own, group = low.equations.plain, low.parameters, self.coordinates
         q = plain.numbers(plain.q)
-        rest = dict.fromkeys(q, ZERO)
         derivatives = Derivatives(plain.graph)
-
-        def constant(value: Value) -> sp.Expr:
-            (at_rest,) = rebuilt(plain.graph, [value], rest)
-            return plain.written(at_rest).xreplace(own)
-
         slope = {a: derivatives(plain.V, q[a]) for a in group}
-        self._M = {(a, b): constant(plain.entry(a, b)) for a in group for b in group}
-        self._K = {
-            (a, b): constant(derivatives(slope[a], q[b])) for a in group for b in group
+        second = {(a, b): derivatives(slope[a], q[b]) for a in group for b in group}
+        masses = {(a, b): plain.entry(a, b) for a in group for b in group}
+        values = [*masses.values(), *second.values(), *slope.values()]
+        at, found = _somewhere(plain.graph, values, q)
+        constants = iter([plain.written(value).xreplace(own) for value in found])
+        self._M = {place: next(constants) for place in masses}
+        self._K = {place: next(constants) for place in second}
+        self._f = {
+            a: sp.Add(-next(constants), *(self._K[a, b] * at for b in group)) for a in group
         }  # fmt: skip
-        self._f = {a: -constant(slope[a]) for a in group}
         self._impulse: Vector = {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
@@ -133,3 +134,19 @@ class LinearSolver(Explicit):
         rows = [[matrix[a, b] for b in group] for a in group]
         wishes = [f"{wish}_{a}" for a in group]
         return solve_symmetric(self._low.graph, rows, right, wishes, "shears")[0]
+
+
+def _somewhere(
+    graph: Graph, values: Sequence[Value], q: Sequence[int]
+) -> tuple[sp.Rational, list[Value]]:
+    """Evaluate values at q = 0, or where they are defined if that is nowhere at q = 0."""
+    for number in (Fraction(0), Fraction(1), Fraction(2), Fraction(7, 3), Fraction(-5, 11)):
+        try:
+            found = rebuilt(graph, values, dict.fromkeys(q, (number, 0)))
+        except ZeroDivisionError:
+            continue
+        return sp.Rational(number.numerator, number.denominator), found
+    raise GenerationError(
+        "forces that are linear have no value at any point that was tried.\n"
+        "Simplify the potential, or compile with exploit=()."
+    )

@@ -26,9 +26,20 @@ MOST_NUMBERS = 42
 
 def system(one: MechanicalSystem) -> str:
     """Give T, V, M and, for few coordinates, the equations of motion."""
+    try:
+        return _equations(one)
+    except RecursionError:
+        return _too_long(one)
+
+
+def _too_long(one: MechanicalSystem) -> str:
+    text = rf"{_plain(one.name)}: {one.n} coordinates, T and V too long to be shown"
+    return rf"$\text{{{text}}}$"
+
+
+def _equations(one: MechanicalSystem) -> str:
     if one.large:
-        text = rf"{_plain(one.name)}: {one.n} coordinates, T and V too long to be shown"
-        return rf"$\text{{{text}}}$"
+        return _too_long(one)
     t = dynamicsymbols._t
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))

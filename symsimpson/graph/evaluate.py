@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -67,5 +68,5 @@ def _constant(context: Any, parts: Sequence[str]) -> Any:
 def _function(context: Any, name: str) -> Callable[..., Any]:
     if name == "pow":
         return lambda x, y: x**y
-    function: Callable[..., Any] = getattr(context, name)
+    function: Callable[..., Any] = getattr(context, name, None) or getattr(math, name)
     return function

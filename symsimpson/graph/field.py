@@ -25,10 +25,12 @@ from typing import Any, Protocol
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["PRIME", "Arithmetic", "Evaluation", "Numbers"]
+__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "Numbers"]
 
 #: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
 PRIME = 2**61 - 1
+#: Another one, for coefficients that the first one divides.
+LARGER = 2**89 - 1
 #: A number, or a pair (a, b) for a + b i.
 Element = Any
 
@@ -66,59 +68,92 @@ class Arithmetic(Protocol):
 
 
 class Numbers:
-    """Single numbers modulo :data:`PRIME`, and pairs of them where roots need i."""
+    """Single numbers modulo a prime, and pairs of them where roots need i."""
 
-    prime = PRIME
-
-    def __init__(self, seed: int) -> None:
-        self._seed = seed
+    def __init__(self, seed: int, prime: int = PRIME) -> None:
+        self._seed, self.prime = seed, prime
 
     def draw(self, *key: object) -> int:
         """Give a random number that is the same for the same key."""
         text = repr((self._seed, *key)).encode()
-        return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % PRIME
+        return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % self.prime
 
     def inverse(self, x: Element) -> Element:
         """Give 1/x."""
         if isinstance(x, int):
             if not x:
                 raise ZeroDivisionError
-            return pow(x, -1, PRIME)
+            return pow(x, -1, self.prime)
         a, b = x
-        norm = pow(a * a + b * b, -1, PRIME)
-        return a * norm % PRIME, -b * norm % PRIME
+        norm = pow(a * a + b * b, -1, self.prime)
+        return a * norm % self.prime, -b * norm % self.prime
 
     def root(self, x: Element) -> Element:
         """Give a square root; of a number without one in the field, a random number."""
         if not isinstance(x, int):
             return self.draw("root", x)
-        found = pow(x, (PRIME + 1) // 4, PRIME)
-        if found * found % PRIME == x:
+        prime = self.prime
+        found = pow(x, (prime + 1) // 4, prime)
+        if found * found % prime == x:
             return found
-        return 0, pow(-x, (PRIME + 1) // 4, PRIME)
+        return 0, pow(-x, (prime + 1) // 4, prime)
 
     def times(self, x: Element, y: Element) -> Element:
         """Give x y."""
         if isinstance(x, int) and isinstance(y, int):
-            return x * y % PRIME
+            return x * y % self.prime
         (a, b), (c, d) = _pair(x), _pair(y)
-        return _reduced(a * c - b * d, a * d + b * c)
+        return self._reduced(a * c - b * d, a * d + b * c)
 
     def plus(self, x: Element, y: Element) -> Element:
         """Give x + y."""
         if isinstance(x, int) and isinstance(y, int):
-            return (x + y) % PRIME
+            return (x + y) % self.prime
         (a, b), (c, d) = _pair(x), _pair(y)
-        return _reduced(a + c, b + d)
+        return self._reduced(a + c, b + d)
+
+    def _reduced(self, a: int, b: int) -> Element:
+        b %= self.prime
+        return (a % self.prime, b) if b else a % self.prime
 
 
 def _pair(x: Element) -> tuple[int, int]:
     return (x, 0) if isinstance(x, int) else x
 
 
-def _reduced(a: int, b: int) -> Element:
-    b %= PRIME
-    return (a % PRIME, b) if b else a % PRIME
+class Angles:
+    """The angles among nodes, as combinations of nodes that are no sums.
+
+    Attributes
+    ----------
+    divisors : dict from node to int
+        By what a node is divided in some angle: points are drawn for the quotient.
+    """
+
+    def __init__(self, graph: Graph, nodes: Iterable[int]) -> None:
+        self._graph = graph
+        self._known: dict[int, dict[int, Exact]] = {}
+        self.divisors: dict[int, int] = {}
+        for n in nodes:
+            kind, parts, _ = graph.nodes[n]
+            if kind == "function" and parts[0] in ("sin", "cos", "exp", "sinh", "cosh", "tanh"):
+                for m, c in self(parts[1]).items():
+                    self.divisors[m] = lcm(self.divisors.get(m, 1), c.denominator)
+
+    def __call__(self, value: Value) -> dict[int, Exact]:
+        """Write an angle as a rational combination of nodes that are no sums."""
+        coefficient, n = value
+        if n not in self._known:
+            kind, parts, _ = self._graph.nodes[n]
+            if kind == "sum":
+                found: dict[int, Exact] = {}
+                for c, m in parts:
+                    for base, f in self((c, m)).items():
+                        found[base] = found.get(base, 0) + f
+                self._known[n] = {m: c for m, c in found.items() if c}
+            else:
+                self._known[n] = {n: 1}
+        return {m: Fraction(coefficient) * c for m, c in self._known[n].items()}
 
 
 class Evaluation:
@@ -132,6 +167,8 @@ class Evaluation:
     arithmetic : Arithmetic
     opaque : collection of int
         Nodes whose square roots are drawn as those of other functions are.
+    angles : Angles, optional
+        Those of other nodes, too, that are not evaluated here.
 
     Raises
     ------
@@ -145,14 +182,13 @@ class Evaluation:
         roots: Iterable[int],
         arithmetic: Arithmetic,
         opaque: Collection[int] = (),
+        angles: Angles | None = None,
     ) -> None:
-        self._graph, self._arithmetic, self._opaque = graph, arithmetic, opaque
-        self._angles: dict[int, dict[int, Exact]] = {}
-        self._divisors: dict[int, int] = {}
+        self._graph, self.arithmetic, self._opaque = graph, arithmetic, opaque
         self._powers: dict[tuple[int, Any], tuple[Element, Element]] = {}
+        roots = list(roots)
         nodes = graph.reached(roots)
-        for n in nodes:
-            self._note(n)
+        self._angles = Angles(graph, nodes) if angles is None else angles
         self.values: dict[int, Element] = {}
         self._symbols: dict[int, Element] = {}
         self._evaluate(nodes, self.values)
@@ -161,7 +197,7 @@ class Evaluation:
     def __getitem__(self, value: Value) -> Element:
         """Give the value of a value."""
         coefficient, n = value
-        return self._arithmetic.times(self._number(coefficient), self.values[n])
+        return self.arithmetic.times(self._number(coefficient), self.values[n])
 
     def having(self, x: int) -> Sequence[int]:
         """List the nodes that contain a symbol."""
@@ -178,7 +214,7 @@ class Evaluation:
         if not own:
             return set()
         values = _Layered(self.values)
-        self._symbols[x] = self._arithmetic.draw("moved", self._graph.nodes[x].parts[0])
+        self._symbols[x] = self.arithmetic.draw("moved", self._graph.nodes[x].parts[0])
         try:
             self._evaluate(own, values)
         finally:
@@ -193,36 +229,15 @@ class Evaluation:
         other._evaluate(sorted(self.values), other.values)
         return other
 
-    def _note(self, n: int) -> None:
-        """Note by what a node that angles are made of is divided in some of them."""
-        kind, parts, _ = self._graph.nodes[n]
-        if kind == "function" and parts[0] in ("sin", "cos", "exp", "sinh", "cosh", "tanh"):
-            for m, c in self._angle(parts[1]).items():
-                self._divisors[m] = lcm(self._divisors.get(m, 1), c.denominator)
-
-    def _angle(self, value: Value) -> dict[int, Exact]:
-        """Write an angle as a rational combination of nodes that are no sums."""
-        coefficient, n = value
-        if n not in self._angles:
-            kind, parts, _ = self._graph.nodes[n]
-            if kind == "sum":
-                found: dict[int, Exact] = {}
-                for c, m in parts:
-                    for base, f in self._angle((c, m)).items():
-                        found[base] = found.get(base, 0) + f
-                self._angles[n] = {m: c for m, c in found.items() if c}
-            else:
-                self._angles[n] = {n: 1}
-        return {m: Fraction(coefficient) * c for m, c in self._angles[n].items()}
-
     def _number(self, x: Exact) -> int:
-        p = self._arithmetic.prime
-        if isinstance(x, int):
-            return x % p
-        return x.numerator * pow(x.denominator, -1, p) % p
+        p = self.arithmetic.prime
+        top, bottom = x.numerator % p, x.denominator % p
+        if (x and not top) or not bottom:
+            raise ZeroDivisionError  # the prime divides a coefficient
+        return top if bottom == 1 else top * pow(bottom, -1, p) % p
 
     def _evaluate(self, nodes: Iterable[int], values: dict[int, Element]) -> None:
-        times, plus, prime = self._arithmetic.times, self._arithmetic.plus, self._arithmetic.prime
+        times, plus, prime = self.arithmetic.times, self.arithmetic.plus, self.arithmetic.prime
         for n in nodes:
             kind, parts, _ = self._graph.nodes[n]
             if kind == "sum":
@@ -244,21 +259,21 @@ class Evaluation:
                 values[n] = self._function(parts, values)
             elif kind == "symbol":
                 own = self._symbols.get(n)
-                values[n] = self._arithmetic.draw("symbol", parts[0]) if own is None else own
+                values[n] = self.arithmetic.draw("symbol", parts[0]) if own is None else own
             else:
-                values[n] = 1 if n == 0 else self._arithmetic.draw("constant", *parts)
+                values[n] = 1 if n == 0 else self.arithmetic.draw("constant", *parts)
 
     def _power(self, n: int, x: Element, e: Exact) -> Element:
         if e.denominator == 2 and n not in self._opaque:
-            x = self._arithmetic.root(x)
+            x = self.arithmetic.root(x)
         elif e.denominator != 1:
-            x = self._arithmetic.draw("power", x, e.denominator)
+            x = self.arithmetic.draw("power", x, e.denominator)
         return self._whole_power(x, e.numerator)
 
     def _whole_power(self, x: Element, e: int) -> Element:
-        times = self._arithmetic.times
+        times = self.arithmetic.times
         if e < 0:
-            x, e = self._arithmetic.inverse(x), -e
+            x, e = self.arithmetic.inverse(x), -e
         result: Element = 1
         while e:
             if e & 1:
@@ -268,20 +283,20 @@ class Evaluation:
 
     def _function(self, parts: tuple[Any, ...], values: dict[int, Element]) -> Element:
         name, *arguments = parts
-        a = self._arithmetic
+        a = self.arithmetic
         times, plus = a.times, a.plus
         if name in ("sin", "cos"):
             c, s = 1, 0
-            for m, factor in self._angle(arguments[0]).items():
+            for m, factor in self._angles(arguments[0]).items():
                 d, r = self._turned(m, values[m], factor)
                 minus = times(a.prime - 1, times(s, r))
                 c, s = plus(times(c, d), minus), plus(times(s, d), times(c, r))
             return s if name == "sin" else c
         if name in ("exp", "sinh", "cosh", "tanh"):
             unit: Element = 1
-            for m, factor in self._angle(arguments[0]).items():
+            for m, factor in self._angles(arguments[0]).items():
                 own = a.draw("exp", self._share(m, values[m]))
-                unit = times(unit, self._whole_power(own, int(factor * self._divisors[m])))
+                unit = times(unit, self._whole_power(own, int(factor * self._angles.divisors[m])))
             if name == "exp":
                 return unit
             back = times(a.prime - 1, a.inverse(unit))
@@ -299,17 +314,17 @@ class Evaluation:
 
     def _share(self, n: int, value: Element) -> Element:
         """Give the part of a node of which angles hold whole multiples."""
-        return self._arithmetic.times(self._number(Fraction(1, self._divisors[n])), value)
+        return self.arithmetic.times(self._number(Fraction(1, self._angles.divisors[n])), value)
 
     def _turned(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:
         """Give cosine and sine of a multiple of a node."""
-        a = self._arithmetic
+        a = self.arithmetic
         times, plus = a.times, a.plus
         t = a.draw("circle", self._share(n, value))
         square = times(t, t)
         over = a.inverse(plus(1, square))
         c, s = times(plus(1, times(a.prime - 1, square)), over), times(times(2, t), over)
-        whole = int(factor * self._divisors[n])
+        whole = int(factor * self._angles.divisors[n])
         if whole < 0:
             s, whole = times(a.prime - 1, s), -whole
         found: tuple[Element, Element] = (1, 0)

@@ -12,7 +12,7 @@ from symsimpson.graph.field import Element, Evaluation, Numbers
 from symsimpson.graph.merge import evaluations
 from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import fixed
-from symsimpson.graph.roots import dependent_radicands
+from symsimpson.graph.roots import dependent_radicands, radicands
 
 __all__ = ["Findings"]
 
@@ -29,16 +29,21 @@ class Findings:
     graph : Graph
     values : sequence of Value
         All that will be asked about.
-    dependent : frozenset of int, optional
-        The radicands of which some product is a square, if they are known.
+    before : Findings, optional
+        Of values of the same graph; if no root is new, what is known of roots is taken over.
     """
 
     def __init__(
-        self, graph: Graph, values: Sequence[Value], dependent: frozenset[int] | None = None
+        self, graph: Graph, values: Sequence[Value], before: Findings | None = None
     ) -> None:
         self._graph = graph
         roots = [n for _, n in values]
-        self.dependent = dependent_radicands(graph, roots) if dependent is None else dependent
+        self.radicands = frozenset(radicands(graph, graph.reached(roots)))
+        self.dependent: frozenset[int] = (
+            dependent_radicands(graph, roots)
+            if before is None or not self.radicands <= before.radicands
+            else before.dependent
+        )
         self.points = evaluations(graph, roots, POINTS, self.dependent)
         self._moved: dict[tuple[int, int], set[int]] = {}
         self._known_opaque: dict[int, bool] = {}
@@ -82,7 +87,7 @@ class Findings:
             corners = [
                 [at[value] for value in values] for at in _corners(point, symbols, number)
             ]  # fmt: skip
-            arithmetic = Numbers(0)
+            arithmetic = point.arithmetic
             for k, (base, one, other, both) in enumerate(zip(*corners, strict=True)):
                 left, right = arithmetic.plus(base, both), arithmetic.plus(one, other)
                 answer[k] = answer[k] and left == right
@@ -106,7 +111,7 @@ class Findings:
 
 def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:
     """Give a parallelogram of points: z, z + u, z + w, z + u + w."""
-    draw = Numbers(number + 1000)
+    draw = Numbers(number + 1000, at.arithmetic.prime)
     for u, w in ((0, 0), (1, 0), (0, 1), (1, 1)):
         moved: dict[int, Element] = {
             x: draw.plus(

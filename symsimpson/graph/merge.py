@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from symsimpson.graph.field import PRIME, Evaluation, Numbers
+from symsimpson.graph.field import LARGER, PRIME, Evaluation, Numbers
 from symsimpson.graph.nodes import ZERO, Graph, Value, exact
 from symsimpson.graph.rebuild import again
 from symsimpson.graph.roots import dependent_radicands
@@ -32,7 +32,8 @@ def evaluations(
     found: list[Evaluation] = []
     for seed in range(count + TRIES):
         try:
-            found.append(Evaluation(graph, roots, Numbers(seed), opaque))
+            numbers = Numbers(seed, PRIME if seed < TRIES // 2 else LARGER)
+            found.append(Evaluation(graph, roots, numbers, opaque))
         except ZeroDivisionError:
             continue
         if len(found) == count:
@@ -56,7 +57,7 @@ def merged(graph: Graph, values: Sequence[Value], level: Callable[[int], int]) -
     key_of: dict[int, tuple[object, ...]] = {}
     for n in graph.reached([0, *roots]):
         key = tuple(at.values[n] if n else 1 for at in points)
-        marks[n], key_of[n] = _unsigned(key) if any(key) else (0, key)
+        marks[n], key_of[n] = _unsigned(key, points) if any(key) else (0, key)
         classes.setdefault(key_of[n], []).append(n)
 
     def stays(order: Callable[[int], tuple[int, ...]]) -> dict[int, int]:
@@ -105,14 +106,17 @@ def _rewritten(
     return done
 
 
-def _unsigned(key: tuple[object, ...]) -> tuple[int, tuple[object, ...]]:
+def _unsigned(
+    key: tuple[object, ...], points: Sequence[Evaluation]
+) -> tuple[int, tuple[object, ...]]:
     """Give the same key for a node and its negative, and which of them it is."""
-    other = tuple(_negative(x) for x in key)
+    pairs = zip(key, points, strict=True)
+    other = tuple(_negative(x, at.arithmetic.prime) for x, at in pairs)
     return (1, key) if repr(key) <= repr(other) else (-1, other)
 
 
-def _negative(x: object) -> object:
+def _negative(x: object, prime: int) -> object:
     if isinstance(x, tuple):
-        return tuple(-y % PRIME for y in x)
+        return tuple(-y % prime for y in x)
     assert isinstance(x, int)
-    return -x % PRIME
+    return -x % prime

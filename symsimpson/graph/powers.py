@@ -62,6 +62,7 @@ class _Powers:
                 return
             self._number = program.line("product", [(base, exact(self._unit))], level)
         self._chain = {1: self._number}
+        self._of_base = {1: base}
         needed = {abs(self._steps(e)) for e in uses if e not in self._plain}
         for k in sorted(k for k in needed if k):
             self._power(k)
@@ -81,31 +82,30 @@ class _Powers:
             return [(self._power(abs(steps)), 1 if steps > 0 else -1)]
         if e.denominator == 1:
             return [(self._whole(int(e)), 1)]
-        if self._unit < 0:  # sqrt(x) = x/sqrt(x)
-            whole = int(e + Fraction(1, 2)) if e.denominator == 2 else None
-            if whole is None:
-                return [(self._base, e)]
-            return [(self._whole(whole), 1), (self._number, 1)]
+        if self._unit < 0 < e:  # sqrt(x) = x/sqrt(x)
+            whole = -int(-e // 1)
+            rest = int((e - whole) / self._unit)
+            return [(self._whole(whole), 1), (self._power(rest), 1)]
         return [(self._base, e)]
 
     def _whole(self, k: int) -> int:
-        if self._unit == 1:
-            return self._power(k)
-        number = self._base
-        for _ in range(k - 1):
-            number = self._product(number, self._base)
-        return number
+        """Give a line with a whole power of the base."""
+        return self._in_chain(self._chain if self._unit == 1 else self._of_base, k)
 
     def _power(self, k: int) -> int:
-        """Give a line with a power of the unit: one product of two that are there, if there are."""
-        chain = self._chain
+        """Give a line with a power of the unit."""
+        return self._in_chain(self._chain, k)
+
+    def _in_chain(self, chain: dict[int, int], k: int) -> int:
+        """Give a power: one product of two that are there, if there are."""
         if k not in chain:
             have = sorted(chain, reverse=True)
             pair = next(((j, k - j) for j in have if k - j in chain), None)
             if pair is None:
                 pair = (k - k // 2, k // 2)
-                self._power(pair[1])
-            chain[k] = self._product(self._power(pair[0]), self._power(pair[1]))
+                self._in_chain(chain, pair[1])
+            first, second = self._in_chain(chain, pair[0]), self._in_chain(chain, pair[1])
+            chain[k] = self._product(first, second)
         return chain[k]
 
     def _product(self, a: int, b: int) -> int:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
 import sympy as sp
 
-from symsimpson.graph.nodes import Graph, Value, exact
+from symsimpson.errors import GenerationError
+from symsimpson.graph.nodes import Graph, Value, exact, magnitude
 
 __all__ = ["Reader", "fraction", "line_written", "number", "tree_size", "written"]
 
@@ -83,11 +85,14 @@ class Reader:
             return graph.constant(CONSTANTS[node])
         if node is sp.E:
             return graph.function("exp", (1, 0))
-        if node.is_Pow and not isinstance(node, sp.exp):
+        if node.is_Pow and type(node) is not sp.exp:
             return self._power(node, *arguments)
         if node.is_Function:
             return graph.function(FUNCTIONS[node.func], *arguments)
-        return self(node.expand(func=True))  # the golden ratio and its kin
+        wider = node.expand(func=True)  # the golden ratio and its kin
+        if wider == node:
+            raise TypeError(f"{type(node).__name__} cannot be read")
+        return self(wider)
 
     def _power(self, node: Any, base: Value, exponent: Value) -> Value:
         if node.base is sp.E:
@@ -111,6 +116,11 @@ def fraction(number: Any) -> int | Fraction:
 def number(value: int | Fraction) -> sp.Number:
     """Give a fraction as a SymPy number; what was a float is one again."""
     q = value.denominator
+    if magnitude(value) > sys.float_info.max:
+        raise GenerationError(
+            "a number that stands in the equations is larger than doubles can be.\n"
+            "Choose other units, or do not raise such sums to high powers."
+        )
     huge = max(abs(value.numerator), q).bit_length() > 1000
     if huge or (q > FLOAT and q & (q - 1) == 0 and Fraction(float(value)) == value):
         return sp.Float(float(value))

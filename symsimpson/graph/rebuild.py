@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 
+import mpmath
+
+from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Graph, Value, exact
 
-__all__ = ["again", "fixed", "rebuilt"]
+__all__ = ["NUMBERS", "again", "fixed", "rebuilt", "same"]
+
+#: What is put for symbols that a value does not depend on, the first that will do.
+NUMBERS = (0, 1, 2, Fraction(7, 3))
+#: Values that are the same agree to most of so many digits,
+DIGITS = 40
+NOTHING = mpmath.mpf("1e-25")
+#: at points whose coordinates have these signs in turn.
+SIGNS = ((1,), (-1,), (1, -1), (1, 1, -1), (-1, 1, 1))
 
 
 def rebuilt(
@@ -68,12 +80,35 @@ def again(graph: Graph, n: int, done: Mapping[int, Value], target: Graph) -> Val
 def fixed(graph: Graph, value: Value, symbols: Iterable[int]) -> Value | None:
     """Put numbers for symbols that a value does not depend on; None if none of them will do."""
     for x in sorted(symbols):
-        for number in (0, 1, 2):
+        for number in NUMBERS:
             try:
-                (value,) = rebuilt(graph, [value], {x: (number, 0)})
-                break
+                (found,) = rebuilt(graph, [value], {x: (number, 0)})
             except ZeroDivisionError:
                 continue
+            if same(graph, value, found):
+                value = found
+                break
         else:
             return None
     return value
+
+
+def same(graph: Graph, old: Value, new: Value) -> bool:
+    """Tell whether a value agrees with an old one, where that is real, at points of several signs."""
+    symbols = sorted(graph.nodes[old[1]].symbols | graph.nodes[new[1]].symbols)
+    seen = False
+    with mpmath.workdps(DIGITS):
+        for signs in SIGNS:
+            point = {
+                x: mpmath.mpf(3 + 2 * k) / (7 + k) * signs[k % len(signs)]
+                for k, x in enumerate(symbols)
+            }
+            values = evaluated(graph, [old[1], new[1]], point, mpmath.mp)
+            first, second = (
+                values[n] * c.numerator / c.denominator for c, n in (old, new)
+            )  # fmt: skip
+            if mpmath.isfinite(first):
+                seen = True
+                if not abs(first - second) <= NOTHING * (1 + abs(first)):
+                    return False
+    return seen

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.graph.field import Evaluation
+from symsimpson.graph.field import Angles, Evaluation
 from symsimpson.graph.nodes import Graph
 
 __all__ = ["dependent_radicands", "radicands"]
@@ -49,17 +49,36 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
     roots : iterable of int
         Nodes that hold the square roots.
     """
+    roots = list(roots)
     found = radicands(graph, graph.reached(roots))
     nested = {m for m in found if radicands(graph, graph.reached([m]))}
     plain = [m for m in found if m not in nested]
-    if not plain:
-        return frozenset(nested)
+    dependent = set(nested)
+    having: dict[int, list[int]] = {}
+    for m in plain:
+        for x in graph.nodes[m].symbols:
+            having.setdefault(x, []).append(m)
+    # all symbols vary, and then each alone: k x^2 is a square but for a constant
+    angles = Angles(graph, graph.reached(roots))
+    if plain:
+        dependent |= _dependent(graph, plain, angles, None)
+    for x in sorted(having):
+        dependent |= _dependent(graph, having[x], angles, x)
+    return frozenset(dependent)
+
+
+def _dependent(graph: Graph, own: list[int], angles: Angles, varied: int | None) -> set[int]:
+    """Give radicands of which a product is a square, as functions of all symbols or of one."""
+    name = None if varied is None else graph.nodes[varied].parts[0]
     try:
-        at = Evaluation(graph, plain, _Rows(len(plain) + MORE))
+        at = Evaluation(graph, own, _Rows(len(own) + MORE, name), angles=angles)
     except ZeroDivisionError:
-        return frozenset(found)
-    bits = [_bits(np.broadcast_to(at.values[m], len(plain) + MORE)) for m in plain]
-    return frozenset(nested | {plain[k] for k in _kernel(bits)})
+        return set(own)
+    bits = [_bits(np.broadcast_to(at.values[m], len(own) + MORE)) for m in own]
+    # a character that never changes is one of a constant, of either kind
+    constant = (1 << (len(own) + MORE)) - 1
+    places = _kernel(bits if varied is None else [*bits, constant])
+    return {own[k] for k in places if k < len(own)}
 
 
 class _Rows:
@@ -67,14 +86,16 @@ class _Rows:
 
     prime = PRIME
 
-    def __init__(self, count: int) -> None:
-        self._count = count
+    def __init__(self, count: int, varied: str | None = None) -> None:
+        self._count, self._varied = count, varied
 
     def draw(self, *key: object) -> Row:
         """Give random numbers that are the same for the same key."""
         text = repr([k.tobytes() if isinstance(k, np.ndarray) else k for k in key]).encode()
         seed = int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
-        return np.random.default_rng(seed).integers(1, PRIME, self._count)
+        still = self._varied is not None and key[0] == "symbol" and key[1] != self._varied
+        drawn = np.random.default_rng(seed).integers(1, PRIME, 1 if still else self._count)
+        return np.broadcast_to(drawn, self._count)
 
     def inverse(self, x: Any) -> Row:
         """Give 1/x."""

@@ -10,7 +10,7 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.checks import fail, read_name
+from symsimpson.mechanics.checks import fail, read_name, spell
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -111,7 +111,8 @@ def serial_arm(
     (2, ('q1', 'q2'))
     """
     name = read_name(name)
-    q = coordinates(joints or f"q1:{len(links) + 1}") if links else ()
+    count = len(links) if isinstance(links, Sequence) else 0
+    q = coordinates(joints or f"q1:{count + 1}") if count else ()
     kinetic, potential, positions = arm_energies(name, links, q, gravity, modified=modified)
     return MechanicalSystem(
         name, coordinates=q, kinetic=kinetic, potential=potential, parameters=parameters or {},
@@ -142,6 +143,13 @@ def arm_energies(
     ------
     ModelError
     """
+    if not isinstance(links, Sequence) or not all(isinstance(link, Link) for link in links):
+        raise ModelError(
+            f"system '{name}': the links are {spell(links)}, not a sequence of symsimpson.Link.\n"
+            "Write links=[ss.Link(a=0.5, mass=2.0, inertia=(0, 0.04, 0.04)), ...]."
+        )
+    for link in links:
+        _check_numbers(name, link)
     if not links or len(links) != len(q):
         raise ModelError(
             f"system '{name}': {len(links)} links and {len(q)} joints.\n"
@@ -189,7 +197,7 @@ def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Rows, Vector, Vector]
 
 def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
     """Give omega.I.omega."""
-    inertia = tuple(link.inertia)
+    inertia = _entries(name, "inertia", link.inertia)
     if len(inertia) not in (3, 6):
         raise fail(name, f"a link's inertia has {len(inertia)} entries.",
                    "Give xx, yy, zz, or xx, yy, zz, xy, yz, xz.")  # fmt: skip
@@ -200,9 +208,26 @@ def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
 
 
 def _vector(name: str, what: str, given: Sequence[Any]) -> Vector:
-    entries = tuple(given)
+    entries = _entries(name, what, given)
     if len(entries) != 3:
         raise fail(name, f"a link's {what} has {len(entries)} entries.", "Give x, y and z.")
+    return entries
+
+
+def _check_numbers(name: str, link: Link) -> None:
+    for what in ("a", "alpha", "d", "theta", "mass", "rotor"):
+        _entries(name, what, (getattr(link, what),))
+
+
+def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:
+    """Give the entries of a vector, numbers or expressions."""
+    try:
+        entries = tuple(given)
+        for entry in entries:
+            sp.sympify(entry, strict=True)
+    except (TypeError, sp.SympifyError):
+        raise fail(name, f"a link's {what} is {spell(given)!r}.",
+                   "Give numbers or expressions of SymPy.") from None  # fmt: skip
     return entries
 
 

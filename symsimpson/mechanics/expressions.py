@@ -31,7 +31,11 @@ SMOOTH = (
 )  # fmt: skip
 #: Functions with corners or jumps.
 ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac)
-UNEVALUATED = (sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs)
+UNEVALUATED = (
+    sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs, sp.UnevaluatedExpr,
+)  # fmt: skip
+#: What expressions are made of, besides functions.
+PLAIN = (sp.Symbol, sp.Number, sp.NumberSymbol, sp.Add, sp.Mul, sp.Pow)
 NOT_FINITE = (sp.zoo, sp.nan, sp.oo, -sp.oo)
 
 
@@ -160,6 +164,19 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, larger than "
             "doubles can be.",
             "Choose other units, or a smaller factor.",
+        )
+    if number is not None and number != 0 and float(number) == 0:
+        raise fail(
+            system,
+            f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, smaller than "
+            "doubles can be.",
+            "Choose other units, or a larger factor.",
+        )
+    if known and not isinstance(node, (*PLAIN, sp.Function)):
+        raise fail(
+            system,
+            f"the {what} contains {spell(node)}, a {type(node).__name__}.",
+            "Write it with symbols, numbers, sums, products, powers and functions.",
         )
     if known:
         return

@@ -21,8 +21,8 @@ DIGITS = 60
 NOTHING = mpmath.mpf("1e-45")
 #: Slopes below this, in units of their terms, are reported: floats are taken as they are.
 NEARLY = mpmath.mpf("1e-12")
-#: Points of the samples; two, because one may be a zero by chance.
-SAMPLES = (mpmath.mpf(37) / 53, mpmath.mpf(29) / 23)
+#: Points of the samples; several, because one may be a zero by chance, of both signs.
+SAMPLES = (mpmath.mpf(37) / 53, mpmath.mpf(29) / 23, -mpmath.mpf(37) / 53, -mpmath.mpf(29) / 23)
 #: Longer expressions are not simplified: SymPy may take for ever, and a limit of time would make
 #: the text of a module depend on the machine.
 TOO_LONG = 120
@@ -54,11 +54,13 @@ def dependence(plain: Plain, value: Value, x: int) -> Dependence:
     """
     graph = plain.graph
     slope = Derivatives(graph)(value, x)
-    sizes = [_relative(plain, slope, sample) for sample in SAMPLES]
-    if any(size is not None and size > NEARLY for size in sizes) or None in sizes:
+    sizes = [size for sample in SAMPLES if (size := _relative(plain, slope, sample)) is not None]
+    if not sizes or max(sizes) > NEARLY or _jumps(plain, value, x):
         return Dependence.REAL
-    if any(size is not None and size > NOTHING for size in sizes):
+    if max(sizes) > NOTHING:
         return Dependence.NEARLY
+    if not slope[0]:
+        return Dependence.NONE
     if tree_size(graph, slope) > TOO_LONG:
         return Dependence.UNDECIDED
     return Dependence.NONE if vanishes(plain.written(slope)) else Dependence.UNDECIDED
@@ -67,6 +69,32 @@ def dependence(plain: Plain, value: Value, x: int) -> Dependence:
 def vanishes(expression: sp.Expr) -> bool:
     """Tell whether SymPy finds that a short expression is zero."""
     return bool(sp.expand(expression) == 0 or sp.simplify(expression) == 0)
+
+
+def _jumps(plain: Plain, value: Value, x: int) -> bool:
+    """Tell whether a value that is constant on both sides of zero is not the same on both."""
+    with mpmath.workdps(DIGITS):
+        for sample in SAMPLES:
+            point = _point(plain, sample)
+            ends = []
+            for sign in (1, -1):
+                at = {**point, x: sign * abs(point[x])}
+                ends.append(evaluated(plain.graph, [value[1]], at, mpmath.mp)[value[1]])
+            gap = abs(ends[0] - ends[1])
+            if mpmath.isfinite(gap) and gap > NEARLY * (1 + abs(ends[0])):
+                return True
+    return False
+
+
+def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
+    """Give a number for each symbol, parameters with their signs."""
+    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    own = set(plain.parameters)
+    return {
+        n: abs(value) * (-1 if s.is_negative else 1) if s in own else value
+        for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True))
+        if (value := sample + mpmath.mpf(k) / (7 + k)) is not None
+    }
 
 
 def _has_floats(plain: Plain, value: Value) -> bool:
@@ -88,13 +116,10 @@ def _has_floats(plain: Plain, value: Value) -> bool:
 def _relative(plain: Plain, slope: Value, sample: mpmath.mpf) -> mpmath.mpf | None:
     """Give the size of a slope in units of its largest term; None off the domain."""
     graph = plain.graph
-    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    if not slope[0]:
+        return mpmath.mpf(0)
     with mpmath.workdps(DIGITS):
-        point = {
-            n: (sample + mpmath.mpf(k) / (7 + k)) * (-1 if s.is_negative else 1)
-            for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True))
-        }
-        values = evaluated(graph, [slope[1]], point, mpmath.mp)
+        values = evaluated(graph, [slope[1]], _point(plain, sample), mpmath.mp)
         kind, parts, _ = graph.nodes[slope[1]]
         terms = (
             [abs(c.numerator * values[m] / c.denominator) for c, m in parts]

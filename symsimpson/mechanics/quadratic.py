@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,9 +14,9 @@ import sympy as sp
 
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluated
-from symsimpson.graph.field import Element, Numbers
+from symsimpson.graph.field import Arithmetic, Element
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import UNIT, ZERO, Value
+from symsimpson.graph.nodes import UNIT, ZERO, Exact, Value
 from symsimpson.graph.read import Reader, tree_size
 from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
@@ -214,11 +215,18 @@ def _clearly_regular(
         values = evaluated(symbols.graph, [n for _, n in M.values()], point, mpmath.fp)
         matrix = np.zeros((len(symbols.q),) * 2)
         for (i, j), (c, n) in M.items():
-            matrix[i, j] = matrix[j, i] = float(c) * values[n]
+            matrix[i, j] = matrix[j, i] = _double(c) * values[n]
         answers = [_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
         if all(answers):
             break
     return answers
+
+
+def _double(number: Exact) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return math.inf
 
 
 def _conditioned(matrix: Any) -> bool:
@@ -236,14 +244,13 @@ def _regular(
              for j in block]
             for i in block
         ]  # fmt: skip
-        if _determinant(rows):
+        if _determinant(rows, at.arithmetic):
             return True
     return False
 
 
-def _determinant(rows: list[list[Element]]) -> bool:
+def _determinant(rows: list[list[Element]], field: Arithmetic) -> bool:
     """Tell whether a matrix over the field is regular: Gauss's elimination."""
-    field = Numbers(0)
     minus = field.prime - 1
     for k in range(len(rows)):
         pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)

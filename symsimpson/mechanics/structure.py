@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value
-from symsimpson.graph.rebuild import fixed
+from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected
@@ -123,8 +123,8 @@ def analyse(system: MechanicalSystem) -> Structure:
     """
     given, n = system.plain, system.n
     names = [user.func.__name__ for user in system.coordinates]
-    plain, questions, dependent = _freed(given, names)
-    look = _Look(plain, dependent)
+    plain, questions, findings = _freed(given, names)
+    look = _Look(plain, findings)
     groups = connected(n, look.couplings())
     if len(groups) > len(connected(n, look.as_written())):
         split = _split(plain, groups)
@@ -165,16 +165,17 @@ def analyse(system: MechanicalSystem) -> Structure:
 class _Look:
     """Answers about the Lagrangian of a system."""
 
-    def __init__(self, plain: Plain, dependent: frozenset[int] | None) -> None:
+    def __init__(self, plain: Plain, before: Findings | None) -> None:
         graph, L = plain.graph, plain.L
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
         self._positions = frozenset(self.q)
+        self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in plain.energies))
         both = gradient(graph, L, [*self.q, *self.v])
         self.F, self.P = both[: len(self.q)], both[len(self.q) :]
         self._slope = gradient(graph, plain.V, self.q)
         values = [*both, *self._slope, *plain.energies]
-        self._findings = Findings(graph, values, dependent)
+        self._findings = Findings(graph, values, before)
 
     def couplings(self) -> list[tuple[int, int]]:
         """List the pairs of coordinates that L couples."""
@@ -219,7 +220,9 @@ class _Look:
         x = [self.q[i] for i in group]
         return Subsystem(
             coordinates=tuple(group),
-            cyclic=tuple(i for i in group if vanishes(self.F[i])),
+            cyclic=tuple(
+                i for i in group if vanishes(self.F[i]) and self.q[i] not in self._present
+            ),
             constant_mass=constant,
             separable=separable,
             linear=separable and all(self._findings.affine(forces, x)),
@@ -228,10 +231,10 @@ class _Look:
 
 def _freed(
     given: Plain, names: Sequence[str]
-) -> tuple[Plain, dict[Dependence, tuple[str, ...]], frozenset[int] | None]:
+) -> tuple[Plain, dict[Dependence, tuple[str, ...]], Findings]:
     """Write the energies without the coordinates that they do not depend on.
 
-    Gives what is open, too, and the radicands that depend on each other, if nothing was changed.
+    Gives what is open, too, and the findings about the energies as they were.
     """
     graph, q = given.graph, given.numbers(given.q)
     findings = Findings(graph, [given.T, *given.energies])
@@ -261,24 +264,29 @@ def _freed(
         a=tuple(freed(f"a_{name}", a) for name, a in zip(names, given.a, strict=True)),
         V=freed("V", given.V),
     )
-    same = plain.energies == given.energies
     answers = {kind: tuple(sorted(set(found))) for kind, found in questions.items()}
-    return plain, answers, findings.dependent if same else None
+    return plain, answers, findings
 
 
 def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
-    """Write L as a sum over groups that nothing couples; None if it has no value where x = 0."""
+    """Write L as a sum over groups that nothing couples; None if that fails at all points."""
     graph, q = plain.graph, plain.numbers(plain.q)
-    parts: list[Value] = []
-    for k, group in enumerate(groups):
-        own = [q[i] for i in group]
-        part = fixed(graph, plain.V, [x for x in q if x not in own])
-        if part is None:
-            return None
-        parts.append(part)
-        if k and (constant := fixed(graph, part, own)) is not None:
-            parts.append((-constant[0], constant[1]))
-    return replace(plain, T=kinetic(plain), V=graph.add(parts))
+    for number in NUMBERS:
+        parts: list[Value] = []
+        try:
+            (constant,) = rebuilt(graph, [plain.V], dict.fromkeys(q, (number, 0)))
+            for k, group in enumerate(groups):
+                own = [q[i] for i in group]
+                others = {x: (number, 0) for x in q if x not in own}
+                parts += rebuilt(graph, [plain.V], others)
+                if k:
+                    parts.append((-constant[0], constant[1]))
+        except ZeroDivisionError:
+            continue
+        V = graph.add(parts)
+        if same(graph, plain.V, V):
+            return replace(plain, T=kinetic(plain), V=V)
+    return None
 
 
 def kinetic(plain: Plain) -> Value:

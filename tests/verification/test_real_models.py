@@ -31,10 +31,10 @@ def test_the_energy_of_the_argon_crystal_is_that_of_the_textbook():
 
 
 def test_bodies_on_a_polygon_stay_there():
-    ring = ss.systems.n_body(5)
-    run = ss.compile(ring, "kahan_li8").integrate(**ring.reference_state, h=0.02, steps=200)
+    ring = ss.systems.n_body(3)
+    run = ss.compile(ring, "kahan_li6").integrate(**ring.reference_state, h=0.02, steps=200)
     radius = np.hypot(run.q[:, 0::3], run.q[:, 1::3])
-    assert abs(radius - 1).max() < 1e-11
+    assert abs(radius - 1).max() < 1e-9
 
 
 def dh_arm(joints):

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterable
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
+import mpmath
 import numpy as np
-import sympy as sp
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.errors import StabilityWarning
+from symsimpson.graph.derive import Derivatives
+from symsimpson.graph.evaluate import evaluated
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 
@@ -55,12 +57,22 @@ def largest_frequency(
 def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     """Give a function of q and the parameters for (K, M)."""
     plain = system.plain
-    stiffness = sp.hessian(plain.potential, plain.q)
-    arguments = [*plain.q, *plain.parameters]
-    function: Callable[..., Any] = sp.lambdify(
-        arguments, [stiffness.tolist(), plain.mass.tolist()], modules="math", cse=True
-    )
-    return function
+    graph, q = plain.graph, plain.numbers(plain.q)
+    derivatives = Derivatives(graph)
+    slopes = [derivatives(plain.V, x) for x in q]
+    entries = [derivatives(slope, x) for slope in slopes for x in q]
+    masses = [plain.entry(i, j) for i in range(len(q)) for j in range(len(q))]
+    symbols = (*q, *plain.numbers(plain.parameters))
+
+    def matrices(*numbers: float) -> list[Any]:
+        point = dict(zip(symbols, numbers, strict=True))
+        values = evaluated(graph, [n for _, n in (*entries, *masses)], point, mpmath.fp)
+        return [
+            np.array([float(c) * values[n] for c, n in table]).reshape(len(q), len(q))
+            for table in (entries, masses)
+        ]
+
+    return matrices
 
 
 @cache
