@@ -68,13 +68,15 @@ def test_same_bytes_for_every_hash_seed():
             for make in (ss.systems.harmonic_oscillator, ss.systems.kepler,
                          ss.systems.double_pendulum, ss.systems.torus_geodesic)
             for scheme in ("simpson", "midpoint")
-        ] + [source(ss.systems.fermi_pasta_ulam(8))]
+        ] + [source(ss.systems.fermi_pasta_ulam(8)), source(ss.systems.puma560(3), "midpoint"),
+             source(ss.systems.water(), "midpoint"), source(ss.systems.argon(), "gauss4"),
+             source(ss.systems.n_body(4), "kahan_li6")]
         print(hashlib.sha256("".join(made).encode()).hexdigest())
     """)
     running = [
         subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE,
                          env=os.environ | {"PYTHONHASHSEED": str(seed)})
-        for seed in range(8)
+        for seed in range(20)
     ]  # fmt: skip
     digests = {process.communicate()[0] for process in running}
     assert all(process.returncode == 0 for process in running)
