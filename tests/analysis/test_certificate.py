@@ -95,9 +95,9 @@ class Printed(DiscreteEquations):
 
     def coefficient(self, what, i, k=0, m=0):
         plain = super().coefficient(what, i, k, m)
-        if k == 0 and what in ("L_qq", "L_qv"):
+        if k == 0 and what in ("F_q", "F_v"):
             extra = sp.Rational(1, 12) * (1, 0, -1)[i]
-            table = {"L_qq": self.h * self.scheme.A[i][m], "L_qv": self.scheme.B[i][m]}
+            table = {"F_q": self.h * self.scheme.A[i][m], "F_v": self.scheme.B[i][m]}
             return plain + extra * table[what]
         return plain
 
@@ -120,7 +120,7 @@ class Flipped(DiscreteEquations):
 
     def second_derivative(self, k, a, m, b, entry):
         right = super().second_derivative(k, a, m, b, entry)
-        return right - 2 * self._sum([("L_vq", "L_qv", (b, a))], entry, k, m)
+        return right - 2 * self._sum(("P_q",), (a, b), entry, k, m)
 
 
 def built(kind, scheme=ss.SIMPSON):
