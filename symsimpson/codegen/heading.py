@@ -44,10 +44,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
     shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
-    linear = plain.graph.add(
-        plain.graph.multiply([a, (1, v)])
-        for a, v in zip(plain.a, plain.numbers(plain.v), strict=True)
-    )
+    linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
     lines = [
         f"{system.name}: {scheme.name}, a variational integrator of order {scheme.order}.",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from symsimpson.graph.nodes import ONE, Graph, Value, exact, magnitude
+from symsimpson.graph.nodes import ONE, Graph, Value, magnitude, scaled
 
 __all__ = ["halved", "summed"]
 
@@ -68,7 +68,7 @@ def _two_terms(
     kind, parts, _ = graph.nodes[m]
     if kind != "sum" or len(parts) < 2:
         return None
-    terms = [(exact(c * d), k) for d, k in parts]
+    terms = [scaled(c, part) for part in parts]
     for k, term in enumerate(terms):
         rest = graph.add(terms[:k] + terms[k + 1 :])
         if all((magnitude(d), n) in angles for d, n in (term, rest)):

@@ -13,7 +13,7 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact
+from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 
@@ -86,8 +86,8 @@ def _terms(plain: Plain) -> Iterator[Value]:
     for a, x in zip(plain.a, v, strict=True):
         for term in _collected(graph, a, moving):
             yield graph.multiply([term, (1, x)])
-    for c, n in _collected(graph, plain.V, moving):
-        yield -c, n
+    for term in _collected(graph, plain.V, moving):
+        yield scaled(-1, term)
 
 
 def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value]:
@@ -256,7 +256,7 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     plain = Plain(
         graph=graph, q=_symbols(q), v=_symbols(v), p=(), T=T, M=M,
         parameters=(*_symbols(slots), *system.parameters), a=tuple(linear),
-        V=(-potential[0], potential[1]), invariants={},
+        V=scaled(-1, potential), invariants={},
     )  # fmt: skip
     coefficients = tuple(tuple(row[k] for k in varying) for row in draft.coefficients)
     return Family(plain, len(slots), tuple(draft.coordinates), coefficients)

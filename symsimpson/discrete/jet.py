@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.merge import merged
-from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.program import Program
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
@@ -69,14 +69,11 @@ class Jet:
     program : Program
         Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
         ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``.
-    names : mapping from line to str
-        The plain symbols among the lines.
     operations : int
         Additions, products, quotients, powers and functions, without those on parameters alone.
     """
 
     program: Program
-    names: Mapping[int, str]
     operations: int
 
     def __getitem__(self, key: Key) -> Value:
@@ -114,10 +111,12 @@ def derive_jet(
 
 def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
     found: list[Jet] = []
+    by_mass = kinetic(plain)
     for ways in (FIRST, OTHERS):
         for way in ways:
-            if not way.by_mass or kinetic(plain) != plain.T:
-                found.append(_derived(plain, way, more, half_angles))
+            T = by_mass if way.by_mass else plain.T
+            if not way.by_mass or T != plain.T:
+                found.append(_derived(plain, T, way, more, half_angles))
         best = min(found, key=lambda jet: jet.operations)
         if best.operations > FEW_OPERATIONS:
             break
@@ -131,36 +130,31 @@ def watched(plain: Plain) -> Jet:
     return _jet(plain, graph, outputs)
 
 
-def _derived(plain: Plain, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
+def _derived(
+    plain: Plain, T: Value, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]
+) -> Jet:
     graph, n = Graph(factored=way.factored), len(plain.q)
-    for symbol in (*plain.q, *plain.v, *plain.p, *plain.parameters):
-        graph.symbol(symbol.name)
-    q, v = ([graph.symbol(x.name)[1] for x in group] for group in (plain.q, plain.v))
-    T = kinetic(plain) if way.by_mass else plain.T
+    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    places = graph.numbers(symbol.name for symbol in symbols)
+    q, v = places[:n], places[n : 2 * n]
     given: dict[Key, Value] = {**more, ("V",): plain.V}
     given |= {("a", i): a for i, a in enumerate(plain.a)}
     given |= {("invariant", name): value for name, value in plain.invariants.items()}
     T, *values = rebuilt(plain.graph, [T, *given.values()], {}, graph)
     outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
-    moving = [graph.multiply([outputs["a", i], (1, x)]) for i, x in enumerate(v)]
-    minus = outputs["V",]
-    L = graph.add([T, *moving, (-minus[0], minus[1])])
+    linear = graph.products([outputs["a", i] for i in range(n)], v)
+    L = graph.add([T, *linear, scaled(-1, outputs["V",])])
     derivatives = Derivatives(graph)
 
-    def first(value: Value) -> list[Value]:
-        if way.reverse:
+    def slopes(value: Value, *, reverse: bool) -> list[Value]:
+        if reverse:
             return gradient(graph, value, [*q, *v])
         return [derivatives(value, x) for x in (*q, *v)]
 
-    def second(value: Value) -> list[Value]:
-        if way.second_reverse:
-            return gradient(graph, value, [*q, *v])
-        return [derivatives(value, x) for x in (*q, *v)]
-
-    forces = first(L)
+    first = slopes(L, reverse=way.reverse)
     for i in range(n):
-        of_force, of_momentum = second(forces[i]), second(forces[n + i])
-        outputs["F", i], outputs["P", i] = forces[i], forces[n + i]
+        of_force, of_momentum = (slopes(first[k], reverse=way.second_reverse) for k in (i, n + i))
+        outputs["F", i], outputs["P", i] = first[i], first[n + i]
         for j in range(n):
             outputs["F_q", i, j], outputs["F_v", i, j] = of_force[j], of_force[n + j]
             outputs["P_q", i, j], outputs["M", i, j] = of_momentum[j], of_momentum[n + j]
@@ -173,13 +167,11 @@ def _jet(
     """Merge what is equal, and name what is shared."""
     level = plain.level(graph)
     values = list(outputs.values())
-    halves = halved(graph, [graph.symbol(plain.q[i].name)[1] for i in half_angles])
+    halves = halved(graph, graph.numbers(plain.q[i].name for i in half_angles))
     if halves:
         values = rebuilt(graph, values, halves)
     while sums := summed(graph, [n for _, n in values]):
         values = rebuilt(graph, values, sums)
     values = merged(graph, values, level)
     program = share(Program.of(graph, dict(zip(outputs, values, strict=True)), level))
-    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
-    names = {graph.symbol(x.name)[1]: x.name for x in symbols}
-    return Jet(program, names, program.operations())
+    return Jet(program, program.operations())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 
-from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, exact
+from symsimpson.graph.nodes import ONE, ZERO, Graph, Value, scaled
 
 __all__ = ["Derivatives", "gradient", "slopes"]
 
@@ -36,8 +36,7 @@ class Derivatives:
                 continue
             known[n, x] = self._node(n, x)
             work.pop()
-        slope, n = known[root, x]
-        return exact(coefficient * slope), n
+        return scaled(coefficient, known[root, x])
 
     def _node(self, n: int, x: int) -> Value:
         graph, known = self._graph, self._known
@@ -100,18 +99,15 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
     def with_one(sign: int, of_square: int) -> Value:
         return graph.add([(sign, 0), graph.multiply([(of_square, 0), square])])
 
-    def minus(value: Value) -> Value:
-        return -value[0], value[1]
-
     match name:
         case "sin":
             return [graph.function("cos", x)]
         case "cos":
-            return [minus(graph.function("sin", x))]
+            return [scaled(-1, graph.function("sin", x))]
         case "asin":
             return [graph.power(with_one(1, -1), -half)]
         case "acos":
-            return [minus(graph.power(with_one(1, -1), -half))]
+            return [scaled(-1, graph.power(with_one(1, -1), -half))]
         case "atan":
             return [graph.power(with_one(1, 1), -1)]
         case "sinh":
@@ -119,7 +115,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "cosh":
             return [graph.function("sinh", x)]
         case "tanh":
-            return [graph.add([ONE, minus(graph.power(own, 2))])]
+            return [graph.add([ONE, scaled(-1, graph.power(own, 2))])]
         case "asinh":
             return [graph.power(with_one(1, 1), -half)]
         case "acosh":
@@ -131,7 +127,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "log":
             return [graph.power(x, -1)]
         case "erf" | "erfc":
-            bell = graph.function("exp", minus(square))
+            bell = graph.function("exp", scaled(-1, square))
             factor = graph.power(graph.constant("pi"), -half)
             return [graph.multiply([(2 if name == "erf" else -2, 0), factor, bell])]
         case "pow":
@@ -140,5 +136,5 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "atan2":
             y, x = arguments
             over = graph.power(graph.add([graph.power(x, 2), graph.power(y, 2)]), -1)
-            return [graph.multiply([x, over]), minus(graph.multiply([y, over]))]
+            return [graph.multiply([x, over]), scaled(-1, graph.multiply([y, over]))]
     raise AssertionError(name)

@@ -18,14 +18,14 @@ References
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from fractions import Fraction
 from math import lcm
 from typing import Any, Protocol
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "Numbers"]
+__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "Numbers", "repeated"]
 
 #: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
 PRIME = 2**61 - 1
@@ -185,7 +185,6 @@ class Evaluation:
         angles: Angles | None = None,
     ) -> None:
         self._graph, self.arithmetic, self._opaque = graph, arithmetic, opaque
-        self._powers: dict[tuple[int, Any], tuple[Element, Element]] = {}
         roots = list(roots)
         nodes = graph.reached(roots)
         self._angles = Angles(graph, nodes) if angles is None else angles
@@ -271,27 +270,19 @@ class Evaluation:
         return self._whole_power(x, e.numerator)
 
     def _whole_power(self, x: Element, e: int) -> Element:
-        times = self.arithmetic.times
         if e < 0:
             x, e = self.arithmetic.inverse(x), -e
-        result: Element = 1
-        while e:
-            if e & 1:
-                result = times(result, x)
-            x, e = times(x, x), e >> 1
-        return result
+        return repeated(self.arithmetic.times, 1, x, e)
 
     def _function(self, parts: tuple[Any, ...], values: dict[int, Element]) -> Element:
         name, *arguments = parts
         a = self.arithmetic
         times, plus = a.times, a.plus
         if name in ("sin", "cos"):
-            c, s = 1, 0
+            turn: tuple[Element, Element] = (1, 0)
             for m, factor in self._angles(arguments[0]).items():
-                d, r = self._turned(m, values[m], factor)
-                minus = times(a.prime - 1, times(s, r))
-                c, s = plus(times(c, d), minus), plus(times(s, d), times(c, r))
-            return s if name == "sin" else c
+                turn = self._joined(turn, self._turned(m, values[m], factor))
+            return turn[name == "sin"]
         if name in ("exp", "sinh", "cosh", "tanh"):
             unit: Element = 1
             for m, factor in self._angles(arguments[0]).items():
@@ -305,11 +296,9 @@ class Evaluation:
                 times(half, plus(unit, back)),
                 times(half, plus(unit, times(a.prime - 1, back))),
             )
-            return (
-                {"sinh": sinh, "cosh": cosh}.get(name)
-                if name != "tanh"
-                else times(sinh, a.inverse(cosh))
-            )
+            if name == "tanh":
+                return times(sinh, a.inverse(cosh))
+            return sinh if name == "sinh" else cosh
         return a.draw(name, *(times(self._number(c), values[m]) for c, m in arguments))
 
     def _share(self, n: int, value: Element) -> Element:
@@ -327,17 +316,25 @@ class Evaluation:
         whole = int(factor * self._angles.divisors[n])
         if whole < 0:
             s, whole = times(a.prime - 1, s), -whole
-        found: tuple[Element, Element] = (1, 0)
-        while whole:
-            if whole & 1:
-                x, y = found
-                found = (
-                    plus(times(x, c), times(a.prime - 1, times(y, s))),
-                    plus(times(x, s), times(y, c)),
-                )
-            c, s = plus(times(c, c), times(a.prime - 1, times(s, s))), times(2, times(s, c))
-            whole >>= 1
-        return found
+        return repeated(self._joined, (1, 0), (c, s), whole)
+
+    def _joined(
+        self, first: tuple[Element, Element], second: tuple[Element, Element]
+    ) -> tuple[Element, Element]:
+        """Give cosine and sine of the sum of two angles."""
+        times, plus = self.arithmetic.times, self.arithmetic.plus
+        (c, s), (d, r) = first, second
+        minus = times(self.arithmetic.prime - 1, times(s, r))
+        return plus(times(c, d), minus), plus(times(s, d), times(c, r))
+
+
+def repeated(times: Callable[[Any, Any], Any], one: Any, x: Any, count: int) -> Any:
+    """Multiply as many x by repeated squaring."""
+    while count:
+        if count & 1:
+            one = times(one, x)
+        x, count = times(x, x), count >> 1
+    return one
 
 
 class _Layered(dict[int, Element]):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from symsimpson.graph.field import LARGER, PRIME, Evaluation, Numbers
-from symsimpson.graph.nodes import ZERO, Graph, Value, exact
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import again
 from symsimpson.graph.roots import dependent_radicands
 
@@ -71,7 +71,7 @@ def merged(graph: Graph, values: Sequence[Value], level: Callable[[int], int]) -
     if done is None:  # a product that is made of the sum
         done = _rewritten(graph, roots, marks, stays(lambda n: (level(n), n)))
     assert done is not None
-    return [(exact(c * done[n][0]) if done[n][0] else 0, done[n][1]) for c, n in values]
+    return [scaled(c, done[n]) for c, n in values]
 
 
 def _rewritten(
@@ -100,7 +100,7 @@ def _rewritten(
         if other == n:
             done[n] = again(graph, n, done, graph)
         else:
-            done[n] = marks[n] * marks[other] * done[other][0], done[other][1]
+            done[n] = scaled(marks[n] * marks[other], done[other])
         open_.discard(n)
         work.pop()
     return done

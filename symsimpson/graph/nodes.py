@@ -7,12 +7,15 @@ any more. A float is the dyadic rational that it is, so that nothing is rounded 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from math import gcd, lcm
 from typing import Any, NamedTuple, TypeAlias
 
-__all__ = ["ONE", "UNIT", "ZERO", "Exact", "Graph", "Node", "Value", "exact", "magnitude"]
+__all__ = [
+    "ONE", "UNIT", "ZERO", "Exact", "Graph", "Node", "Value", "arguments", "exact", "magnitude",
+    "scaled",
+]  # fmt: skip
 
 #: A whole number or a fraction; a fraction is never whole.
 Exact: TypeAlias = int | Fraction
@@ -80,6 +83,10 @@ class Graph:
         number = len(self.nodes) if known is None else known
         return 1, self._make("symbol", (name,), frozenset([number]))
 
+    def numbers(self, names: Iterable[str]) -> tuple[int, ...]:
+        """Give the nodes of symbols by their names."""
+        return tuple(self.symbol(name)[1] for name in names)
+
     def constant(self, name: str) -> Value:
         """Give a number that is not rational, by its name."""
         return 1, self._make("constant", (name,), frozenset())
@@ -138,6 +145,10 @@ class Graph:
         if len(parts) == 1 and parts[0][1] == 1:
             return coefficient, parts[0][0]
         return coefficient, self._make("product", parts, self._united(n for n, _ in parts))
+
+    def products(self, values: Iterable[Value], nodes: Iterable[int]) -> list[Value]:
+        """Multiply each value with its node."""
+        return [self.multiply([x, (1, n)]) for x, n in zip(values, nodes, strict=True)]
 
     def power(self, value: Value, exponent: Exact) -> Value:
         """Raise a value to a rational power.
@@ -211,14 +222,7 @@ class Graph:
     def arguments(self, n: int) -> list[int]:
         """List the nodes that a node is made of."""
         kind, parts, _ = self.nodes[n]
-        match kind:
-            case "sum":
-                return [m for _, m in parts]
-            case "product":
-                return [m for m, _ in parts]
-            case "function":
-                return [value[1] for value in parts[1:]]
-        return []
+        return arguments(kind, parts)
 
     def reached(self, roots: Iterable[int]) -> list[int]:
         """List all nodes that some are made of, themselves among them, in ascending order."""
@@ -230,6 +234,23 @@ class Graph:
                 seen.add(n)
                 work += self.arguments(n)
         return sorted(seen)
+
+
+def arguments(kind: str, parts: Sequence[Any]) -> list[int]:
+    """List what a node, or a line of a program, is made of."""
+    match kind:
+        case "sum":
+            return [m for _, m in parts]
+        case "product":
+            return [m for m, _ in parts]
+        case "function":
+            return [value[1] for value in parts[1:]]
+    return []
+
+
+def scaled(factor: Exact, value: Value) -> Value:
+    """Multiply a value by a number."""
+    return exact(factor * value[0]), value[1]
 
 
 def exact(number: Exact) -> Exact:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from symsimpson.graph.nodes import Exact, Graph, Value, exact
+from symsimpson.graph.nodes import Exact, Graph, Value, arguments, exact, scaled
 
 __all__ = ["Item", "Line", "Program", "add_factor"]
 
@@ -68,15 +68,7 @@ class Program:
 
     def arguments(self, n: int) -> list[int]:
         """List the lines that a line is made of."""
-        line = self.lines[n]
-        match line.kind:
-            case "sum":
-                return [m for _, m in line.parts]
-            case "product":
-                return [m for m, _ in line.parts]
-            case "function":
-                return [value[1] for value in line.parts[1:]]
-        return []
+        return arguments(self.lines[n].kind, self.lines[n].parts)
 
     def order(self, values: Iterable[Value] | None = None) -> list[int]:
         """List the lines that outputs need, each behind those that it is made of."""
@@ -100,10 +92,9 @@ class Program:
         for n in self.order():
             line = self.lines[n]
             if line.kind == "sum":
-                line.parts = [(exact(c * done[m][0]), done[m][1]) for c, m in line.parts]
+                line.parts = [scaled(c, done[m]) for c, m in line.parts]
             elif line.kind == "function":
-                values = [(exact(c * done[m][0]), done[m][1]) for c, m in line.parts[1:]]
-                line.parts = [line.parts[0], *values]
+                line.parts = [line.parts[0], *(scaled(c, done[m]) for c, m in line.parts[1:])]
             elif line.kind == "product":
                 line.parts = [(done[m][1] if done[m][0] == 1 else m, e) for m, e in line.parts]
             done[n] = (1, n)
@@ -113,9 +104,7 @@ class Program:
                     done[n] = (a, b)
                 elif b == 1:
                     done[n] = (1, a)
-        self.outputs = {
-            key: (exact(c * done[n][0]), done[n][1]) for key, (c, n) in self.outputs.items()
-        }
+        self.outputs = {key: scaled(c, done[n]) for key, (c, n) in self.outputs.items()}
 
     def users(self) -> dict[int, int]:
         """Count how often lines are used in others and asked for."""
@@ -160,11 +149,8 @@ class Program:
         total = 0
         late: list[tuple[int, Exact]] = [(m, e) for m, e in line.parts if self.lines[m].level]
         for _, e in late:
-            if e.denominator == 2 or e.denominator != 1:
-                total += 1
-            total += max(
-                abs(e.numerator).bit_length() - 1 + bin(abs(e.numerator)).count("1") - 1, 0
-            )
+            steps = abs(e.numerator)
+            total += (e.denominator != 1) + steps.bit_length() + steps.bit_count() - 2
         early = len(late) < len(line.parts)
         above = any(e > 0 for _, e in late) or early
         return total + len(late) - 1 + early + (not above)

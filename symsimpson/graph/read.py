@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -12,7 +12,7 @@ import sympy as sp
 from symsimpson.errors import GenerationError
 from symsimpson.graph.nodes import Graph, Value, exact, magnitude
 
-__all__ = ["Reader", "fraction", "line_written", "number", "tree_size", "written"]
+__all__ = ["Reader", "fraction", "line_written", "number", "tree_size", "was_float", "written"]
 
 #: SymPy's functions by their names in a graph.
 FUNCTIONS: dict[Any, str] = {
@@ -113,6 +113,12 @@ def fraction(number: Any) -> int | Fraction:
     return exact(whole * Fraction(2) ** int(exponent))
 
 
+def was_float(value: int | Fraction) -> bool:
+    """Tell whether a number is one that only floats are: with a large power of two below it."""
+    q = value.denominator
+    return q > FLOAT and q & (q - 1) == 0
+
+
 def number(value: int | Fraction) -> sp.Number:
     """Give a fraction as a SymPy number; what was a float is one again."""
     q = value.denominator
@@ -122,7 +128,7 @@ def number(value: int | Fraction) -> sp.Number:
             "Choose other units, or do not raise such sums to high powers."
         )
     huge = max(abs(value.numerator), q).bit_length() > 1000
-    if huge or (q > FLOAT and q & (q - 1) == 0 and Fraction(float(value)) == value):
+    if huge or (was_float(value) and Fraction(float(value)) == value):
         return sp.Float(float(value))
     return sp.Rational(value.numerator, q)
 
@@ -135,12 +141,13 @@ def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr
     graph : Graph
     value : Value
     names : mapping from node to expression
-        What stands for symbols, and for any other node.
+        What stands for symbols.
     """
     done: dict[int, sp.Expr] = {0: sp.S.One, **names}
-    for n in _needed(graph, value[1], done):
-        kind, parts, _ = graph.nodes[n]
-        done[n] = line_written(kind, parts, done)
+    for n in graph.reached([value[1]]):
+        if n not in done:
+            kind, parts, _ = graph.nodes[n]
+            done[n] = line_written(kind, parts, done)
     return number(value[0]) * done[value[1]]
 
 
@@ -150,17 +157,6 @@ def tree_size(graph: Graph, value: Value) -> int:
     for n in graph.reached([value[1]]):
         size[n] = 1 + sum(size[m] for m in graph.arguments(n))
     return size[value[1]]
-
-
-def _needed(graph: Graph, root: int, done: Mapping[int, sp.Expr]) -> Iterable[int]:
-    seen: set[int] = set()
-    work = [root]
-    while work:
-        n = work.pop()
-        if n not in seen and n not in done:
-            seen.add(n)
-            work += graph.arguments(n)
-    return sorted(seen)
 
 
 def line_written(kind: str, parts: Sequence[Any], done: Mapping[int, sp.Expr]) -> sp.Expr:

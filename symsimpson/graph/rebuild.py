@@ -8,7 +8,7 @@ from fractions import Fraction
 import mpmath
 
 from symsimpson.graph.evaluate import evaluated
-from symsimpson.graph.nodes import Graph, Value, exact
+from symsimpson.graph.nodes import Graph, Value, scaled
 
 __all__ = ["NUMBERS", "again", "fixed", "rebuilt", "same"]
 
@@ -53,7 +53,7 @@ def rebuilt(
             done[n] = (1, n)
             continue
         done[n] = again(graph, n, done, target)
-    return [(exact(c * done[n][0]) if done[n][0] else 0, done[n][1]) for c, n in values]
+    return [scaled(c, done[n]) for c, n in values]
 
 
 def again(graph: Graph, n: int, done: Mapping[int, Value], target: Graph) -> Value:
@@ -61,15 +61,12 @@ def again(graph: Graph, n: int, done: Mapping[int, Value], target: Graph) -> Val
     kind, parts, _ = graph.nodes[n]
     match kind:
         case "sum":
-            terms = [(exact(c * done[m][0]), done[m][1]) for c, m in parts]
-            return target.add(terms)
+            return target.add(scaled(c, done[m]) for c, m in parts)
         case "product":
             return target.multiply([target.power(done[m], e) for m, e in parts])
         case "function":
             name, *arguments = parts
-            return target.function(
-                name, *((exact(c * done[m][0]), done[m][1]) for c, m in arguments)
-            )
+            return target.function(name, *(scaled(c, done[m]) for c, m in arguments))
         case "symbol":
             return target.symbol(*parts)
         case "constant":

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.graph.field import Angles, Evaluation
+from symsimpson.graph.field import Angles, Evaluation, repeated
 from symsimpson.graph.nodes import Graph
 
 __all__ = ["dependent_radicands", "radicands"]
@@ -115,12 +115,8 @@ class _Rows:
 
 
 def _power(x: Row, e: int) -> Row:
-    result = np.ones_like(x)
-    while e:
-        if e & 1:
-            result = result * x % PRIME
-        x, e = x * x % PRIME, e >> 1
-    return result
+    power: Row = repeated(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
+    return power
 
 
 def _bits(values: Row) -> int:

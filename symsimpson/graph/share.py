@@ -64,6 +64,7 @@ class _Pairs:
     """Finds the pair that most lines of one kind have in common, and names it, again and again."""
 
     kind = ""
+    place = 0  #: of the line in an item
 
     def __init__(self, program: Program, level: int) -> None:
         self._program, self._level = program, level
@@ -132,7 +133,8 @@ class _Pairs:
 
     def _rank(self, pair: Pair) -> Any:
         """Order pairs of which there are equally many: first what is known early."""
-        raise NotImplementedError
+        levels = [self._program.lines[item[self.place]].level for item in pair]
+        return sum(levels), [float(x) for item in pair for x in item]
 
 
 class _Factors(_Pairs):
@@ -146,10 +148,6 @@ class _Factors(_Pairs):
             item for item in lines[n].parts if lines[item[0]].level <= self._level
         )  # fmt: skip
         return dict.fromkeys(combinations(own, 2)) if len(own) <= LONGEST else {}
-
-    def _rank(self, pair: Pair) -> Any:
-        levels = [self._program.lines[m].level for m, _ in pair]
-        return sum(levels), [float(x) for item in pair for x in item]
 
     def _line(self, pair: Pair) -> int:
         for n in self._where[pair]:
@@ -168,6 +166,7 @@ class _Terms(_Pairs):
     """Pairs of terms, by the ratio of their coefficients; items are (1 or the ratio, line)."""
 
     kind = "sum"
+    place = 1
 
     def _pairs(self, n: int) -> dict[Pair, None]:
         lines = self._program.lines
@@ -177,10 +176,6 @@ class _Terms(_Pairs):
         return dict.fromkeys(
             ((1, a), (exact(Fraction(d) / c), b)) for (a, c), (b, d) in combinations(own, 2)
         )
-
-    def _rank(self, pair: Pair) -> Any:
-        levels = [self._program.lines[m].level for _, m in pair]
-        return sum(levels), [float(x) for item in pair for x in item]
 
     def _line(self, pair: Pair) -> int:
         (_, a), (ratio, b) = pair

@@ -38,11 +38,8 @@ def energies(
     lagrangian: sp.Expr, parts: Polynomial, symbols: Symbols
 ) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
     """Give T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
-    graph, v = symbols.graph, symbols.numbers(symbols.v)
-    restored = symbols.restored
-    linear = restored(
-        graph.add(graph.multiply([a, (1, x)]) for a, x in zip(parts.a, v, strict=True))
-    )
+    graph, restored = symbols.graph, symbols.restored
+    linear = restored(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
     potential: sp.Expr = -restored(parts.rest)
     entries = sum(tree_size(graph, value) for value in parts.M.values())
     if entries > LARGE:
@@ -72,12 +69,9 @@ def read_energies(
     potential = read("potential", given.potential)
     linear = read("gyroscopic term", given.gyroscopic, s.v)
     parts = polynomial(name, "kinetic energy", kinetic, s)
-    findings = Findings(s.graph, [*parts.a, parts.rest])
-    left = [*(a for a in parts.a), parts.rest]
-    if not all(map(findings.vanishes, left)):
-        terms = [s.graph.multiply([a, (1, v)])
-                 for a, v in zip(parts.a, s.numbers(s.v), strict=True)]  # fmt: skip
-        leftover = s.graph.add([*terms, parts.rest])
+    left = [*parts.a, parts.rest]
+    if not all(map(Findings(s.graph, left).vanishes, left)):
+        leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
         raise fail(
             name,
             f"the kinetic energy is not a quadratic form in the velocities: it contains "
@@ -126,8 +120,8 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
     for i, x in enumerate(names):
         key = f"p_{x}"
         if key in plain.invariants:
-            terms = [graph.multiply([plain.entry(i, j), (1, v[j])]) for j in range(len(v))]
-            momentum = graph.add([plain.a[i], *terms])
+            row = [plain.entry(i, j) for j in range(len(v))]
+            momentum = graph.add([plain.a[i], *graph.products(row, v)])
             given: Value = plain.invariants[key]
             findings = Findings(graph, [given, momentum, (1, p[i])])
             if any(findings.equal(given, other) for other in (momentum, (1, p[i]))):

@@ -11,7 +11,7 @@ from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import Value
-from symsimpson.graph.read import FLOAT, tree_size
+from symsimpson.graph.read import tree_size, was_float
 from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Dependence", "certain", "dependence", "vanishes"]
@@ -90,23 +90,18 @@ def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
     """Give a number for each symbol, parameters with their signs."""
     symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
     own = set(plain.parameters)
-    return {
-        n: abs(value) * (-1 if s.is_negative else 1) if s in own else value
-        for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True))
-        if (value := sample + mpmath.mpf(k) / (7 + k)) is not None
-    }
+    found = {}
+    for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True)):
+        value = sample + mpmath.mpf(k) / (7 + k)
+        found[n] = abs(value) * (-1 if s.is_negative else 1) if s in own else value
+    return found
 
 
 def _has_floats(plain: Plain, value: Value) -> bool:
     """Tell whether a value holds numbers that were floats, and no round ones."""
     graph = plain.graph
-
-    def is_float(c: object) -> bool:
-        q = c.denominator  # type: ignore[attr-defined]
-        return bool(q > FLOAT and q & (q - 1) == 0)
-
     return any(
-        is_float(c)
+        was_float(c)
         for n in graph.reached([value[1]])
         if graph.nodes[n].kind == "sum"
         for c, _ in graph.nodes[n].parts

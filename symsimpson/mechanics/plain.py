@@ -11,7 +11,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics import dynamicsymbols
 
-from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.read import written
 from symsimpson.graph.signs import Signs
 
@@ -42,17 +42,18 @@ class Plain:
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Give the nodes of symbols."""
-        return tuple(self.graph.symbol(s.name)[1] for s in symbols)
+        return self.graph.numbers(s.name for s in symbols)
 
     @property
     def L(self) -> Value:
         """The Lagrangian."""
-        graph = self.graph
-        moving = [
-            graph.multiply([a, (1, v)])
-            for a, v in zip(self.a, self.numbers(self.v), strict=True)
-        ]  # fmt: skip
-        return graph.add([self.T, *moving, (-self.V[0], self.V[1])])
+        linear = self.graph.products(self.a, self.numbers(self.v))
+        return self.graph.add([self.T, *linear, scaled(-1, self.V)])
+
+    @property
+    def linear(self) -> Value:
+        """What is linear in the velocities, a.v."""
+        return self.graph.add(self.graph.products(self.a, self.numbers(self.v)))
 
     @property
     def energies(self) -> tuple[Value, ...]:
@@ -74,14 +75,13 @@ class Plain:
         0 for parameters alone, 1 for q, 2 for v or p. The graph may be another one with symbols of
         these names.
         """
-        moving = [
-            {graph.symbol(s.name)[1] for s in group} for group in (self.q, (*self.v, *self.p))
-        ]
+        positions = set(graph.numbers(s.name for s in self.q))
+        moving = set(graph.numbers(s.name for s in (*self.v, *self.p)))
 
         def level(n: int) -> int:
             symbols = graph.nodes[n].symbols
-            if symbols.isdisjoint(moving[1]):
-                return 0 if symbols.isdisjoint(moving[0]) else 1
+            if symbols.isdisjoint(moving):
+                return 0 if symbols.isdisjoint(positions) else 1
             return 2
 
         return level
@@ -159,7 +159,7 @@ class Symbols:
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Give the nodes of plain symbols."""
-        return tuple(self.graph.symbol(s.name)[1] for s in symbols)
+        return self.graph.numbers(s.name for s in symbols)
 
     def restored(self, value: Value) -> sp.Expr:
         """Write a value in the user's symbols: a tree, for messages and short expressions."""

@@ -16,7 +16,7 @@ from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.field import Arithmetic, Element
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import UNIT, ZERO, Exact, Value
+from symsimpson.graph.nodes import ZERO, Exact, Value
 from symsimpson.graph.read import Reader, tree_size
 from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
@@ -239,11 +239,8 @@ def _regular(
     """Tell whether the determinant of a block of M is not zero in a field."""
     findings = Findings(symbols.graph, list(M.values()))
     for at in findings.points:
-        rows = [
-            [at[M.get((max(i, j), min(i, j)), (0, UNIT))] if (max(i, j), min(i, j)) in M else 0
-             for j in block]
-            for i in block
-        ]  # fmt: skip
+        places = [[(max(i, j), min(i, j)) for j in block] for i in block]
+        rows = [[at[M[place]] if place in M else 0 for place in row] for row in places]
         if _determinant(rows, at.arithmetic):
             return True
     return False

@@ -7,14 +7,14 @@ grant; the rest is undecided, and counts as not there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Graph, Value
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
@@ -177,28 +177,22 @@ class _Look:
         values = [*both, *self._slope, *plain.energies]
         self._findings = Findings(graph, values, before)
 
-    def couplings(self) -> list[tuple[int, int]]:
-        """List the pairs of coordinates that L couples."""
-        depends = self._findings.depends
-        symbols = {x: k for group in (self.q, self.v) for k, x in enumerate(group)}
-        found: dict[tuple[int, int], None] = {}
+    def _met(self) -> Iterator[tuple[int, int, Value, int]]:
+        """Give coordinates i, k of which k stands, as x, in a force or a momentum of i."""
+        place = {x: i for group in (self.q, self.v) for i, x in enumerate(group)}
         for i, pair in enumerate(zip(self.F, self.P, strict=True)):
             for value in pair:
-                for x in sorted(self._plain.graph.nodes[value[1]].symbols & symbols.keys()):
-                    if symbols[x] != i and depends(value, x):
-                        found[i, symbols[x]] = None
-        return list(found)
+                for x in self._plain.graph.nodes[value[1]].symbols & place.keys():
+                    yield i, place[x], value, x
 
-    def as_written(self) -> list[tuple[int, int]]:
+    def couplings(self) -> set[tuple[int, int]]:
+        """List the pairs of coordinates that L couples."""
+        depends = self._findings.depends
+        return {(i, k) for i, k, value, x in self._met() if i != k and depends(value, x)}
+
+    def as_written(self) -> set[tuple[int, int]]:
         """List the pairs of coordinates of which one stands in the other's force or momentum."""
-        place = {x: i for group in (self.q, self.v) for i, x in enumerate(group)}
-        nodes = self._plain.graph.nodes
-        return [
-            (i, place[x])
-            for i, pair in enumerate(zip(self.F, self.P, strict=True))
-            for _, n in pair
-            for x in nodes[n].symbols if x in place
-        ]  # fmt: skip
+        return {(i, k) for i, k, _, _ in self._met()}
 
     def moves(self, value: Value) -> int:
         """Count the coordinates that a value depends on."""
@@ -280,7 +274,7 @@ def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
                 others = {x: (number, 0) for x in q if x not in own}
                 parts += rebuilt(graph, [plain.V], others)
                 if k:
-                    parts.append((-constant[0], constant[1]))
+                    parts.append(scaled(-1, constant))
         except ZeroDivisionError:
             continue
         V = graph.add(parts)

@@ -16,7 +16,7 @@ from symsimpson.graph.share import share
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["FirstOrder", "canonical", "reduced_top", "second_order"]
+__all__ = ["FirstOrder", "Lines", "canonical", "reduced_top", "second_order"]
 
 Definition = tuple[sp.Symbol, sp.Expr]
 Key = tuple[Hashable, ...]
@@ -83,7 +83,7 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     p, n = _symbols("p", len(plain.q)), len(plain.q)
     graph, L = plain.graph, plain.L
     forces = gradient(graph, L, plain.numbers(plain.q))
-    lines = _Lines(plain, {**_mass_and_a(plain), **{("F", i): f for i, f in enumerate(forces)}})
+    lines = Lines(plain, {**_mass_and_a(plain), **{("F", i): f for i, f in enumerate(forces)}})
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
     solution, v = _solve(lines.mass(n), momenta, "v")
     known = dict(zip(plain.v, v, strict=True))
@@ -104,7 +104,7 @@ def second_order(system: MechanicalSystem) -> FirstOrder:
         slopes = gradient(graph, momenta[i], q)
         moving = [graph.multiply([(-1, 0), s, (1, x)]) for s, x in zip(slopes, v, strict=True)]
         right["right", i] = graph.add([forces[i], *moving])
-    lines = _Lines(plain, {**_mass_and_a(plain), **right})
+    lines = Lines(plain, {**_mass_and_a(plain), **right})
     solution, rates = _solve(lines.mass(n), [lines.value("right", i) for i in range(n)], "a")
     definitions = (*lines.early, *lines.later, *solution)
     return _system(
@@ -145,7 +145,7 @@ def _system(
     )
 
 
-class _Lines:
+class Lines:
     """Outputs as definitions, a line each: those of q alone, and those of v behind them."""
 
     def __init__(self, plain: Plain, outputs: Mapping[Key, Value]) -> None:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
-import mpmath
 import numpy as np
+import sympy as sp
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
 
 if TYPE_CHECKING:
@@ -62,17 +63,15 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     slopes = [derivatives(plain.V, x) for x in q]
     entries = [derivatives(slope, x) for slope in slopes for x in q]
     masses = [plain.entry(i, j) for i in range(len(q)) for j in range(len(q))]
-    symbols = (*q, *plain.numbers(plain.parameters))
-
-    def matrices(*numbers: float) -> list[Any]:
-        point = dict(zip(symbols, numbers, strict=True))
-        values = evaluated(graph, [n for _, n in (*entries, *masses)], point, mpmath.fp)
-        return [
-            np.array([float(c) * values[n] for c, n in table]).reshape(len(q), len(q))
-            for table in (entries, masses)
-        ]
-
-    return matrices
+    outputs: dict[tuple[Hashable, ...], Value] = {("K", k): x for k, x in enumerate(entries)}
+    outputs |= {("M", k): x for k, x in enumerate(masses)}
+    lines, places = Lines(plain, outputs), range(len(entries))
+    function: Callable[..., Any] = sp.lambdify(
+        [*plain.q, *plain.parameters],
+        [lines.value(name, k) for name in "KM" for k in places],
+        modules="math", cse=lambda expressions: (lines.early, expressions),
+    )  # fmt: skip
+    return lambda *numbers: np.array(function(*numbers)).reshape(2, len(q), len(q))
 
 
 @cache
