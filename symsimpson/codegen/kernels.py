@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sympy as sp
 
+from symsimpson.codegen.coefficients import coefficient_loops
 from symsimpson.codegen.ir import Call, Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout
 from symsimpson.codegen.levels import Level
@@ -99,7 +100,11 @@ def _looped(equations: DiscreteEquations) -> Module:
     found = families(equations.plain)
     storage = Storage.dense(low.n)
     if "sparse" in equations.exploit:
-        banded = Storage(*ordering(neighbours(found, low.n)), banded=True)
+        # an explicit step solves with M alone
+        met = (
+            [family for family in found if family.plain.M] if isinstance(part, Composed) else found
+        )
+        banded = Storage(*ordering(neighbours(met, low.n)), banded=True)
         if banded.size(degree) < storage.size(degree):
             storage = banded
     names = ("gradient", "mass", "potential")
@@ -154,15 +159,14 @@ def _module(
         if stages.kernels:
             tables = {**tables, "STRIDE": stages.stride}
             for_stages = (Call("stage_constants", ("W", "h", "lane")),)
-    stores = [
-        Store(Row("COEFFICIENT", i), low.graph.define("coefficient", _own(low, value), "constants"))
-        for i, value in enumerate(low.coefficients)
-    ]
+    own = [value.xreplace(low.parameters) for value in low.coefficients]
+    loops, stores, products = coefficient_loops(low, own)
+    tables = {**tables, **products}
     low.statements(stores, (Level.RUN,))
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
-    prepare = Kernel("prepare", doc, lanes((*known, *for_stages)))
+    prepare = Kernel("prepare", doc, lanes((*known, *loops, *for_stages)))
     sizes = {
         "PARAMETER": len(low.names.parameters),
         "INVARIANT": len(low.names.invariants),
@@ -176,10 +180,6 @@ def _module(
         low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
         unknowns, tables,
     )  # fmt: skip
-
-
-def _own(low: Lowering, value: sp.Expr) -> sp.Expr:
-    return value.xreplace(low.parameters)
 
 
 def _size(part: Part) -> int:

@@ -10,6 +10,7 @@ from symsimpson.codegen.kernels import lower, unrolled
 from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
+from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
@@ -61,7 +62,7 @@ def derive(
 
 @lru_cache(maxsize=64)
 def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -> Derivation:
-    with collecting() as seconds:
+    with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit)
         with timed("text"):

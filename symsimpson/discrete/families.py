@@ -5,7 +5,7 @@ A family is differentiated once and evaluated in a loop over its members.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -266,7 +266,7 @@ def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(name, real=True) for name in names)
 
 
-def neighbours(found: tuple[Family, ...], n: int) -> list[set[int]]:
+def neighbours(found: Iterable[Family], n: int) -> list[set[int]]:
     """List the coordinates that meet each one in some term."""
     near: list[set[int]] = [set() for _ in range(n)]
     for family in found:
@@ -278,6 +278,8 @@ def neighbours(found: tuple[Family, ...], n: int) -> list[set[int]]:
 
 def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
     """Order coordinates so that those that meet stand close (reverse Cuthill-McKee).
+
+    They stay as they are where that is as good.
 
     Returns
     -------
@@ -307,11 +309,17 @@ def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
             queue += following
         order += queue
     order.reverse()
+    kept, moved = range(len(near)), tuple(order)
+    best = min((tuple(kept), moved), key=lambda order: _band(order, near))
+    return best, _band(best, near)
+
+
+def _band(order: Sequence[int], near: list[set[int]]) -> int:
+    """Measure the largest distance, in an order, of two coordinates that meet."""
     place = {i: s for s, i in enumerate(order)}
-    band = max(
+    return max(
         (abs(place[i] - place[j]) for i, others in enumerate(near) for j in others), default=0
     )
-    return tuple(order), band
 
 
 def _periphery(start: int, near: list[set[int]]) -> int:

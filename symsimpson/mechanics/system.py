@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -13,6 +14,7 @@ from typing import Any, TypeAlias
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
+from symsimpson.garbage import rarely_collected
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import (
     fail,
@@ -35,6 +37,13 @@ Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
 Positions = Mapping[str, Sequence[Any]]
+
+
+@contextmanager
+def _stage(stage: str, name: str) -> Iterator[dict[str, float]]:
+    """Say that a stage of a system's derivation takes a while, and collect its seconds."""
+    with waiting(f"{stage}: {name}"), rarely_collected(), collecting() as seconds, timed(stage):
+        yield seconds
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,7 +111,7 @@ class MechanicalSystem:
         name = read_name(self.name)
         coordinates = read_coordinates(name, self.coordinates)
         parameters = read_parameters(name, self.parameters, coordinates)
-        with collecting() as seconds, waiting(f"reading {name}"), timed("reading"):
+        with _stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         for key, value in {
             "coordinates": coordinates,
@@ -250,7 +259,7 @@ class MechanicalSystem:
     @cached_property
     def structure(self) -> Structure:
         """What the system has and lacks, and what the generator therefore skips."""
-        with collecting() as seconds, waiting(f"analysing {self.name}"), timed("structure"):
+        with _stage("structure", self.name) as seconds:
             found = analyse(self)
         self.seconds.update(seconds)
         return found

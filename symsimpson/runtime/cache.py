@@ -31,6 +31,7 @@ import numba
 import numpy as np
 
 from symsimpson.errors import GenerationError
+from symsimpson.garbage import rarely_collected
 from symsimpson.progress import waiting
 
 __all__ = ["cache_folder", "compiled", "whereabouts"]
@@ -142,7 +143,7 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> 
             except Exception:  # whatever a stale pickle may raise, the entry can be made again
                 sys.modules.pop(name, None)
         shutil.rmtree(entry, ignore_errors=True)
-    with waiting("compiling, once for this machine"):
+    with waiting("compiling, once for this machine"), rarely_collected():
         return _build(folder, key, text, use)
 
 

@@ -29,6 +29,8 @@ SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE
 _NEWTON = ("prepare", "start", "newton", "advance")
 _EXPLICIT = ("prepare", "start", "advance")
 _STAGES = ("prepare", "start_stages", "iterate", "advance_stages")
+#: Runs begin with it: compiled beside the kernels of a step, because they share functions.
+_BEGIN = "legendre"
 
 
 @dataclass(frozen=True)
@@ -216,8 +218,8 @@ class Kernels:
     def newton(self) -> NDArray[np.int64]:
         """Addresses of prepare, start, newton and advance; 0 for newton where nothing is solved."""
         if not self._facts.newton_unknowns:
-            return np.insert(self._addresses(self._text, "step", _EXPLICIT), 2, 0)
-        return self._watched(self._addresses(self._text, "step", _NEWTON))
+            return np.insert(self._begun("step", _EXPLICIT), 2, 0)
+        return self._watched(self._begun("step", _NEWTON))
 
     def _watched(self, kernels: NDArray[np.int64], *, any_angle: bool = False) -> NDArray[np.int64]:
         """Add the energy where Newton's method takes what stages could not solve."""
@@ -228,7 +230,13 @@ class Kernels:
     @cached_property
     def stages(self) -> NDArray[np.int64]:
         """Addresses of the same for an iteration over stages; one more says that it is one."""
-        return np.append(self._addresses(self._text, "stages", _STAGES), 1)
+        return np.append(self._begun("stages", _STAGES), 1)
+
+    def _begun(self, label: str, names: tuple[str, ...]) -> NDArray[np.int64]:
+        """Give addresses of kernels of a step, and remember that of what is compiled with them."""
+        *step, begin = self._addresses(self._text, label, (*names, _BEGIN))
+        self._single.setdefault((_BEGIN, False), int(begin))
+        return np.array(step)
 
     @cached_property
     def robust(self) -> NDArray[np.int64]:
@@ -253,6 +261,8 @@ class Kernels:
     def address(self, name: str, *, any_angle: bool = False) -> int:
         """Give the address of one kernel; of one that takes any angle, if that is asked for."""
         key = name, any_angle
+        if key == (_BEGIN, False):
+            _ = self.stages if self._staged else self.newton
         if key not in self._single:  # finding it among what is compiled takes the text's digest
             text = self._any_angle if any_angle else self._text
             label = f"{name}_any_angle" if any_angle else name

@@ -84,7 +84,7 @@ def test_declarations_are_told_of(told, monkeypatch):
 
     monkeypatch.setattr(system_module, "read_energies", slower)
     ss.systems.pendulum()
-    assert told == ["reading pendulum"]
+    assert told == ["reading: pendulum"]
 
 
 def test_bars_are_drawn_one_at_a_time(told):

@@ -1,0 +1,90 @@
+"""What the terms of L are multiplied by: products of parameters, computed once a run.
+
+Pair sums have as many products m_i m_k as pairs: those that differ by their parameters alone are
+computed in a loop over a table.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.ir import Index, Loop, Row, Section, Statement, Store
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.lower import Lowering
+
+__all__ = ["coefficient_loops"]
+
+#: Fewer products of one kind are written out.
+FEWEST = 8
+
+
+def coefficient_loops(
+    low: Lowering, values: Sequence[sp.Expr]
+) -> tuple[list[Statement], list[Store], dict[str, object]]:
+    """Write what fills the rows of coefficients.
+
+    Parameters
+    ----------
+    low : Lowering
+    values : sequence of Expr
+        The coefficients, in the order of their rows; made of the parameters of ``low``.
+
+    Returns
+    -------
+    loops : list of Statement
+        Those for products of which there are many.
+    stores : list of Store
+        What is left.
+    tables : dict
+        For each loop the row of a coefficient, then the rows of its parameters.
+    """
+    kinds: dict[tuple[sp.Expr, int], list[tuple[int, ...]]] = defaultdict(list)
+    stores = []
+    for row, value in enumerate(values):
+        number, product = value.as_coeff_Mul()
+        places = _places(low, product)
+        if places:
+            kinds[number, len(places)].append((row, *places))
+        else:
+            stores.append(_store(low, row, value))
+    loops: list[Statement] = []
+    tables: dict[str, object] = {}
+    for (number, _), members in kinds.items():
+        if len(members) < FEWEST:
+            stores += [_store(low, row, values[row]) for row, *_ in members]
+            continue
+        name = f"PRODUCTS_{len(tables) + 1}"
+        tables[name] = tuple(members)
+        loops.append(_loop(low, name, number, members))
+    return loops, sorted(stores, key=lambda store: int(store.row.index)), tables
+
+
+def _places(low: Lowering, product: sp.Expr) -> tuple[int, ...]:
+    """List the rows of the parameters in a product of them; none if it is anything else."""
+    factors = sp.Mul.make_args(product)
+    rows = [low.rows[factor] for factor in factors if factor in low.rows]
+    return tuple(sorted(int(row.index) for row in rows)) if len(rows) == len(factors) else ()
+
+
+def _store(low: Lowering, row: int, value: sp.Expr) -> Store:
+    return Store(Row("COEFFICIENT", row), low.graph.split(value, "constants")[0])
+
+
+def _loop(
+    low: Lowering, table: str, number: sp.Expr, members: Sequence[tuple[int, ...]]
+) -> Statement:
+    """Write the loop over products of one kind."""
+    target, *indices = [low.names.fresh("row").name for _ in members[0]]
+    factors = []
+    for index in indices:
+        factor = low.names.fresh("factor")
+        low.rows[factor] = Row("PARAMETER", index)
+        factors.append(low.graph.declare(factor, Level.RUN))
+    value = low.graph.split(number * sp.Mul(*factors), "constants")[0]
+    read = [Index(name, f"{table}[term, {k}]") for k, name in enumerate((target, *indices))]
+    body = low.statements([Store(Row("COEFFICIENT", target), value)], (Level.RUN,))
+    inside = [part for section in body if isinstance(section, Section) for part in section.body]
+    return Loop("term", f"range({len(members)})", (*read, *inside))
