@@ -34,13 +34,13 @@ if TYPE_CHECKING:
     from symsimpson.mechanics.arms import Link, serial_arm
     from symsimpson.mechanics.coordinates import coordinates, momenta
     from symsimpson.mechanics.system import MechanicalSystem
-    from symsimpson.runtime.archive import open_trajectory
-    from symsimpson.runtime.ensemble import Ensemble
-    from symsimpson.runtime.events import Events
-    from symsimpson.runtime.states import States
-    from symsimpson.runtime.status import Status
+    from symsimpson.runtime.ensembles.ensemble import Ensemble
+    from symsimpson.runtime.results.archive import open_trajectory
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.states import States
+    from symsimpson.runtime.results.status import Status
+    from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.stepper import Stepper
-    from symsimpson.runtime.trajectory import Trajectory
     from symsimpson.schemes.composition import Composition, composition
     from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 
@@ -70,13 +70,13 @@ _HOME = {
     "coordinates": "mechanics.coordinates",
     "momenta": "mechanics.coordinates",
     "MechanicalSystem": "mechanics.system",
-    "Ensemble": "runtime.ensemble",
-    "Status": "runtime.status",
+    "Ensemble": "runtime.ensembles.ensemble",
+    "Status": "runtime.results.status",
     "Stepper": "runtime.stepper",
-    "Trajectory": "runtime.trajectory",
-    "States": "runtime.states",
-    "Events": "runtime.events",
-    "open_trajectory": "runtime.archive",
+    "Trajectory": "runtime.results.trajectory",
+    "States": "runtime.results.states",
+    "Events": "runtime.results.events",
+    "open_trajectory": "runtime.results.archive",
     "Composition": "schemes.composition",
     "composition": "schemes.composition",
     "MIDPOINT": "schemes.scheme",

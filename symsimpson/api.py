@@ -12,11 +12,11 @@ from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
-from symsimpson.runtime.checkpoint import read_question
-from symsimpson.runtime.numbers import FLOAT64
+from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.checkpoint import read_question
 from symsimpson.runtime.stepper import Stepper
-from symsimpson.runtime.structure import read_stepper
-from symsimpson.runtime.trajectory import Trajectory
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 
@@ -81,7 +81,7 @@ def compile(
     found = read_scheme(scheme)
     numbers = FLOAT64
     if precision is not None:
-        from symsimpson.runtime.digits import read_precision  # loads mpmath
+        from symsimpson.runtime.kernels.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
     defaults = {symbol.name: value for symbol, value in system.parameters.items()}

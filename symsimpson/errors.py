@@ -8,10 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.ensemble import Ensemble
-    from symsimpson.runtime.events import Events
-    from symsimpson.runtime.status import Status
-    from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.runtime.ensembles.ensemble import Ensemble
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.status import Status
+    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = [
     "ConvergenceError",

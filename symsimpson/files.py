@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from symsimpson.errors import InputError, StorageError
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["check_folder", "read_path", "write_text"]
 

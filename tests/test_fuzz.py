@@ -13,7 +13,7 @@ from workspace import begin, state, take_step
 import symsimpson as ss
 from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
-from symsimpson.runtime.structure import check_structure
+from symsimpson.runtime.kernels.syntax import check_structure
 
 #: The same examples each time; without a clock, which other work on the machine would trip.
 BUDGET = {"derandomize": True, "deadline": None, "suppress_health_check": list(HealthCheck)}

@@ -26,11 +26,11 @@ from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.progress import waiting
 from symsimpson.reference.extrapolation import extrapolate
-from symsimpson.runtime.evaluate import evaluate_equations
+from symsimpson.runtime.evaluator import evaluate_equations
 from symsimpson.runtime.inputs import read_step
-from symsimpson.runtime.load import digest
-from symsimpson.runtime.numbers import FLOAT64
-from symsimpson.runtime.trajectory import Trajectory
+from symsimpson.runtime.kernels.module import digest
+from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -18,7 +18,7 @@ from symsimpson.api import compile as compile_system
 from symsimpson.errors import InputError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
-from symsimpson.runtime.status import Status
+from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme
 

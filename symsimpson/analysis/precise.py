@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.digits import Digits, read_precision
-from symsimpson.runtime.machine import Run
+from symsimpson.runtime.kernels.digits import Digits, read_precision
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.stepper import Stepper
-from symsimpson.runtime.trajectory import Trajectory
 
 __all__ = ["Precise"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from symsimpson.runtime.load import SIGNED, digest
+from symsimpson.runtime.kernels.module import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["oversolved", "rewritten"]

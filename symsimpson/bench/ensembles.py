@@ -16,8 +16,8 @@ import symsimpson as ss
 from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
 from symsimpson.reference import canonical
-from symsimpson.runtime.blocks import available_threads, lanes_of_machine, run_blocks
-from symsimpson.runtime.members import read_task
+from symsimpson.runtime.ensembles.blocks import available_threads, lanes_of_machine, run_blocks
+from symsimpson.runtime.ensembles.members import read_task
 
 __all__ = ["report"]
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.display.markup import Markup, box, curves, facts, scatter, table
-from symsimpson.runtime.status import Status
+from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.analysis.choose import Choice
-    from symsimpson.runtime.ensemble import Ensemble
-    from symsimpson.runtime.events import Events
-    from symsimpson.runtime.states import States
+    from symsimpson.runtime.ensembles.ensemble import Ensemble
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.states import States
+    from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.stepper import Stepper
-    from symsimpson.runtime.trajectory import Trajectory
 
 __all__ = ["certificate", "choice", "ensemble", "events", "states", "stepper", "trajectory"]
 

@@ -19,8 +19,8 @@ from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.states import States
-    from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.runtime.results.states import States
+    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["Animation", "animate", "plot_path"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.states import States
+    from symsimpson.runtime.results.states import States
 
 __all__ = ["Link", "Scene", "scene_of"]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from symsimpson.plotting.axes import axes
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.states import States
-    from symsimpson.runtime.trajectory import Trajectory
+    from symsimpson.runtime.results.states import States
+    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["plot", "plot_energy", "plot_phase"]
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.numbers import Numbers
+    from symsimpson.runtime.kernels.numbers import Numbers
 
 __all__ = [
     "read_array",

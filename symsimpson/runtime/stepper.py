@@ -12,13 +12,13 @@ from symsimpson.derivation import Report
 from symsimpson.errors import Interrupted
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_failure
-from symsimpson.runtime.single import integrate
-from symsimpson.runtime.trajectory import Trajectory
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.integrate import integrate
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
-    from symsimpson.runtime.ensemble import Ensemble
-    from symsimpson.runtime.events import Events
+    from symsimpson.runtime.ensembles.ensemble import Ensemble
+    from symsimpson.runtime.results.events import Events
 
 __all__ = ["Stepper"]
 
@@ -244,8 +244,8 @@ class Stepper(Evaluator):
         >>> found.q.shape, bool(abs(found.reduced["lowest"][0] + 0.1) < 1e-3)
         ((30, 1), True)
         """
-        from symsimpson.runtime.dispatch import run_ensemble
-        from symsimpson.runtime.members import read_task
+        from symsimpson.runtime.ensembles.dispatch import run_ensemble
+        from symsimpson.runtime.ensembles.members import read_task
 
         read_failure(on_failure)
         task = read_task(
@@ -301,7 +301,7 @@ class Stepper(Evaluator):
         >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
         (True, True)
         """
-        from symsimpson.runtime.section import poincare
+        from symsimpson.runtime.runs.section import poincare
 
         return poincare(
             self, expression, (q0, v0, p0), (h, t_end, steps, t0), direction, wrap, parameters,

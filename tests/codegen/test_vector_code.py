@@ -11,8 +11,8 @@ from workspace import new_workspace, sweep
 import symsimpson as ss
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
-from symsimpson.runtime.cache import compiled
-from symsimpson.runtime.machine import driver
+from symsimpson.runtime.driver.compiled import driver
+from symsimpson.runtime.kernels.cache import compiled
 
 
 def kernels(text, lanes):

@@ -7,9 +7,10 @@ import pytest
 from workspace import sweep
 
 import symsimpson as ss
-from symsimpson.runtime.machine import Run, driver
-from symsimpson.runtime.numbers import FLOAT64
-from symsimpson.runtime.single import begin_run, new_run
+from symsimpson.runtime.driver.compiled import driver
+from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.runs.integrate import begin_run, new_run
+from symsimpson.runtime.runs.run import Run
 
 PENDULUM = ss.systems.double_pendulum()
 SHORT = {"l1": 0.25, "l2": 0.25}
@@ -148,7 +149,7 @@ def test_stopping_leaves_no_trace_where_steps_are_mended(monkeypatch):
             mended.append(name)
         return original(name)
 
-    monkeypatch.setattr("symsimpson.runtime.numbers.driver", counted)
+    monkeypatch.setattr("symsimpson.runtime.kernels.numbers.driver", counted)
     runs = [
         Run(stepper._facts, stepper._kernels, FLOAT64, values, 0.1, 0.0, 1, 41) for _ in range(2)
     ]

@@ -9,7 +9,7 @@ import symsimpson as ss
 from symsimpson import api, progress
 from symsimpson.codegen.pipeline import source
 from symsimpson.mechanics import system as system_module
-from symsimpson.runtime import cache
+from symsimpson.runtime.kernels import cache
 
 
 @pytest.fixture

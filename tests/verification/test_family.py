@@ -12,8 +12,8 @@ import symsimpson as ss
 from symsimpson.binding import bind_float, bind_mpmath
 from symsimpson.codegen.pipeline import source
 from symsimpson.reference import canonical
-from symsimpson.runtime.digits import MOST_BY_STAGES
-from symsimpson.runtime.machine import Run
+from symsimpson.runtime.kernels.digits import MOST_BY_STAGES
+from symsimpson.runtime.runs.run import Run
 from symsimpson.schemes.named import read_scheme
 
 PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()

@@ -1,0 +1,1 @@
+"""The compiled loops over steps, blocks and states, which call kernels by address."""

@@ -1,0 +1,97 @@
+"""The compiled loop over states between the steps of a run.
+
+Compiled behind the text of the driver, whose names it uses.
+"""
+
+from numba import njit, types
+
+from symsimpson.runtime.driver.explicit import finite
+from symsimpson.runtime.driver.steps import (
+    ACTIVE,
+    ADVANCE,
+    COUNT,
+    DIMENSION,
+    IN_DOUBT,
+    KERNELS,
+    MOMENTUM,
+    NEWTON,
+    OPTIONS,
+    PLACES,
+    POSITION,
+    SIGNATURES,
+    STATUS,
+    WORKSPACE,
+    begin,
+    call,
+    solve,
+)
+
+#: Stored states may be on disk, or belong to somebody else: they are only read.
+TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
+SIGNATURES |= {
+    "between": types.void(
+        KERNELS, types.boolean, types.float64, TIMES, WORKSPACE, PLACES, GIVEN, GIVEN,
+        types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
+        types.boolean[::1],
+    ),
+}  # fmt: skip
+
+
+@njit(**OPTIONS)
+def take(kernels, direct, h, t, W, at, count, q, p):
+    """Take steps from (q, p), and leave there the state after them; tells whether all went well.
+
+    What is in doubt is not mended here: that is rare, and would make this slow to compile.
+    """
+    n = at[DIMENSION]
+    for row in range(at[POSITION], at[POSITION] + 4 * n):
+        W[row, 0] = 0.0
+    for a in range(n):
+        W[at[POSITION] + a, 0] = q[a]
+        W[at[MOMENTUM] + a, 0] = p[a]
+    begin(kernels, 0, h, t, W, at)
+    for step in range(count):
+        if not direct:
+            W[at[ACTIVE], 0] = 1.0
+            if solve(kernels[NEWTON], h, t + h * step, W, at) != 0:
+                return False
+        W[at[ACTIVE], 0], W[at[COUNT], 0] = 1.0, 1.0
+        call(kernels[ADVANCE], h, t + h * step, W)
+        if not direct and (W[at[STATUS], 0] != 0.0 or W[at[IN_DOUBT], 0] != 0.0):
+            return False
+    for a in range(n):
+        q[a] = W[at[POSITION] + a, 0]
+        p[a] = W[at[MOMENTUM] + a, 0]
+    return finite(W, at[POSITION], at[POSITION] + 4 * n, 0)
+
+
+@njit(**OPTIONS)
+def between(
+    kernels, direct, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine
+):  # fmt: skip
+    """Give the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
+
+    ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; where that and the whole
+    steps go up, no step is taken twice. ``q_out`` and ``p_out`` have one row more than there are
+    states to give: the state after the whole steps stands there. ``fine`` tells of each whether its
+    steps went well.
+    """
+    n, last = at[DIMENSION], len(start)
+    stored, done, well = -1, 0, True
+    for i in range(last):
+        if start[i] != stored or whole[i] < done:
+            stored, done, well = start[i], 0, True
+            for a in range(n):
+                q_out[last, a], p_out[last, a] = q[stored, a], p[stored, a]
+        now = t[stored] + h * done
+        if whole[i] > done and well:
+            well = take(
+                kernels, direct, h, now, W, at, whole[i] - done, q_out[last], p_out[last]
+            )  # fmt: skip
+            done = whole[i]
+            now = t[stored] + h * done
+        for a in range(n):
+            q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
+        fine[i] = well
+        if well and rest[i] != 0.0:
+            fine[i] = take(kernels, direct, rest[i], now, W, at, 1, q_out[i], p_out[i])

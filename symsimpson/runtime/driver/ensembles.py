@@ -1,0 +1,177 @@
+"""The compiled loop over blocks of trajectories, the members of an ensemble as lanes.
+
+Compiled behind the text of the driver, whose names it uses. A thread works on blocks of its own
+with a workspace of its own; what a lane computes does not depend on its neighbours.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from symsimpson.runtime.driver.explicit import finite, march
+from symsimpson.runtime.driver.recovery import mend
+from symsimpson.runtime.driver.steps import (
+    DIMENSION,
+    ITERATIONS,
+    KERNELS,
+    LANES,
+    MOMENTUM,
+    OPTIONS,
+    PLACES,
+    POSITION,
+    SIGNATURES,
+    STATUS,
+    WORKSPACE,
+    begin,
+    call,
+    run,
+)
+
+#: A member whose first state makes no sense; a value of Status.
+BAD_INPUT = 5
+#: Where in the cursor what stands.
+BLOCK, STEP, BEGUN = 0, 1, 2
+#: How observed values are reduced.
+LEAST, LARGEST, MEAN, FIRST = 0, 1, 2, 3
+
+MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
+SIGNATURES |= {
+    "sweep": types.void(
+        KERNELS, KERNELS, types.float64, types.float64, WORKSPACE, PLACES, PLACES,
+        types.int64[::1], types.int64, types.int64, types.int64, types.int64,
+        MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
+        STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
+    ),
+}  # fmt: skip
+
+
+@njit(**OPTIONS)
+def load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters):
+    """Put the members of a block into the lanes; the last one fills a ragged end."""
+    members = q0.shape[0]
+    n = at[DIMENSION]
+    second = at[MOMENTUM] if more[0] == 0 else rows[0]
+    for lane in range(LANES):
+        member = min(block * LANES + lane, members - 1)
+        for row in range(4 * n):
+            W[at[POSITION] + row, lane] = 0.0
+        for a in range(n):
+            W[at[POSITION] + a, lane] = q0[member, a]
+            W[second + a, lane] = other0[member, a]
+        for k in range(parameters.shape[1]):
+            W[rows[1] + k, lane] = parameters[member, k]
+    begin(kernels, more[0], h, t0, W, at)
+    for lane in range(LANES):
+        if not (W[rows[2], lane] >= 0.0 and finite(W, rows[0], rows[0] + n, lane)):
+            W[at[STATUS], lane] = BAD_INPUT
+
+
+@njit(**OPTIONS)
+def observe(more, h, t, W, at, rows, kinds, seen, block, members, step):
+    """Reduce the observed values of the present state into those seen before."""
+    if more[2] != 0:
+        call(more[2], h, t, W)
+    call(more[1], h, t, W)
+    for k in range(kinds.shape[0]):
+        kind = np.int64(kinds[k])
+        for lane in range(LANES):
+            member = block * LANES + lane
+            if member >= members or W[at[STATUS], lane] != 0.0:
+                continue
+            value = W[rows[3] + k, lane]
+            before = seen[member, 2 * k]
+            if kind == MEAN:
+                seen[member, 2 * k] = value if step == 0 else before + (value - before) / (step + 1)
+            elif kind == FIRST:
+                last = seen[member, 2 * k + 1]
+                if np.isnan(before) and value > 0.0:
+                    seen[member, 2 * k] = t if step == 0 else t - h * value / (value - last)
+                seen[member, 2 * k + 1] = value
+            elif step == 0 or (value < before if kind == LEAST else value > before):
+                seen[member, 2 * k] = value
+
+
+@njit(**OPTIONS)
+def finish_block(
+    W, at, block, step, every, buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost
+):
+    """Store what the lanes of a block have come to."""
+    n = at[DIMENSION]
+    for lane in range(LANES):
+        member = block * LANES + lane
+        if member >= q_out.shape[0]:
+            continue
+        codes_out[member, 0] = np.int64(W[at[STATUS], lane])
+        codes_out[member, 1] = step if lost[lane] < 0 else lost[lane]
+        iterations = np.int64(W[at[ITERATIONS], lane])
+        if every == 0:
+            for a in range(n):
+                q_out[member, 0, a] = W[at[POSITION] + a, lane]
+                p_out[member, 0, a] = W[at[MOMENTUM] + a, lane]
+        else:
+            for place in range(codes_out[member, 1] // every + 1):
+                iterations += counted[place, lane] if place > 0 else 0
+                for a in range(n):
+                    q_out[member, place, a] = buffer_q[place, a, lane]
+                    p_out[member, place, a] = buffer_p[place, a, lane]
+        codes_out[member, 2] = iterations
+
+
+@njit(**OPTIONS)
+def sweep(
+    kernels, more, h, t0, W, at, rows, cursor, last, budget, steps, every, q0, other0, parameters,
+    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds,
+):  # fmt: skip
+    """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
+
+    ``more`` holds addresses: legendre (0 if momenta are given), observe, energy (0 if not wanted),
+    and whether steps are direct. ``rows`` are those of VELOCITY, PARAMETER, MASS_PIVOT and the
+    observed values. ``codes_out`` takes status, steps and iterations of each member; ``seen`` two
+    numbers for each reduction.
+    """
+    progress = np.zeros(2, dtype=np.int64)
+    members, n = q0.shape[0], at[DIMENSION]
+    watched = kinds.shape[0] > 0
+    while cursor[BLOCK] < last and budget > 0:
+        block = cursor[BLOCK]
+        if cursor[BEGUN] == 0:
+            load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters)
+            for lane in range(LANES):
+                lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
+                if every != 0:
+                    for a in range(n):
+                        buffer_q[0, a, lane] = W[at[POSITION] + a, lane]
+                        buffer_p[0, a, lane] = W[at[MOMENTUM] + a, lane]
+            if watched:
+                observe(more, h, t0, W, at, rows, kinds, seen, block, members, 0)
+            cursor[BEGUN], cursor[STEP] = 1, 0
+            budget -= 1
+        progress[0], progress[1] = cursor[STEP], 0
+        alive = True
+        while progress[0] < steps and budget > 0 and alive:
+            step = progress[0]
+            until = min(steps, step + 1 if watched else step + budget)
+            if more[3] != 0:
+                march(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted)
+            else:
+                run(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
+                    counted)  # fmt: skip
+                if progress[1] != 0:
+                    mend(kernels, h, t0 + h * progress[0], W, at, progress[1])
+                    # the step is mended and not yet counted: run does that first
+                    run(kernels, h, t0, W, at, progress, progress[0] + 1, every,
+                        buffer_q, buffer_p, counted)  # fmt: skip
+            alive = False
+            for lane in range(LANES):
+                if W[at[STATUS], lane] == 0.0:
+                    alive = True
+                elif lost[lane] < 0:
+                    lost[lane] = max(progress[0] - 1, 0)
+            budget -= progress[0] - step
+            if watched and alive:
+                observe(more, h, t0 + h * progress[0], W, at, rows, kinds, seen, block, members,
+                        progress[0])  # fmt: skip
+        cursor[STEP] = progress[0]
+        if progress[0] >= steps or not alive:
+            finish_block(W, at, block, progress[0], every, buffer_q, buffer_p, counted, q_out,
+                         p_out, codes_out, lost)  # fmt: skip
+            cursor[BLOCK], cursor[BEGUN] = block + 1, 0

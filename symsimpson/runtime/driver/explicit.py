@@ -1,0 +1,158 @@
+"""The compiled loop over steps that need no iteration, and over states to evaluate.
+
+Compiled behind the text of the driver, whose names it uses.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from symsimpson.runtime.driver.steps import (
+    ACTIVE,
+    ADVANCE,
+    COUNT,
+    COUNTS,
+    DIMENSION,
+    ENERGY_ROW,
+    INLINE,
+    KERNELS,
+    LANES,
+    MOMENTUM,
+    NOT_FINITE,
+    OPTIONS,
+    PLACES,
+    POSITION,
+    SIGNATURES,
+    START,
+    STATES,
+    STATUS,
+    WORKSPACE,
+    call,
+    keep,
+    put_back,
+    store,
+)
+
+SIGNATURES |= {
+    "march": types.void(
+        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1], types.int64,
+        types.int64, STATES, STATES, COUNTS,
+    ),
+    "evaluate": types.void(
+        types.int64, types.int64, types.int64, types.float64, WORKSPACE, PLACES,
+        types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
+    ),
+    "steady": types.boolean(
+        types.int64, types.float64, WORKSPACE, PLACES, STATES, STATES, types.int64, types.int64,
+        types.float64,
+    ),
+}  # fmt: skip
+#: Steps that a kernel takes in one call.
+AT_ONCE = 1 << 62
+
+
+@njit(**INLINE)
+def finite(W, first, last, lane):
+    """Tell whether rows of a lane are finite."""
+    total = 0.0
+    for row in range(first, last):
+        total += 0.0 * W[row, lane]  # 0 for finite numbers alone
+    return total == 0.0
+
+
+@njit(**OPTIONS)
+def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
+    """Take steps that need no iteration, all up to the next state to store in one call.
+
+    Arguments are as for ``run``. A lane whose state would not be finite stops before that step.
+    """
+    n, lanes = at[DIMENSION], LANES
+    position, status = at[POSITION], at[STATUS]
+    state_end = position + 4 * n
+    before = np.empty((4 * n, lanes))
+    step = progress[0]
+    single = 0
+    while step < stop:
+        count = stop - step if every == 0 else min(stop - step, every - step % every)
+        count = 1 if single > 0 else min(count, AT_ONCE)
+        alive = 0
+        for lane in range(lanes):
+            keep(W, position, state_end, lane, before)
+            W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            W[at[COUNT], lane] = count
+            alive += W[status, lane] == 0.0
+        if alive == 0:
+            break
+        call(kernels[ADVANCE], h, t0 + h * step, W)
+        lost = 0
+        for lane in range(lanes):
+            if W[status, lane] == 0.0 and not finite(W, position, state_end, lane):
+                lost += 1
+        if lost > 0:
+            alive -= lost
+            for lane in range(lanes):
+                if count == 1 and finite(W, position, state_end, lane):
+                    continue
+                put_back(W, position, state_end, lane, before)
+                if count == 1 and W[status, lane] == 0.0:
+                    W[status, lane] = NOT_FINITE
+            if count > 1:  # take these steps again, one by one
+                single = count
+                call(kernels[START], h, t0 + h * step, W)
+                continue
+            if alive == 0:
+                break
+        step += count
+        single -= 1
+        if every != 0 and step % every == 0:
+            store(W, at, step // every, q_out, p_out, iterations_out)
+    progress[0] = step
+
+
+@njit(**OPTIONS)
+def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
+    """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
+
+    Another kernel comes before it, if its address is not 0.
+    """
+    n = at[DIMENSION]
+    call(prepare, h, 0.0, W)
+    for i in range(q.shape[0]):
+        for a in range(n):
+            W[at[POSITION] + a, 0] = q[i, a]
+            W[at[MOMENTUM] + a, 0] = p[i, a]
+        if before != 0:
+            call(before, h, t[i], W)
+        call(kernel, h, t[i], W)
+        for k in range(out.shape[1]):
+            out[i, k] = W[block + k, 0]
+
+
+@njit(**OPTIONS)
+def steady(energy, h, W, at, q, p, last, few, limit):
+    """Tell whether the energy at some states stays near that of the first.
+
+    No change is more than ``limit`` times the kinetic energy of most of the states, nor more than
+    that of some of the first ones. They are ``few`` and the first, spread over those up to the
+    last; the kinetic energy stands behind the energy.
+    """
+    n, row = at[DIMENSION], at[ENERGY_ROW]
+    kinetic = np.empty(few + 1)
+    start, change = 0.0, 0.0
+    for i in range(few + 1):
+        place = i * last // few
+        for a in range(n):
+            W[at[POSITION] + a, 0] = q[place, a, 0]
+            W[at[MOMENTUM] + a, 0] = p[place, a, 0]
+        call(energy, h, 0.0, W)
+        if i == 0:
+            start = W[row, 0]
+        here = abs(W[row, 0] - start)
+        if not here < np.inf:
+            return False
+        change = max(change, here)
+        kinetic[i] = W[row + 1, 0]
+    enough, early = 0, False
+    for i in range(few + 1):
+        enough += change <= limit * kinetic[i]
+        early = early or (8 * i < few and change <= limit * kinetic[i])
+    return early and 2 * enough > few + 1

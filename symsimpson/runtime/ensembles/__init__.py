@@ -1,0 +1,1 @@
+"""Many runs at once: on threads, on clusters, in stores."""

@@ -1,0 +1,301 @@
+"""Many trajectories at once: members are lanes of blocks, blocks are spread over threads."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.runtime.driver.compiled import driver
+from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.evaluator import evaluate_members, watching
+from symsimpson.runtime.kernels.module import Facts, Kernels
+from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kernel, reduce_values
+from symsimpson.runtime.results.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Results", "Task", "ensemble_of", "run_blocks"]
+
+#: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: Numbers in a line of the cache.
+CACHE_LINE = 8
+#: Fast sines and cosines have a value for angles up to here.
+FAST_SINES = 5e8
+#: Steps of a block before their cost is known.
+FIRST_BUDGET = 2000
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an ensemble is asked to compute, checked."""
+
+    q0: Floats
+    other0: Floats
+    velocities: bool
+    parameters: Floats
+    h: float
+    t0: float
+    steps: int
+    every: int
+    reductions: tuple[Reduction, ...]
+    threads: int
+    progress: bool | None
+    lanes: int
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.q0)
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states."""
+        return self.steps // self.every + 1 if self.every else 1
+
+    @property
+    def times(self) -> Floats:
+        """Times of the stored states."""
+        stride, first = (self.every, 0) if self.every else (self.steps, 1)
+        count = np.arange(first, self.stored + first, dtype=np.float64)
+        return self.t0 + self.h * count * stride
+
+    @property
+    def given(self) -> Literal["v0", "p0"]:
+        """Whether initial velocities or momenta are given."""
+        return "v0" if self.velocities else "p0"
+
+    def part(self, members: slice | NDArray[np.int64]) -> Task:
+        """Give the task of some of the members."""
+        return replace(
+            self, q0=np.ascontiguousarray(self.q0[members]),
+            other0=np.ascontiguousarray(self.other0[members]),
+            parameters=np.ascontiguousarray(self.parameters[members]),
+        )  # fmt: skip
+
+
+def lanes_for(facts: Facts) -> int:
+    """Give the number of lanes of a block.
+
+    Where Newton's method is written out as straight lines, members side by side are two to four
+    times as fast with it as one after the other with nodes as lanes; where it is not, the other way
+    round, by far.
+    """
+    return 1 if facts.by_stages and not facts.straight else lanes_of_machine()
+
+
+@cache
+def lanes_of_machine() -> int:
+    """Give the number of lanes of a block: two vector registers where they are short."""
+    import llvmlite.binding as llvm
+
+    return 8 if llvm.get_host_cpu_features().get("avx") else 4
+
+
+class Results:
+    """Arrays that threads fill, each its own rows; until then members count as interrupted."""
+
+    def __init__(self, task: Task, n: int) -> None:
+        shape = (task.members, task.stored, n)
+        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
+        # status, steps, iterations
+        self.codes = np.zeros((task.members, 3), dtype=np.int64)
+        self.codes[:, 0] = Status.INTERRUPTED
+        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        self._task = task
+
+    def columns(self) -> dict[str, Any]:
+        """Give the arrays as an ensemble has them."""
+        task = self._task
+        status, steps, iterations = (column.copy() for column in self.codes.T)
+        q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
+        reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
+        return {"q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
+                "reduced": reduced}  # fmt: skip
+
+
+def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
+    """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
+    results = Results(task, stepper.n)
+    sweep = _prepared(stepper, task, results)
+    lanes = task.lanes
+    blocks = -(-task.members // lanes)
+    queue = _Queue(blocks, task.threads)
+    threads = max(1, min(task.threads, blocks))
+
+    def work() -> None:
+        while (chunk := queue.next()) is not None:
+            sweep(*chunk, queue, lambda done: count(done * lanes))
+
+    _wait([work] * threads, queue)
+    if not queue.stopped:
+        _again(stepper, task, results, queue)
+    return ensemble_of(stepper, task, **results.columns()), queue.stopped
+
+
+class _Queue:
+    """Hands out chunks of blocks, larger ones first; stopped by Ctrl-C."""
+
+    def __init__(self, blocks: int, threads: int) -> None:
+        self._lock, self._first, self._last = threading.Lock(), 0, blocks
+        self._threads = threads
+        self.stopped = False
+
+    def next(self) -> tuple[int, int] | None:
+        """Give the first and the last block of a chunk, None if there are none left."""
+        with self._lock:
+            left = self._last - self._first
+            if left <= 0 or self.stopped:
+                return None
+            size = max(1, min(1024, left // (4 * self._threads)))
+            self._first += size
+            return self._first - size, self._first
+
+
+def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
+    """Run functions in threads until they are done or stopped by Ctrl-C."""
+    with ThreadPoolExecutor(len(work)) as pool:
+        running: list[Future[None]] = []
+        try:
+            for one in work:
+                running.append(pool.submit(one))
+            while wait(running, timeout=0.1).not_done:
+                pass
+        except KeyboardInterrupt:
+            queue.stopped = True
+            wait(running)
+        for future in running:
+            future.result()
+
+
+def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
+    """Compile what is needed, and give a function that works off a chunk of blocks."""
+    facts, lanes = stepper._facts, task.lanes
+    kernels = Kernels(stepper.source, facts, lanes)
+    watched = len(task.reductions)
+    observing = 0
+    if watched:
+        observing = kernels.observing(observing_kernel(facts, task.reductions), watched)
+    energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
+    legendre = kernels.address("legendre") if task.velocities else 0
+    more = np.array(
+        [legendre, observing, energy, facts.newton_unknowns == 0], dtype=np.int64
+    )  # fmt: skip
+    layout = facts.layout
+    rows = np.array(
+        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows],
+        dtype=np.int64,
+    )
+    kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
+    step, compiled = getattr(kernels, kernels.ladder[0]), driver("sweep", lanes)
+
+    def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
+        W = _aligned(facts.rows + watched, lanes)
+        cursor = np.array([first, 0, 0], dtype=np.int64)
+        buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
+        counted = np.zeros((task.stored, lanes), dtype=np.int64)
+        lost = np.zeros(lanes, dtype=np.int64)
+        budget = FIRST_BUDGET
+        while cursor[0] < last and not queue.stopped:
+            before, start = cursor[0], time.perf_counter()
+            compiled(
+                step, more, task.h, task.t0, W, facts.places, rows, cursor, last, budget,
+                task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
+                counted, results.q, results.p, results.codes, lost, results.seen, kinds,
+            )  # fmt: skip
+            spent = time.perf_counter() - start
+            budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
+            done(int(cursor[0] - before))
+
+    return work
+
+
+def _aligned(rows: int, lanes: int) -> Floats:
+    """Give rows of zeros that begin with a line of the cache: no vector lies across two.
+
+    It is worth its microseconds for many trajectories, not for one.
+    """
+    room = np.zeros(rows * lanes + CACHE_LINE)
+    first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
+    return room[first : first + rows * lanes].reshape(rows, lanes)
+
+
+def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> None:
+    """Run members that failed once more, each by itself, where robust kernels may help it.
+
+    What a member comes to then is what a single run of it comes to. So are those at whose stored
+    states the energy is not real.
+    """
+    status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
+    good = status == Status.SUCCESS
+    if not stepper._facts.real_everywhere:
+        good &= _real(stepper, task, results)
+    good |= (status == Status.BAD_INPUT) & small
+    for member in np.flatnonzero(~good):
+        given = {task.given: task.other0[member]}
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ResolutionWarning)
+                run = stepper.integrate(
+                    task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
+                    parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
+                    every=1 if task.reductions else task.every or None, on_failure="return",
+                )  # fmt: skip
+        except InputError:
+            results.q[member], results.p[member], results.seen[member] = np.nan, np.nan, np.nan
+            results.codes[member] = Status.BAD_INPUT, 0, 0
+            continue
+        except KeyboardInterrupt:
+            queue.stopped = True
+            return
+        if run.status is Status.INTERRUPTED:
+            queue.stopped = True
+            return
+        q, p = run.q, run.p
+        if task.reductions:
+            seen = watching(stepper, task.reductions, task.parameters[member])(run.t, run.q, run.p)
+            values = reduce_values(task.reductions, run.t, seen)
+            results.seen[member, : 2 * len(values) : 2] = values
+            q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
+        results.q[member, : len(q)], results.p[member, : len(p)] = q, p
+        results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
+        results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+
+
+def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
+    """Tell which members have a real energy where they begin, and at all stored states."""
+    # a momentum of zero where velocities were given: V has its value all the same
+    first = 0 * task.other0 if task.velocities else task.other0
+    q = np.concatenate([task.q0[:, None], results.q], axis=1)
+    p = np.concatenate([first[:, None], results.p], axis=1)
+    energies = evaluate_members(stepper, "energy", "ENERGY", 1, q, p, task.parameters)
+    return np.asarray(np.isfinite(energies).all(axis=(1, 2)))
+
+
+def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
+    """Give what a task came to as an ensemble, with what it was asked for."""
+    return Ensemble(
+        t=task.times, parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
+        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, **found,
+    )  # fmt: skip
+
+
+def available_threads() -> int:
+    """Count the processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -1,0 +1,213 @@
+"""What the members of an ensemble came to."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain, count
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.extras import library
+from symsimpson.runtime.evaluator import evaluate_members
+from symsimpson.runtime.results.quantities import Quantities
+from symsimpson.runtime.results.states import States
+from symsimpson.runtime.results.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Ensemble", "names_in_dataset"]
+
+Floats = NDArray[np.float64]
+
+#: Names that a dataset has for itself.
+RESERVED = (
+    "q", "p", "q0", "v0", "p0", "status", "steps", "newton_iterations", "member", "time", "coord",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble(Quantities):
+    """What the members of an ensemble came to.
+
+    ``energy``, ``v``, ``invariants`` and quantities by name are those of a run, with one row for
+    each member; ``ensemble[3]`` gives the states of one member.
+
+    Attributes
+    ----------
+    t : ndarray, shape (stored,)
+        Times of the stored states.
+    q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
+        NaN behind the last state of a member that failed. Arrays on disk (of Zarr) that give
+        arrays of numpy when sliced, if the ensemble went to a store.
+    status : ndarray of int, shape (K,)
+        A :class:`Status` for each member.
+    steps, newton_iterations : ndarray of int, shape (K,)
+    parameters : mapping from str to ndarray, shape (K,)
+    reduced : mapping from str to ndarray, shape (K,)
+        What ``reduce`` asked for.
+    initial : mapping from str to ndarray, shape (K, n)
+        The states that members began with: q0, and v0 or p0.
+    store : path of the store, or None
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+    Ensemble(pendulum, simpson: 2 members, 1 states of each stored; 2 SUCCESS)
+    >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+    >>> many["theta"].shape, many.energy.shape, many[1].q.shape
+    ((2, 6), (2, 6), (6, 1))
+    """
+
+    t: Floats
+    q: Any
+    p: Any
+    status: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    newton_iterations: NDArray[np.int64]
+    parameters: Mapping[str, Floats]
+    reduced: Mapping[str, Floats]
+    initial: Mapping[str, Floats]
+    _stepper: Stepper = field(repr=False)
+    store: str | None = None
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: int) -> States: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+        """Give a quantity of all members by its name, or the states of one member.
+
+        Names are those of a run, of what ``reduce`` asked for, and of parameters.
+
+        Raises
+        ------
+        KeyError
+            With the names that there are.
+        IndexError
+            If there is no such member.
+        """
+        try:
+            member = None if isinstance(key, bool) else operator.index(key)
+        except TypeError:
+            member = None
+        if member is None:
+            return self._named(key)
+        if not -len(self) <= member < len(self):
+            raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
+        n = self._stepper.n
+        q, p = (np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
+        return States(t=self.t, q=q, p=p, _stepper=self._stepper, _values=self._values[member])
+
+    #: Iterating over quantities or over members: neither is what everybody expects.
+    __iter__ = None
+
+    @property
+    def _values(self) -> Floats:
+        """Values of the parameters, a row for each member."""
+        columns = [self.parameters[name] for name in self._stepper.parameters]
+        return np.column_stack(columns) if columns else np.zeros((len(self), 0))
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        q, p = np.asarray(self.q), np.asarray(self.p)
+        return evaluate_members(self._stepper, kernel, block, count, q, p, self._values)
+
+    def _own(self, key: str) -> Any:
+        return self.reduced.get(key, self.parameters.get(key))
+
+    def _own_names(self) -> list[str]:
+        return [*self.reduced, *self.parameters]
+
+    @property
+    def message(self) -> str:
+        """The outcome in words."""
+        counts = {code: int((self.status == code).sum()) for code in Status}
+        return ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
+
+    def to_xarray(self) -> Any:
+        """Give an ``xarray.Dataset`` with dimensions member, time and coord.
+
+        Parameters are coordinates of the members. Needs xarray (the extra ``data``). What is in
+        a store stays there until it is asked for.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+        >>> many.to_xarray()["q"].dims
+        ('member', 'coord')
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        reduced, parameters = names_in_dataset(self.reduced, self.parameters)
+        coordinates = {parameters[name]: values for name, values in self.parameters.items()}
+        if self.store is not None:
+            found = xarray.open_zarr(self.store, chunks=None, consolidated=False)
+            return found.set_coords(list(coordinates))
+        dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
+        variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
+        for name, values in self.initial.items():
+            variables[name] = (("member", "coord"), values)
+        for name in ("status", "steps", "newton_iterations"):
+            variables[name] = (("member",), getattr(self, name))
+        for name, values in self.reduced.items():
+            variables[reduced[name]] = (("member",), values)
+        named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
+        named |= {"coord": list(self._stepper.coordinates), "member": np.arange(len(self))}
+        if self.q.ndim == 3:
+            named["time"] = self.t
+        return xarray.Dataset(variables, named, self._about())
+
+    def _about(self) -> dict[str, Any]:
+        """Where the numbers come from."""
+        stepper = self._stepper
+        return {
+            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+            "digest": stepper._facts.digest, "outcome": self.message, "t_end": float(self.t[-1]),
+        }  # fmt: skip
+
+    def __len__(self) -> int:
+        return self.status.size
+
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import ensemble
+
+        return ensemble(self)
+
+    def __repr__(self) -> str:
+        stepper = self._stepper
+        return (
+            f"Ensemble({stepper.system}, {stepper.scheme}: {len(self)} members, "
+            f"{self.t.size} states of each stored; {self.message})"
+        )
+
+
+def names_in_dataset(
+    reduced: Iterable[str], parameters: Iterable[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Give names under which quantities of a user's naming stand in a dataset.
+
+    A name that is taken already gets a prefix; one that is no identifier, which might name a
+    path, gives way to a number.
+    """
+    taken = set(RESERVED)
+    found: list[dict[str, str]] = []
+    for prefix, names in (("reduced", reduced), ("parameter", parameters)):
+        chosen: dict[str, str] = {}
+        for k, name in enumerate(names):
+            choices = chain((name, f"{prefix}_{name}"), (f"{prefix}_{i}" for i in count(k)))
+            chosen[name] = next(x for x in choices if x.isidentifier() and x not in taken)
+            taken.add(chosen[name])
+        found.append(chosen)
+    return found[0], found[1]

@@ -1,0 +1,151 @@
+"""Check what an ensemble is asked for, once, before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.ensembles.blocks import Task, available_threads, lanes_for
+from symsimpson.runtime.inputs import (
+    read_array,
+    read_every,
+    read_given,
+    read_parameters,
+    read_steps,
+    whole_number,
+)
+from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.kernels.observed import read_reductions
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["read_task"]
+
+MOST_THREADS = 1024
+
+
+def read_task(
+    stepper: Stepper,
+    q0: ArrayLike,
+    v0: ArrayLike | None,
+    p0: ArrayLike | None,
+    parameters: Mapping[Any, Any] | None,
+    times: tuple[Any, Any, Any, Any],
+    every: int | None,
+    reduce: Mapping[str, Any] | None,
+    threads: int | None,
+    progress: bool | None,
+    *,
+    on_disk: bool,
+) -> Task:
+    """Read the arguments of ``ensemble``.
+
+    Raises
+    ------
+    InputError
+        If they make no sense, or what is to be stored does not fit into memory.
+    """
+    if stepper._numbers is not FLOAT64:
+        raise InputError(
+            "an ensemble runs in double precision, and this stepper has another precision.\n"
+            "Compile one without precision."
+        )
+    h, count, t0 = read_steps(*times, FLOAT64)
+    how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
+    second, other0 = read_given("an ensemble", how, v0, p0)
+    names = ("q0", second)
+    states = [
+        _states(name, given, stepper.coordinates)
+        for name, given in zip(names, (q0, other0), strict=True)
+    ]
+    columns = _parameters(stepper, parameters)
+    sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
+    sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
+    members = max(sizes.values(), default=1)
+    for name, size in sizes.items():
+        if size != members:
+            raise InputError(
+                f"{name} has {size} members, another argument has {members}.\n"
+                "Give each argument one row for each member, or one for all."
+            )
+    stride, reductions = read_every(every), read_reductions(stepper, reduce)
+    workers = _threads(threads)
+    lanes = lanes_for(stepper._facts)
+    stored = count // stride + 1 if stride else 1
+    try:
+        values = np.empty((members, len(stepper.parameters)))
+        shape = (members, stepper.n)
+        q, other = (np.array(np.broadcast_to(x, shape), order="C") for x in states)
+        room = lanes if on_disk else members
+        np.empty((2, room, stored, stepper.n))  # is there room?
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{members} members with the states that every={every!r} stores do not fit into "
+            "memory.\nStore fewer: every=1000, or every=None for the last states only; or let them "
+            "go to disk: store='folder'."
+        ) from None
+    for k, name in enumerate(stepper.parameters):
+        values[:, k] = columns[name]
+    return Task(
+        q, other, second == "v0", values, h, t0, count, stride, reductions, workers, progress, lanes
+    )  # fmt: skip
+
+
+def _states(name: str, value: Any, coordinates: tuple[str, ...]) -> NDArray[np.float64]:
+    states = read_array(name, value, FLOAT64)
+    n = len(coordinates)
+    if states.ndim not in (1, 2) or states.shape[-1] != n or states.size == 0:
+        raise InputError(
+            f"{name} has shape {states.shape}, expected (K, {n}) or ({n},): one row for each "
+            f"member with a number for each of {', '.join(coordinates)}.\n"
+            "A single coordinate needs a column: x[:, None]."
+        )
+    if not np.isfinite(states).all():
+        row = int(np.argmin(np.isfinite(np.atleast_2d(states)).all(axis=1)))
+        raise InputError(
+            f"{name} is not finite for member {row}.\n"
+            "A run must begin at a finite state. Look where the number comes from."
+        )
+    return states
+
+
+def _parameters(
+    stepper: Stepper, given: Mapping[Any, Any] | None
+) -> dict[str, NDArray[np.float64]]:
+    """Read parameter values, one or K of each."""
+    names, aliases = stepper.parameters, stepper._aliases
+    found = dict(zip(names, (np.asarray(x) for x in stepper._defaults), strict=True))
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        )
+    for key, value in (given or {}).items():
+        column = read_array(f"parameter {key}", value, FLOAT64)
+        if column.ndim > 1 or column.size == 0:
+            raise InputError(
+                f"parameter {key} has shape {column.shape}, expected () or (K,).\n"
+                "Pass one number, or one for each member."
+            )
+        for extreme in (column.min(), column.max()):  # signs and names, as for a single run
+            read_parameters(
+                names, aliases, stepper._facts.signs, stepper._defaults, {key: extreme}, FLOAT64
+            )
+        found[names[aliases[str(key)]]] = column
+    return found
+
+
+def _threads(threads: int | None) -> int:
+    if threads is None:
+        return available_threads()
+    number = whole_number(threads) or 0
+    if not 1 <= number <= MOST_THREADS:
+        raise InputError(
+            f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.\n"
+            "Leave it out to use all processors."
+        )
+    return number

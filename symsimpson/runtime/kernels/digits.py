@@ -1,0 +1,265 @@
+"""Any number of digits: the same module and the same driver, run by Python.
+
+mpmath is the reference; the balls of python-flint are faster. Both run the text of the compiled
+code; only the thresholds that name a rounding error are other ones.
+"""
+
+from __future__ import annotations
+
+import copyreg
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from fractions import Fraction
+from functools import cache, cached_property
+from types import SimpleNamespace
+from typing import Any, cast
+
+import mpmath
+import numpy as np
+from mpmath.libmp import from_man_exp, from_pickable, to_pickable
+from numpy.typing import NDArray
+
+from symsimpson.binding import bind, bind_arb, bind_mpmath
+from symsimpson.errors import InputError
+from symsimpson.extras import library
+from symsimpson.runtime.driver.compiled import driver_text
+from symsimpson.runtime.inputs import whole_number
+from symsimpson.runtime.kernels.module import Facts
+from symsimpson.runtime.kernels.numbers import Numbers
+from symsimpson.runtime.signals import undisturbed
+
+__all__ = ["read_precision"]
+
+FEWEST, MOST = 15, 10_000
+#: With more digits, quadratic convergence is worth its price.
+MOST_BY_STAGES = 64
+ARITHMETICS = ("mpmath", "arb")
+
+
+@cache
+def _numbers(digits: int, arithmetic: str) -> Digits:
+    return Arb(digits) if arithmetic == "arb" else Digits(digits)
+
+
+def read_precision(precision: Any, arithmetic: Any) -> Digits:
+    """Give the numbers of so many decimal digits.
+
+    Raises
+    ------
+    InputError
+        If there is no such precision or arithmetic, or python-flint is not installed.
+    """
+    if arithmetic not in ARITHMETICS:
+        raise InputError(
+            f"arithmetic is {arithmetic!r}.\nChoose 'mpmath', or 'arb' with python-flint."
+        )
+    digits = whole_number(precision) or 0
+    if not FEWEST <= digits <= MOST:
+        raise InputError(
+            f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
+            f"{MOST}.\nPass precision=64, or None for compiled double precision."
+        )
+    if arithmetic == "arb":
+        library("flint", "arithmetic='arb' (python-flint)", "precise")
+    return _numbers(digits, arithmetic)
+
+
+class _Anything:
+    """Stands for the types that only a compiler asks for."""
+
+    def __getattr__(self, name: str) -> _Anything:
+        return self
+
+    def __getitem__(self, index: Any) -> _Anything:
+        return self
+
+    def __call__(self, *arguments: Any, **options: Any) -> _Anything:
+        return self
+
+
+class _Functions:
+    """Kernels as Python functions."""
+
+    def __init__(self, module: SimpleNamespace, facts: Facts, digits: int) -> None:
+        self._module = module
+        self._staged = facts.by_stages and digits <= MOST_BY_STAGES
+
+    @property
+    def whereabouts(self) -> str:
+        """Where the code of a step is, in words."""
+        return "none: Python, with numbers of many digits"
+
+    @cached_property
+    def ladder(self) -> Sequence[str]:
+        return (*(("stages",) if self._staged else ()), "newton", "robust")
+
+    @cached_property
+    def stages(self) -> Sequence[Any]:
+        names = ("prepare", "start_stages", "iterate", "advance_stages")
+        return *map(self.address, names), 1
+
+    @cached_property
+    def newton(self) -> Sequence[Any]:
+        kernels = map(self.address, ("prepare", "start", "newton", "advance"))
+        return *kernels, *((1, self.address("energy")) if self._staged else ())
+
+    @cached_property
+    def robust(self) -> Sequence[Any]:
+        pivoted = getattr(self._module, "newton_pivoted", None)
+        prepare, start, newton, *others = self.newton
+        return prepare, start, pivoted or newton, *others
+
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        return getattr(self._module, name, None)
+
+
+def _revive(digits: int, arithmetic: str, number: Any) -> Any:
+    """Give a number as it was, at home in the context for so many digits."""
+    return read_precision(digits, arithmetic).context.make_mpf(from_pickable(number))
+
+
+class Digits(Numbers):
+    """Numbers of mpmath, in a context of their own."""
+
+    stretch, arithmetic = 1, "mpmath"
+
+    def __init__(self, digits: int) -> None:
+        self.digits = digits
+        self.context = mpmath.mp.clone()
+        self.context.dps = digits
+        # numbers of a cloned context are of a class that pickle does not find by its name
+        copyreg.pickle(self.context.mpf, self._reduced)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return read_precision, (self.digits, self.arithmetic)
+
+    def _reduced(self, number: Any) -> tuple[Any, ...]:
+        return _revive, (self.digits, self.arithmetic, to_pickable(number._mpf_))
+
+    def is_one(self, value: Any) -> bool:
+        """Tell whether a value needs no conversion: none is trusted to."""
+        return False
+
+    def read(self, value: Any) -> NDArray[Any]:
+        """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
+        given = np.array(value, dtype=object)
+        array = self.zeros(given.shape)
+        for index, one in np.ndenumerate(given):
+            array[index] = self._inner(self._number(one))
+        return array
+
+    def _number(self, value: Any) -> Any:
+        context = self.context
+        if isinstance(value, Fraction):
+            return context.mpf(value.numerator) / value.denominator
+        if isinstance(value, np.integer):
+            return context.mpf(int(value))
+        if hasattr(value, "evalf") and hasattr(value, "free_symbols"):  # SymPy, if it is loaded
+            return context.mpf(str(value.evalf(self.digits + 10)))
+        found = context.convert(value if not hasattr(value, "as_tuple") else str(value))
+        if not isinstance(found, context.mpf):
+            raise TypeError(value)
+        return found
+
+    def _inner(self, number: Any) -> Any:
+        """Give a number as the kernels take it."""
+        return number
+
+    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+        """Give an array of zeros."""
+        return np.full(shape, self._inner(self.context.zero), dtype=object)
+
+    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are finite."""
+        finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
+        return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
+
+    def _outer(self, number: Any) -> Any:
+        """Give a number as a user gets it."""
+        return number
+
+    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+        """Give whole numbers to multiply with."""
+        return np.array(range(first, stop, stride), dtype=object)
+
+    def kernels(self, text: str, facts: Facts) -> _Functions:
+        """Bind the kernels of a module."""
+        return _Functions(bind_mpmath(text, self.context, judging=True), facts, self.digits)
+
+    def driver(self, name: str) -> Callable[..., Any]:
+        """Give a function of the driver, bound to these numbers."""
+        return cast(Callable[..., Any], getattr(self._driver, name))
+
+    @cached_property
+    def _driver(self) -> SimpleNamespace:
+        replaced = {
+            "njit": lambda **options: lambda function: function,
+            "types": _Anything(),
+            "call": self._call,
+            "AT_ONCE": 1,  # balls of python-flint grow in a call
+            "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
+            "np": SimpleNamespace(
+                inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros
+            ),
+        }
+        return bind(driver_text(), replaced)
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        kernel(h, t, W)
+
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """Put off Ctrl-C to the end of a step, which would be lost half done."""
+        return undisturbed()
+
+
+class Arb(Digits):
+    """Midpoints of the balls of python-flint."""
+
+    arithmetic = "arb"
+
+    def __init__(self, digits: int) -> None:
+        super().__init__(digits)
+        from flint import arb
+
+        self._arb = arb
+
+    def _inner(self, number: Any) -> Any:
+        sign, mantissa, exponent, _ = number._mpf_
+        if not mantissa:  # zero, or no finite number
+            return self._arb(str(number))
+        whole = int(mantissa)  # gmpy2 has integers of its own
+        return self._arb((-whole if sign else whole, exponent))
+
+    def _outer(self, number: Any) -> Any:
+        if not isinstance(number, self._arb):
+            return self.context.convert(number)
+        if not number.is_finite():
+            return self.context.nan
+        mantissa, exponent = number.mid().man_exp()
+        return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
+
+    def single(self, number: Any) -> Any:
+        """Give a number of mpmath."""
+        return self._outer(number)
+
+    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Give numbers of mpmath."""
+        return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
+
+    def kernels(self, text: str, facts: Facts) -> _Functions:
+        """Bind the kernels of a module."""
+        with self.working():
+            return _Functions(bind_arb(text, judging=True), facts, self.digits)
+
+    def working(self) -> AbstractContextManager[Any]:
+        """Set the precision of python-flint, which is global, for a while."""
+        import flint
+
+        return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends."""
+        kernel(h, t, W)
+        ball = self._arb
+        for lane in W.T:
+            lane[:] = [value.mid() if type(value) is ball else value for value in lane]

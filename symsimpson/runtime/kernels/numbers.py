@@ -1,0 +1,114 @@
+"""The numbers that a stepper computes with, and what runs kernels and driver in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.driver.compiled import driver
+from symsimpson.runtime.kernels.module import Facts, Kernels
+
+__all__ = ["FLOAT64", "KernelSet", "Numbers"]
+
+
+#: A context that does nothing can be entered many times.
+NOTHING: AbstractContextManager[None] = nullcontext()
+#: Python is quicker than NumPy with so many numbers.
+FEW = 16
+
+
+class KernelSet(Protocol):
+    """Kernels as the driver calls them: addresses, or functions."""
+
+    @property
+    def ladder(self) -> Sequence[str]:
+        """The kernels to take steps with, each where the one before fails; they are attributes."""
+
+    @property
+    def whereabouts(self) -> str:
+        """Where the code of a step is, in words."""
+
+    @property
+    def newton(self) -> Any:
+        """Prepare, start, newton and advance."""
+
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        """Give one kernel; of one that takes any angle, if that is asked for."""
+
+
+class Numbers:
+    """Double precision, by compiled code; other numbers are subclasses.
+
+    Attributes
+    ----------
+    stretch : int
+        Steps after which a run first looks whether it was interrupted.
+    """
+
+    stretch = 4096
+
+    def __reduce__(self) -> str | tuple[Any, ...]:
+        return "FLOAT64"  # there is one, by its name in this module
+
+    def is_one(self, value: Any) -> bool:
+        """Tell whether a value needs no conversion."""
+        return type(value) is float and math.isfinite(value)
+
+    def read(self, value: Any) -> NDArray[Any]:
+        """Convert numbers of any shape; raises TypeError, ValueError or OverflowError."""
+        array = np.array(value)
+        if array.dtype == np.float64:
+            return array
+        if array.dtype.kind not in "fiuO":
+            raise TypeError(array.dtype)
+        return array.astype(np.float64)
+
+    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+        """Give an array of zeros."""
+        return np.zeros(shape)
+
+    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+        """Tell which numbers are finite."""
+        return np.isfinite(array)
+
+    def all_finite(self, array: NDArray[Any]) -> bool:
+        """Tell whether all numbers are finite; quick where there are few."""
+        if array.dtype == np.float64 and array.size <= FEW:
+            return all(map(math.isfinite, array.ravel().tolist()))
+        return bool(self.finite(array).all())
+
+    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+        """Give whole numbers to multiply with."""
+        return np.arange(first, stop, stride, dtype=np.float64)
+
+    def single(self, number: Any) -> Any:
+        """Give one number as a user gets it."""
+        return number
+
+    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Give an array as a user gets it."""
+        return array
+
+    def kernels(self, text: str, facts: Facts) -> KernelSet:
+        """Give the kernels of a module."""
+        return Kernels(text, facts)
+
+    def driver(self, name: str) -> Callable[..., Any]:
+        """Give a function of the driver."""
+        return driver(name)
+
+    def working(self) -> AbstractContextManager[Any]:
+        """Give the context in which these numbers are computed with."""
+        return NOTHING
+
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """Put off Ctrl-C; what is compiled hears it only afterwards anyway."""
+        return NOTHING
+
+
+FLOAT64 = Numbers()

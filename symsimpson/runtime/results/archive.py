@@ -1,0 +1,169 @@
+"""Trajectories in files: netCDF and Zarr, by way of xarray."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.extras import library
+from symsimpson.files import check_folder, read_path
+from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["open_trajectory", "save"]
+
+#: What a file must hold: variables, and attributes beside the dataset's own.
+VARIABLES = ("q", "p", "newton_iterations", "module")
+ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
+
+
+def _kind(path: str | os.PathLike[str]) -> tuple[Path, str]:
+    where = read_path("the trajectory's file", path)
+    if where.suffix not in (".nc", ".zarr"):
+        raise InputError(
+            f"{os.fspath(path)!r} names no kind of file that is known.\n"
+            "End it in .nc for netCDF, or in .zarr for a store of Zarr."
+        )
+    library("xarray", "a trajectory in a file", "data")
+    library({".nc": "netCDF4", ".zarr": "zarr"}[where.suffix], f"a {where.suffix} file", "data")
+    return where, where.suffix
+
+
+def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
+    """Write a trajectory, and what is needed to have it back."""
+    where, kind = _kind(path)
+    if run.q.dtype != np.float64:
+        raise InputError(
+            "numbers of many digits do not fit into this kind of file.\n"
+            "Keep run.q and run.p in a file of your own."
+        )
+    check_folder(where, "trajectory", trajectory=run)
+    found = run.to_xarray()
+    text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
+    found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    found.attrs |= {
+        "every": run.every or 0, "parameter_values": run._values.tolist(), "sha256": _digest(run),
+    }  # fmt: skip
+    try:
+        if kind == ".nc":
+            whole = where.with_name(where.name + ".new")  # an old file is kept until this is whole
+            found.to_netcdf(whole, engine="netcdf4")
+            os.replace(whole, where)
+        else:
+            found.to_zarr(where, mode="w", consolidated=False, zarr_format=2)
+    except OSError as error:
+        raise StorageError(
+            f"{where}: the trajectory could not be written: {error}.\nChoose another place.",
+            trajectory=run,
+        ) from None
+
+
+def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Open a trajectory that ``run.save`` wrote.
+
+    The module in the file is checked, as by :func:`symsimpson.load`, before anything of it runs.
+
+    Parameters
+    ----------
+    path : path
+        A ``.nc`` file or a ``.zarr`` store.
+
+    Returns
+    -------
+    Trajectory
+        With all that it had: energies, dense output, events.
+
+    Raises
+    ------
+    InputError
+        If the name ends otherwise, or a library is missing.
+    StorageError
+        If the file cannot be read, or holds no trajectory.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.nc"
+    >>> run.save(path)
+    >>> again = ss.open_trajectory(path)
+    >>> bool((again.q == run.q).all()), again.energy[3] == run.energy[3]
+    (True, np.True_)
+    """
+    where, kind = _kind(path)
+    if not where.exists():
+        raise StorageError(f"{where}: there is no such file.\nrun.save(path) makes one.")
+    xarray = library("xarray", "a trajectory in a file", "data")
+    try:
+        if kind == ".nc":
+            with xarray.open_dataset(where, engine="netcdf4") as opened:
+                found = opened.load()
+        else:
+            found = xarray.open_zarr(where, chunks=None, consolidated=False).load()
+    except Exception as error:  # whatever a damaged file makes the libraries raise
+        raise StorageError(
+            f"{where}: the file cannot be read: {str(error)[:200]}.\n"
+            "It is damaged, or no trajectory."
+        ) from None
+    missing = [name for name in VARIABLES if name not in found]
+    missing += [name for name in ATTRIBUTES if name not in found.attrs]
+    if missing:
+        raise StorageError(
+            f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.\n"
+            "Open it with xarray to see what it holds."
+        )
+    try:
+        text = np.asarray(found["module"], dtype=np.uint8).tobytes().decode()
+        stepper = read_stepper(text, os.fspath(where))
+        run = _trajectory(found, stepper)
+        if _digest(run) != found.attrs["sha256"]:
+            raise ValueError("its content does not have the digest that it names")
+        return run
+    except (StaleKernelError, InputError):
+        raise
+    except (SymsimpsonError, ValueError, TypeError, KeyError, OverflowError) as error:
+        raise StorageError(
+            f"{where}: the file contradicts itself: {error}.\nIt is damaged, or was edited."
+        ) from None
+
+
+def _digest(run: Trajectory) -> str:
+    """Give a digest of all that a trajectory is made of."""
+    about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
+    content = hashlib.sha256(repr(about).encode())
+    for array in (run.t, run.q, run.p, run._values, run.newton_iterations):
+        content.update(np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()
+
+
+def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
+    """Put a trajectory together, of which all parts must fit."""
+    about = found.attrs
+    t = np.asarray(found["time"], dtype=np.float64)
+    q, p = (np.ascontiguousarray(found[name], dtype=np.float64) for name in "qp")
+    values = np.atleast_1d(np.asarray(about["parameter_values"], dtype=np.float64))
+    iterations = np.asarray(found["newton_iterations"], dtype=np.int64)
+    h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
+    stored = steps // every + 1 if every > 0 else 1
+    shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
+    wanted = ((stored,), (stored, stepper.n), (stored, stepper.n), (stored,),
+              (len(stepper.parameters),))  # fmt: skip
+    if shapes != wanted or not np.isfinite(h) or h == 0:
+        raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
+    exact = t[0] + h * every * np.arange(stored)
+    if not np.abs(t - exact).max() <= 16 * np.finfo(float).eps * np.abs(exact).max():
+        raise ValueError("times are not steps apart")
+    return Trajectory(
+        t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
+        status=Status[str(about["status"])], message=str(about["message"]), _stepper=stepper,
+        _values=values,
+    )  # fmt: skip

@@ -1,0 +1,262 @@
+"""States at times, and all that follows from them."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any, ClassVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.extras import library
+from symsimpson.runtime.results.quantities import Quantities
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["States"]
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class States(Quantities):
+    """States of one system at some times: part of a run, or places between its steps.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times.
+    q, p : ndarray, shape (N, n)
+        Positions and conjugate momenta.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run[10:20]
+    States(pendulum, simpson: 10 states, 1 <= t <= 1.9)
+    >>> run[10:20]["theta"].shape, run[-1].t
+    ((10,), array([5.]))
+    """
+
+    #: Whether one state follows another, so that a line may connect them.
+    _connected: ClassVar[bool] = True
+
+    t: NDArray[Any]
+    q: NDArray[Any]
+    p: NDArray[Any]
+    _stepper: Stepper = field(repr=False)
+    _values: NDArray[Any] = field(repr=False)
+
+    def __init__(self, **fields: Any) -> None:
+        self.__dict__.update(fields)  # a quarter of the time that setting each takes
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters that the run used, by name."""
+        return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
+
+    @property
+    def y(self) -> NDArray[Any]:
+        """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N)."""
+        return np.concatenate([self.q, self.p], axis=1).T
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: int | slice | NDArray[Any] | list[int]) -> States: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+        """Give a quantity by its name, shape (N,), or some of the states.
+
+        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
+        "t" and "energy". A number gives one state, a slice or an array as numpy takes them more.
+
+        Raises
+        ------
+        KeyError
+            With the names that there are.
+        IndexError
+            If there is no such state.
+        """
+        if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
+            return self._named(key)
+        some: Any = key
+        if not isinstance(key, (slice, np.ndarray, list)):
+            try:
+                number = operator.index(key)
+            except TypeError:
+                return self._named(key)
+            if not -len(self) <= number < len(self):
+                raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
+            some = [number]
+        return States(
+            t=self.t[some], q=self.q[some], p=self.p[some], _stepper=self._stepper,
+            _values=self._values,
+        )  # fmt: skip
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
+
+    #: Iterating over quantities or over states: neither is what everybody expects.
+    __iter__ = None
+
+    def plot(self, names: str | Sequence[str] | None = None, *, ax: Any = None) -> Any:
+        """Draw quantities over time.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            As in ``run["q1"]``; all coordinates unless given.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot(["theta", "energy"]).get_xlabel()
+        't'
+        """
+        from symsimpson.plotting.states import plot
+
+        return plot(self, names, connected=self._connected, ax=ax)
+
+    def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
+        """Draw one quantity over another.
+
+        Parameters
+        ----------
+        x, y : str, optional
+            As in ``run["q1"]``; the first coordinate, and the momentum of ``x``, unless given.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_phase("theta", "v_theta").get_ylabel()
+        'v_theta'
+        """
+        from symsimpson.plotting.states import plot_phase
+
+        return plot_phase(self, x, y, connected=self._connected, ax=ax)
+
+    def plot_path(self, *, ax: Any = None) -> Any:
+        """Draw the paths of the system's ``positions``, into ``ax`` if given; gives the axes.
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_path().get_aspect()
+        1.0
+        """
+        from symsimpson.plotting.animate import plot_path
+
+        return plot_path(self, ax=ax)
+
+    def to_pandas(self) -> Any:
+        """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> list(run.to_pandas().columns)
+        ['theta', 'p_theta', 'energy']
+        """
+        pandas = library("pandas", "to_pandas", "data")
+        names = self._stepper.coordinates
+        columns = {name: self[name] for name in (*names, *(f"p_{q}" for q in names), "energy")}
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
+        frame.attrs = self._about()
+        return frame
+
+    def to_xarray(self) -> Any:
+        """Give an ``xarray.Dataset`` with dimensions time and coord.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.to_xarray()["q"].dims
+        ('time', 'coord')
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        variables: dict[str, Any] = {
+            name: (("time", "coord"), getattr(self, name), {"long_name": what})
+            for name, what in (("q", "position"), ("p", "conjugate momentum"), ("v", "velocity"))
+        }
+        variables["energy"] = (("time",), self.energy, {"long_name": "energy H"})
+        for k, (name, values) in enumerate(self.invariants.items()):
+            variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
+        variables |= self._further()
+        names = {"time": self.t, "coord": list(self._stepper.coordinates)}
+        return xarray.Dataset(variables, names, self._about())
+
+    def _further(self) -> dict[str, Any]:
+        """Variables of a dataset that not all states have."""
+        return {}
+
+    def _about(self) -> dict[str, Any]:
+        """Where the numbers come from."""
+        stepper = self._stepper
+        return {
+            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+            "digest": stepper._facts.digest,
+            **{f"parameter {name}": float(value) for name, value in self.parameters.items()},
+        }  # fmt: skip
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        from symsimpson.runtime.evaluator import evaluate
+
+        return evaluate(self._stepper, kernel, block, count, self.q, self.p, self._values)
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import states
+
+        return states(self)
+
+    def __repr__(self) -> str:
+        times = f"{len(self)} states"
+        if len(self):
+            times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
+        return f"{type(self).__name__}({self._stepper.system}, {self._stepper.scheme}: {times})"

@@ -1,0 +1,266 @@
+"""The result of a run."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.runtime.inputs import read_array
+from symsimpson.runtime.results.states import States
+from symsimpson.runtime.results.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.plotting.animate import Animation
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.interpolate import DenseOutput
+
+__all__ = ["Trajectory"]
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Trajectory(States):
+    """States of a run, and how it ended.
+
+    Numbers are float64, or numbers of mpmath in arrays of objects where the stepper was compiled
+    with a ``precision``. Besides what follows, all that :class:`States` have: ``v``, ``y``,
+    ``energy``, ``invariants``, ``parameters``, quantities by name, slices.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N + 1,)
+        Times of the stored states.
+    q, p : ndarray, shape (N + 1, n)
+        Positions and conjugate momenta.
+    newton_iterations : ndarray of int, shape (N + 1,)
+        Iterations since the state stored before; 0 for the first.
+    h : number
+        The step.
+    steps : int
+        Steps done.
+    every : int or None
+        Steps from one stored state to the next; None where only the last is stored.
+    status : Status
+        0 is success.
+    message : str
+        The outcome in words.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run["theta"].shape, run["v_theta"].shape, run.y.shape, run.success
+    ((51,), (51,), (2, 51), True)
+    """
+
+    newton_iterations: NDArray[np.int64]
+    h: Any
+    steps: int
+    every: int | None
+    status: Status
+    message: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the run reached its end."""
+        return self.status is Status.SUCCESS
+
+    @cached_property
+    def energy_scale(self) -> Any:
+        """What ``energy_error`` is relative to: |H0|, but not less than the kinetic energy.
+
+        That is its median over the stored states. H0 alone says nothing where the zero of the
+        potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
+        rest with H0 = 0 has the scale 1.
+        """
+        kinetic = np.sort(self._energies[:, 1])[len(self) // 2]
+        scale = max(abs(self.energy[0]), kinetic)
+        return scale if scale > 0 else scale * 0 + 1
+
+    @cached_property
+    def energy_error(self) -> NDArray[Any]:
+        """(H - H0) / :attr:`energy_scale`, shape (N + 1,)."""
+        return (self.energy - self.energy[0]) / self.energy_scale
+
+    @cached_property
+    def sol(self) -> DenseOutput:
+        """The states at any time of the run; see :class:`DenseOutput`.
+
+        Raises
+        ------
+        InputError
+            If only the last state is stored.
+        """
+        from symsimpson.runtime.results.interpolate import DenseOutput
+
+        return DenseOutput(self)
+
+    def at(self, t: ArrayLike) -> States:
+        """Give the states at any times of the run, with the order of the scheme.
+
+        Parameters
+        ----------
+        t : array_like, shape (m,)
+
+        Returns
+        -------
+        States
+
+        Raises
+        ------
+        InputError
+            If a time lies outside of the run, or only the last state is stored.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.at([0.05, 1/3])["theta"].shape
+        (2,)
+        """
+        numbers = self._stepper._numbers
+        with numbers.working():
+            times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
+        q, p = self.sol.states(times)
+        return States(t=times, q=q, p=p, _stepper=self._stepper, _values=self._values)
+
+    def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
+        """Find where an expression becomes zero, to the rounding of a step.
+
+        Stored states tell in which steps its sign changes; there the zero is located on the dense
+        output. Two zeros between neighbouring stored states are not seen, nor is the first state
+        counted.
+
+        Parameters
+        ----------
+        expression : SymPy expression, equation or str
+            In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
+            or ``q1.diff()``), parameters, ``t`` and ``energy``.
+        direction : {0, 1, -1}
+            Both ways, or only where it goes up, or down, with the run.
+        wrap : True, or names of coordinates
+            Angles of which the turn between -pi and pi is taken, in the expression and in the
+            result; True for all.
+
+        Returns
+        -------
+        Events
+
+        Raises
+        ------
+        InputError
+            If the expression contains something else.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=80)
+        >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
+        (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
+        """
+        from symsimpson.runtime.results.events import find_events
+
+        return find_events(self, expression, direction, wrap)
+
+    def plot_energy(self, *, ax: Any = None) -> Any:
+        """Draw the error of the energy over time, into ``ax`` if given; gives the axes.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_energy().get_ylabel()
+        '(H - H0) / |H0|'
+        """
+        from symsimpson.plotting.states import plot_energy
+
+        return plot_energy(self, ax=ax)
+
+    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
+        """Film the system's ``positions``: points, and lines where their distance is constant.
+
+        Linkages in the plane are drawn by matplotlib, motion in space by plotly. The film plays
+        in a notebook, and on a page that ``.save("film.html")`` writes, without any connection.
+
+        Parameters
+        ----------
+        seconds : float, optional
+            Length of the film; that of the run if this is from 1 to 10, else 10.
+        fps : int
+            Frames a second.
+
+        Returns
+        -------
+        Animation
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or a library is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.animate(fps=10)
+        Animation(50 frames; save('film.html') keeps it)
+        """
+        from symsimpson.plotting.animate import animate
+
+        return animate(self, seconds=seconds, fps=fps)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the run in a file: netCDF for ``.nc``, a store of Zarr for ``.zarr``.
+
+        It holds what :meth:`to_xarray` gives, and the generated module, so that
+        :func:`symsimpson.open_trajectory` gives back this trajectory.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, a library is missing, or the run has many digits.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.zarr"
+        >>> run.save(path)
+        >>> ss.open_trajectory(path).steps
+        50
+        """
+        from symsimpson.runtime.results.archive import save
+
+        save(self, path)
+
+    def _further(self) -> dict[str, Any]:
+        return {"newton_iterations": (("time",), self.newton_iterations)}
+
+    def _about(self) -> dict[str, Any]:
+        return super()._about() | {
+            "h": float(self.h), "steps": self.steps, "status": self.status.name,
+            "message": self.message,
+        }  # fmt: skip
+
+    def _repr_html_(self) -> str:
+        from symsimpson.display.results import trajectory
+
+        return trajectory(self)
+
+    def __repr__(self) -> str:
+        stepper = self._stepper
+        return (
+            f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of "
+            f"h={float(self.h):g}, {self.t.size} states stored, {self.status.name})"
+        )

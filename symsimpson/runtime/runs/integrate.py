@@ -1,0 +1,305 @@
+"""One trajectory: how it begins, and what it has come to."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import (
+    ConvergenceError,
+    InputError,
+    Interrupted,
+    ResolutionWarning,
+    StorageError,
+)
+from symsimpson.files import check_folder, read_path
+from symsimpson.progress import Watcher, silence
+from symsimpson.runtime.inputs import (
+    read_count,
+    read_every,
+    read_failure,
+    read_given,
+    read_steps,
+    read_vector,
+    refused_start,
+)
+from symsimpson.runtime.kernels.numbers import NOTHING
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.checkpoint import Checkpoint, buffered, question_of
+from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
+from symsimpson.runtime.runs.run import Run
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["integrate"]
+
+Reals = NDArray[Any]
+
+#: So many steps are done before anybody looks for a bar.
+BRIEF = 10_000
+
+
+def integrate(
+    stepper: Stepper,
+    q0: ArrayLike,
+    v0: ArrayLike | None,
+    p0: ArrayLike | None,
+    times: tuple[Any, Any, Any, Any],
+    parameters: Mapping[Any, Any] | None,
+    every: int | None,
+    checkpoint: str | os.PathLike[str] | None,
+    checkpoint_every: int | None,
+    progress: bool | None,
+    on_failure: str,
+) -> Trajectory:
+    """Check what is asked for, run, and give what it has come to; ``times`` is h, t_end, steps, t0.
+
+    Raises
+    ------
+    InputError, StorageError, ConvergenceError, Interrupted
+    """
+    read_failure(on_failure)
+    numbers = stepper._numbers
+    with numbers.working(), silence() if progress is False else NOTHING:
+        values = stepper._values(parameters)
+        h, count, t0 = read_steps(*times, numbers)
+        # where no states are asked for, some are kept to look at
+        wanted = read_every(every)
+        stride = wanted or sampling_stride(stepper, count)
+        stored = count // stride + 1 if stride else 1
+        if checkpoint is not None:
+            stored = buffered(stride, stored, stepper.n)
+        run = new_run(stepper, values, h, t0, stride, stored)
+        begin_run(stepper, run, q0, v0, p0)
+        check_start(
+            stepper, run.rows("POSITION", stepper.n), run.rows("MOMENTUM", stepper.n), values
+        )
+        if count:
+            look_at_step(stepper, run, values)
+        keeper = None
+        if checkpoint is not None:
+            checkpoint = read_path("checkpoint", checkpoint)
+            check_folder(checkpoint, "checkpoint")
+            question = question_of(stepper, run, count, values) | {"every": wanted}
+            keeper = _checkpoint(checkpoint, checkpoint_every, question, run)
+        if progress or (progress is None and count > BRIEF):
+            run.listener = Watcher(count, progress)
+        ended, problem = None, None
+        try:
+            (keeper or run).advance(count)
+        except KeyboardInterrupt:
+            ended = Status.INTERRUPTED
+        except StorageError as error:
+            ended, problem = Status.FILE_ERROR, error
+        finally:
+            if isinstance(run.listener, Watcher):
+                run.listener.close()
+        status = run.status if ended is None else ended
+        stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
+        trajectory = trajectory_of(
+            stepper, run, count, status, values, stored_states, wanted, keeper
+        )
+        if count and status is not Status.INTERRUPTED and problem is None:
+            trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
+        if problem is not None and on_failure == "raise":
+            problem.trajectory = trajectory
+            raise problem
+        if not trajectory.success and on_failure == "raise":
+            raise_failure(run, trajectory, trajectory)
+    return trajectory
+
+
+def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: Reals) -> Trajectory:
+    """Look at the energy of a run; ``q`` and ``p`` are states on its way.
+
+    Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
+    """
+    if not trajectory.success and stepper._facts.real_everywhere:
+        return trajectory
+    if trajectory.every is None and not stepper._facts.real_everywhere:  # the last state, too
+        numbers = stepper._numbers
+        with numbers.working():
+            ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
+        q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
+    energies = look_at_energy(stepper, run, q, p)
+    if energies is None:
+        return trajectory
+    about = trajectory.__getstate__()
+    bad = energies.first_not_real
+    if bad is not None:
+        result, good = stepper._numbers.result, max(bad - 1, 0)
+        done, at = good * run.every, min(bad * run.every, trajectory.steps)
+        if trajectory.every is None:
+            last = slice(good, good + 1)
+            about |= {"q": result(q[last]), "p": result(p[last])}
+            about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
+        else:
+            for name in ("t", "q", "p", "newton_iterations"):
+                about[name] = about[name][: good + 1]
+        message = (
+            f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
+            f"t={float(run.t0 + run.h * at):g}, after step {at} of "
+            f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
+            "motion left their domain, or the steps jumped a singular point: check the state "
+            "before, try a smaller h."
+        )
+        return Trajectory(
+            **about | {"steps": done, "status": Status.NOT_FINITE, "message": message}
+        )
+    left = energies.left_at
+    if left is None or not trajectory.success:
+        return trajectory
+    place, off = left
+    since = float(run.t0 + run.h * (place * run.every))
+    message = (
+        f"{stepper.system}, {stepper.scheme}: from about t={since:g} on the energy is off by "
+        f"{off:.0%} of the kinetic energy and does not come back. Something was not resolved with "
+        f"h={float(run.h):g}, as a close encounter or a fast oscillation, and what follows is "
+        "another motion.\nTake a smaller h, or a scheme of higher order."
+    )
+    warnings.warn(message, ResolutionWarning, stacklevel=4)
+    return Trajectory(**about | {"message": f"{trajectory.message} {message}"})
+
+
+def stored_by(run: Run) -> tuple[Reals, Reals, NDArray[np.int64]]:
+    """Give q, p and iterations of the states that a run has stored in memory."""
+    kept = (run.step - run.first) // run.every + 1 if run.every else 0
+    return run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
+
+
+def _checkpoint(
+    path: str | os.PathLike[str],
+    every: int | None,
+    question: dict[str, Any],
+    run: Run,
+) -> Checkpoint:
+    if run.W.dtype != np.float64:
+        raise InputError(
+            "a run with many digits cannot be kept in a checkpoint.\n"
+            "Leave checkpoint out, or compile without precision."
+        )
+    steps = None if every is None else read_count("checkpoint_every", every, least=1)
+    return Checkpoint(path, question, run, steps)
+
+
+def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, stored: int) -> Run:
+    """Make a run that has room for so many states.
+
+    Raises
+    ------
+    InputError
+        If they do not fit into memory.
+    """
+    try:
+        return Run(
+            stepper._facts, stepper._kernels, stepper._numbers, values, h, t0, stride, stored
+        )
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{stored} stored states of {2 * stepper.n} numbers do not fit into memory.\n"
+            "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
+            "checkpoint='run.ckpt'."
+        ) from None
+
+
+def begin_run(
+    stepper: Stepper, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None
+) -> None:
+    """Put the initial state into a run.
+
+    Raises
+    ------
+    InputError
+        If it makes no sense, or M(q0) is not positive definite.
+    """
+    how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
+    name, given = read_given("a run", how, v0, p0)
+    numbers = stepper._numbers
+    q = read_vector("q0", q0, stepper.coordinates, numbers)
+    other = read_vector(name, given, stepper.coordinates, numbers)
+    run.begin(q, other, velocity=name == "v0")
+    pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
+    if stepper._facts.fast_sines and not numbers.all_finite(velocities):
+        run.begin(q, other, velocity=name == "v0", any_angle=True)
+        pivot = float(run.value("MASS_PIVOT"))
+    if pivot < 0 or not numbers.all_finite(velocities):
+        values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
+        named = dict(zip(stepper.parameters, values, strict=True))
+        where = f"q0={q.tolist()} with the parameters {named}"
+        raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+
+
+def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
+    """Look once whether a step is within the limit of linear stability, and warn of it if not."""
+    key = (run.h, values.tobytes())
+    plain = run.W.dtype == np.float64
+    if plain and stepper._declared is not None and key not in stepper._looked_at:
+        stepper._looked_at.add(key)
+        from symsimpson.analysis.stability.frequency import warn_of_step  # loads SymPy
+
+        warn_of_step(stepper, stepper._declared, run.rows("POSITION", stepper.n), values, run.h)
+
+
+def trajectory_of(
+    stepper: Stepper,
+    run: Run,
+    count: int,
+    status: Status,
+    values: Reals,
+    stored: tuple[Reals, Reals, NDArray[np.int64]],
+    every: int,
+    keeper: Checkpoint | None = None,
+) -> Trajectory:
+    """Give what a run of so many steps has come to: each so-many-th state, or the last for 0."""
+    done = run.step
+    q, p, iterations = stored
+    if every:
+        t = run.t0 + stepper._numbers.counted(0, done + 1, every) * run.h
+    else:
+        t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
+        q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
+        iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
+    message = status.message
+    if status is not Status.SUCCESS:
+        time, h = float(run.t0 + run.h * done), float(run.h)
+        message = (
+            f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
+            f"h={h:g} was not taken. {message}"
+        )
+        if keeper is not None and status is Status.INTERRUPTED:
+            message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
+    result = stepper._numbers.result
+    t, q, p, values = result(t), result(q), result(p), result(values)
+    return Trajectory(
+        t=t, q=q, p=p, newton_iterations=iterations, h=stepper._numbers.single(run.h), steps=done,
+        every=every or None, status=status, message=message,
+        _stepper=stepper, _values=values,
+    )  # fmt: skip
+
+
+def raise_failure(run: Run, ended: Trajectory, result: Trajectory | Events) -> None:
+    """Raise the error of a run that did not reach its end, with what it has come to."""
+    if ended.status is Status.INTERRUPTED:
+        raise Interrupted(ended.message, trajectory=result)
+    residual, detail = run.last_correction, ""
+    if ended.steps == run.step:  # else it is what was found afterwards
+        detail = (
+            f"The last of {run.last_iterations} iterations changed the step by a fraction of "
+            f"{residual:.1e}. "
+        )
+    raise ConvergenceError(
+        f"{ended.message} {detail}The states before are in this error's .trajectory.",
+        trajectory=result,
+        step=ended.steps,
+        time=float(run.t0 + run.h * ended.steps),
+        residual=residual,
+        status=ended.status,
+    )

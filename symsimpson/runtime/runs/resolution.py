@@ -1,0 +1,133 @@
+"""What the energy of a run tells of it: whether it was real, and whether steps resolved the motion.
+
+A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
+it at another level. So medians of blocks of states are held against the energy at the start, in
+units of the kinetic energy that the motion has for a while. Few states are enough for that; but
+where the energy need not be real, each stored state is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.evaluator import evaluate, evaluate_in
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.runs.run import Run
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Energies", "check_start", "energies_at", "look_at_energy", "sampling_stride"]
+
+#: So many states of a run are looked at, in blocks of which the median counts.
+SAMPLES, BLOCKS = 64, 8
+#: Shorter runs are not judged.
+FEWEST = 16
+#: The energy may stay so far from where it was, in units of the kinetic energy.
+LIMIT = 0.05
+#: At the end, where a block is only begun, so many states may stay so far from it.
+LAST, LAST_LIMIT = 4, 0.1
+#: Changes of the energy below this part of it are rounding.
+ROUNDING = 1e-9
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.int64]
+Reals = NDArray[Any]
+
+
+def sampling_stride(stepper: Stepper, count: int) -> int:
+    """Give the steps between the states to keep of a run that stores none.
+
+    None, 0, are kept of a short one, unless its energy need not be real.
+    """
+    looked_at = count >= FEWEST or not stepper._facts.real_everywhere
+    return -(-count // SAMPLES) if looked_at else 0
+
+
+@dataclass(frozen=True)
+class Energies:
+    """Energies at some states of a run: total and kinetic, shape (m,), and which states."""
+
+    total: Floats
+    kinetic: Floats
+    places: Places
+
+    @property
+    def first_not_real(self) -> int | None:
+        """The place of the first state at which the energy is no finite number."""
+        bad = np.flatnonzero(~np.isfinite(self.total))
+        return int(self.places[bad[0]]) if bad.size else None
+
+    @property
+    def left_at(self) -> tuple[int, float] | None:
+        """Where a level of the energy begins that is another one, and how far it is off.
+
+        In units of the kinetic energy, the largest median of a block; None if there is no such
+        level.
+        """
+        if self.total.size < FEWEST:
+            return None
+        start, change = self.total[0], abs(self.total - self.total[0])
+        blocks = np.array_split(np.arange(self.total.size), BLOCKS)
+        # an energy that grows without bound must not hide itself in what it is compared with
+        floor = ROUNDING * max(abs(start), float(np.median(abs(self.total))))
+        unit = max(floor, *(float(np.median(self.kinetic[block])) for block in blocks))
+        for block in blocks:
+            level = abs(float(np.median(self.total[block])) - start)
+            # a fall that begins with the damage makes the kinetic energy of later blocks large
+            so_far = max(floor, float(self.kinetic[: block[-1] + 1].max()))
+            off = level / min(unit, so_far)
+            if off > LIMIT:
+                return int(self.places[block[0]]), off
+        end = self.total.size - LAST
+        off = float(np.median(change[end:])) / max(unit, float(np.median(self.kinetic[end:])))
+        return (int(self.places[end]), off) if off > LAST_LIMIT else None
+
+
+def energies_at(stepper: Stepper, run: Run, q: Reals, p: Reals, places: Places) -> Energies:
+    """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
+    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, q[places], p[places])
+    total, kinetic = np.asarray(found, dtype=np.float64).T
+    return Energies(total, kinetic, places)
+
+
+def check_start(stepper: Stepper, q: Reals, p: Reals, values: Reals) -> None:
+    """Refuse a state at which the energy is not real, if there may be such states.
+
+    Raises
+    ------
+    InputError
+    """
+    if stepper._facts.real_everywhere:
+        return
+    (energy,) = evaluate(stepper, "energy", "ENERGY", 1, q[None], p[None], values)[0]
+    if not np.isfinite(float(energy)):
+        raise InputError(
+            f"{stepper.system}: the energy is not a finite real number at q0 = "
+            f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there, as the "
+            "logarithm or the root of a negative number has none.\n"
+            "Begin where it has one, or look at the formula."
+        )
+
+
+def look_at_energy(stepper: Stepper, run: Run, q: Reals, p: Reals) -> Energies | None:
+    """Evaluate the energy at stored states of a run that is over.
+
+    At all of them if it need not be real, else at some of them, and at none of a short run.
+    """
+    last = len(q) - 1
+    if not stepper._facts.real_everywhere:
+        return energies_at(stepper, run, q, p, np.arange(last + 1))
+    if last + 1 < FEWEST:
+        return None
+    few = min(last, SAMPLES - 1)
+    if q.base is not None and q.base is run.q.base:
+        steady = stepper._numbers.driver("steady")
+        energy = stepper._kernels.address("energy")
+        if steady(energy, run.h, run.W, stepper._facts.places, run.q, run.p, last, few, LIMIT):
+            return None
+    return energies_at(stepper, run, q, p, np.arange(few + 1) * last // few)

@@ -1,0 +1,230 @@
+"""One run of the driver: its workspace, and the arrays in which states are stored."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.kernels.module import Facts
+from symsimpson.runtime.results.status import Status
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.kernels.numbers import KernelSet, Numbers
+
+__all__ = ["Run", "workspace"]
+
+#: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: After a step that only slower and more robust kernels could take, so many more are taken with
+#: them.
+FALLBACK_STRETCH = 64
+
+
+def workspace(
+    facts: Facts, numbers: Numbers, parameters: NDArray[Any], more: int = 0
+) -> NDArray[Any]:
+    """Make the workspace of one lane, with the parameters in it and so many further rows."""
+    W = numbers.zeros((facts.rows + more, 1))
+    first = facts.layout["PARAMETER"]
+    W[first : first + parameters.size, 0] = parameters
+    return W
+
+
+class Run:
+    """A trajectory under way: its workspace, and the arrays in which states are stored.
+
+    ``advance(a)`` and then ``advance(b)`` leave the same bits as ``advance(b)`` alone.
+    """
+
+    def __init__(
+        self,
+        facts: Facts,
+        kernels: KernelSet,
+        numbers: Numbers,
+        parameters: NDArray[Any],
+        h: Any,
+        t0: Any,
+        every: int,
+        stored: int,
+        ladder: Sequence[str] | None = None,
+    ) -> None:
+        layout, n = facts.layout, facts.n
+        self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
+        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
+        self.W = workspace(facts, numbers, parameters)
+        self._column = self.W[:, 0]
+        self._status = layout["STATUS"]
+        self.q, self.p = numbers.zeros((2, stored, n, 1))
+        self.iterations = np.zeros((stored, 1), dtype=np.int64)
+        #: Steps before those whose states stand in the arrays; and what was done since.
+        self.first, self._progress = 0, np.zeros(2, dtype=np.int64)
+        self.listener: Callable[[int], None] | None = None
+        self._ladder = kernels.ladder if ladder is None else ladder
+        self._rung, self._rung_until = 0, -1
+        self._stretch = numbers.stretch
+
+    def begin(
+        self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False
+    ) -> None:
+        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed."""
+        layout, n = self.facts.layout, self.facts.n
+        legendre = 0
+        second = layout["MOMENTUM"]
+        if any_angle:
+            self._rung, self._rung_until = len(self._ladder) - 1, FALLBACK_STRETCH
+        if velocity:
+            legendre = self.kernels.address("legendre", any_angle=any_angle)
+            second = layout["VELOCITY"]
+        self._column[layout["POSITION"] : layout["POSITION"] + n] = q
+        self._column[second : second + n] = other
+        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)
+        if self.every:
+            self.store(0)
+
+    def store(self, place: int) -> None:
+        """Store the present state."""
+        n = self.facts.n
+        self.q[place, :, 0] = self.rows("POSITION", n)
+        self.p[place, :, 0] = self.rows("MOMENTUM", n)
+
+    def rows(self, block: str, count: int) -> NDArray[Any]:
+        """Give rows of the workspace."""
+        first = self.facts.layout[block]
+        return self._column[first : first + count]
+
+    def value(self, block: str) -> Any:
+        """Give the number in a block of one row."""
+        return self._column[self.facts.layout[block]]
+
+    @property
+    def step(self) -> int:
+        """Number of steps done."""
+        return self.first + self._progress.item(0)
+
+    @property
+    def status(self) -> Status:
+        """The state of the run."""
+        if self.alive:
+            return Status.SUCCESS
+        status = Status(int(self._column[self._status]))
+        if status is Status.NOT_CONVERGED and self._diverged():
+            return Status.DIVERGED
+        if status is Status.NOT_FINITE and self._singular():
+            return Status.SINGULAR_JACOBIAN
+        return status
+
+    def _diverged(self) -> bool:
+        """Tell whether the increments became ten times what was predicted, and seen before."""
+        n, d = self.facts.n, self.facts.degree
+        predicted = self.rows("PREDICTED", d * n).reshape(d, n)
+        expected = max((self.rows("METRIC", n) * predicted**2).sum(), self.value("SCALE"))
+        return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
+
+    def _singular(self) -> bool:
+        """Tell whether elimination with pivoting, the last resort, met a pivot of zero."""
+        if self._ladder[self._rung] != "robust":
+            return False
+        at = self.facts.layout
+        places = np.arange(self.facts.newton_unknowns) * (at["SOLVE_STRIDE"] + 1)
+        return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
+
+    @property
+    def last_correction(self) -> float:
+        """Size of the last Newton correction relative to the increment."""
+        return float(self.value("RELATIVE")) ** 0.5
+
+    @property
+    def last_iterations(self) -> int:
+        """Newton iterations since the last stored state."""
+        return int(self.value("ITERATIONS"))
+
+    @property
+    def alive(self) -> bool:
+        """Whether no step has failed."""
+        return bool(self._column[self._status] == 0)
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
+        while self.step < stop and self.alive:
+            until = min(stop, self.step + self._stretch)
+            if self._rung:
+                until = min(until, self._rung_until)
+            before, start = self.step, time.perf_counter()
+            with self._undisturbed():
+                self._stretch_until(self._kernels(), until)
+            spent = time.perf_counter() - start
+            if self.listener is not None:
+                self.listener(self.step - before)
+            if self.step > before and spent > PATIENCE / 8:
+                self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
+            hopeful = not self.alive and self.status is not Status.COORDINATE_SINGULARITY
+            if hopeful and self._rung + 1 < len(self._ladder):
+                self._rung_until = self.step + FALLBACK_STRETCH
+                self._climb(self._rung + 1)
+            elif self._rung and self.step == self._rung_until:
+                self._climb(0)
+
+    def _kernels(self) -> Any:
+        return getattr(self.kernels, self._ladder[self._rung])
+
+    def _climb(self, rung: int) -> None:
+        """Go on with other kernels; between stages and Newton's method nothing is handed over."""
+        anew = "stages" in (self._ladder[rung], self._ladder[self._rung])
+        self._rung = rung
+        if not anew:
+            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.facts.places)
+            return
+        kept = [self.rows(name, 1) for name in ("ITERATIONS", "SCALE")]
+        values = [row.copy() for row in kept]
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.facts.places)
+        for row, value in zip(kept, values, strict=True):
+            row[:] = value
+
+    def _time(self) -> Any:
+        return self.t0 + self.h * self.step
+
+    def _stretch_until(self, kernels: Any, stop: int) -> None:
+        """Run compiled, mending the steps at which the loop stops."""
+        at, W = self.facts.places, self.W
+        t0, stop = self.t0 + self.h * self.first, stop - self.first
+        if self.facts.newton_unknowns == 0:
+            self._driver("march")(
+                kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
+                self.iterations,
+            )  # fmt: skip
+            return
+        run = self._driver("run")
+        while True:
+            run(
+                kernels, self.h, t0, W, at, self._progress, stop, self.every,
+                self.q, self.p, self.iterations,
+            )  # fmt: skip
+            event = self._progress[1]
+            if event == 0:
+                return
+            self._driver("mend")(kernels, self.h, self._time(), W, at, event)
+            if not self.alive:
+                self._progress[1] = 0
+                return
+
+    def forget(self) -> int:
+        """Keep only the last stored state in the arrays; gives the number of those forgotten."""
+        kept = self._progress.item(0) // self.every if self.every else 0
+        if kept:
+            self.first += kept * self.every
+            self._progress[0] -= kept * self.every
+            self.q[0], self.p[0] = self.q[kept], self.p[kept]
+        return kept
+
+    def position(self) -> list[int]:
+        """Give what tells, beside the workspace, where the run is."""
+        return [self.first, self._progress.item(0), self._rung, self._rung_until]
+
+    def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
+        """Go on where another run was."""
+        self.first, self._progress[0], self._rung, self._rung_until = position
+        self._column[:] = workspace

@@ -1,0 +1,100 @@
+"""Sections: a long run of which only the crossings of a surface are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from symsimpson.progress import Watcher
+from symsimpson.runtime.inputs import read_failure, read_steps
+from symsimpson.runtime.results.events import Events, Question, gather, read_question, zeros
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.integrate import (
+    begin_run,
+    look_at_step,
+    looked_at,
+    new_run,
+    raise_failure,
+    trajectory_of,
+)
+from symsimpson.runtime.runs.resolution import check_start, sampling_stride
+from symsimpson.runtime.runs.run import Run
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["poincare"]
+
+#: So many states are held at a time.
+PIECE = 8192
+
+
+def poincare(
+    stepper: Stepper,
+    expression: Any,
+    start: tuple[ArrayLike, ArrayLike | None, ArrayLike | None],
+    times: tuple[Any, Any, Any, Any],
+    direction: int,
+    wrap: Any,
+    parameters: Mapping[Any, Any] | None,
+    progress: bool | None,
+    on_failure: str,
+) -> Events:
+    """Run from q0, and v0 or p0, and keep the zeros; ``times`` is h, t_end, steps, t0.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    read_failure(on_failure)
+    question = read_question(stepper, expression, direction, wrap)
+    values = stepper._values(parameters)
+    h, count, t0 = read_steps(*times, stepper._numbers)
+    run = new_run(stepper, values, h, t0, 1, PIECE + 1)
+    begin_run(stepper, run, *start)
+    look_at_step(stepper, run, values)
+    run.listener = watcher = Watcher(count, progress)
+    q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
+    check_start(stepper, q, p, values)
+    stride = sampling_stride(stepper, count)
+    found, seen, ended = [], [(q[None], p[None])], None
+    try:
+        while run.step < count and run.alive:
+            run.advance(min(run.step + PIECE, count))
+            found.append(_zeros(stepper, run, values, question))
+            if stride:  # states to look at, behind those of the piece before
+                first = stride - run.first % stride
+                here = slice(first, run.step - run.first + 1, stride)
+                seen.append((run.q[here, :, 0].copy(), run.p[here, :, 0].copy()))
+            run.forget()
+    except KeyboardInterrupt:
+        ended = Status.INTERRUPTED
+    finally:
+        watcher.close()
+    # the states are gone, but for the last and those to look at
+    run.every = stride
+    q, p = (np.concatenate(states) for states in zip(*seen, strict=True))
+    none = np.zeros(0, dtype=np.int64)
+    last = trajectory_of(stepper, run, count, ended or run.status, values, (q, p, none), 0)
+    if stride and ended is None and count:
+        last = looked_at(stepper, run, last, q, p)
+        sign = 1 if h > 0 else -1
+        found = [tuple(x[sign * (part[0] - last.t[-1]) <= 0] for x in part) for part in found]
+    events = gather(last, question, found)
+    if not last.success and on_failure == "raise":
+        raise_failure(run, last, events)
+    return events
+
+
+def _zeros(stepper: Stepper, run: Run, values: Any, question: Question) -> tuple[Any, ...]:
+    kept = run.step - run.first + 1
+    piece = Trajectory(
+        t=run.t0 + np.arange(run.first, run.step + 1) * run.h, q=run.q[:kept, :, 0],
+        p=run.p[:kept, :, 0], newton_iterations=run.iterations[:kept, 0], h=run.h, steps=kept - 1,
+        every=1, status=Status.SUCCESS, message="", _stepper=stepper, _values=values,
+    )  # fmt: skip
+    return zeros(piece, question, begins=run.first == 0)

@@ -1,0 +1,155 @@
+"""Compiled code on disk: found by content, guarded against damage, private."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from workspace import sweep
+
+from symsimpson.errors import GenerationError
+from symsimpson.runtime.kernels.cache import _intact, cache_folder
+
+CODE = """
+import json, sys, time
+import symsimpson as ss
+(x,) = ss.coordinates("x")
+import sympy as sp
+k = sp.Symbol("k", positive=True)
+factor, default = json.loads(sys.argv[1])
+system = ss.MechanicalSystem("cached", coordinates=(x,), kinetic=x.diff()**2/2,
+                             potential=factor*k*x**4, parameters={k: default})
+from numba.core import compiler
+compiled = []
+original = compiler.CompilerBase._compile_core
+def counted(self):
+    compiled.append(self.state.func_id.func_name)
+    return original(self)
+compiler.CompilerBase._compile_core = counted
+run = ss.compile(system, "midpoint").integrate([1.0], p0=[0.0], h=0.1, steps=20)
+print(json.dumps([run.q[-1, 0], compiled]))
+"""
+
+
+def start(folder, factor=1, default=1.0):
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", CODE, json.dumps([factor, default])],
+        stdout=subprocess.PIPE, env=os.environ | {"SYMSIMPSON_CACHE_DIR": str(folder)},
+    )  # fmt: skip
+
+
+def finish(process):
+    out, _ = process.communicate()
+    assert process.returncode == 0
+    return json.loads(out)
+
+
+def run(folder, **changes):
+    return finish(start(folder, **changes))
+
+
+@pytest.fixture(scope="module")
+def warm(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cache") / "symsimpson"
+    value, compiled = run(folder)
+    assert "newton" in compiled
+    return folder, value
+
+
+def entries(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_second_process_compiles_nothing(warm):
+    folder, value = warm
+    before = entries(folder)
+    again, compiled = run(folder)
+    assert (again, compiled) == (value, [])
+    assert entries(folder) == before
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_new_values_compile_nothing_and_new_equations_do(warm):
+    folder, value = warm
+    other, compiled = run(folder, default=2.0)
+    assert compiled == []
+    assert other != value
+    edited, compiled = run(folder, factor=2)
+    assert "newton" in compiled
+    assert edited == pytest.approx(other, abs=1e-13)  # 2 k x^4 both
+
+
+def damage(path, how):
+    data = path.read_bytes()
+    if how == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif how == "flip":
+        path.write_bytes(data[:-20] + bytes([data[-20] ^ 1]) + data[-19:])
+    else:
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("pattern", "how"),
+    sweep([("*/**/*.nbc", "cut"), ("*/**/*.nbi", "flip"), ("*/digests.json", "empty"),
+           ("*/*.py", "remove"), ("*/**/*.nbc", "flip")]),
+)  # fmt: skip
+def test_damage_is_mended(warm, pattern, how):
+    folder, value = warm
+    step = [path for path in folder.glob(pattern) if "step" in str(path)]
+    assert step
+    for path in step:
+        damage(path, how)
+    again, compiled = run(folder)
+    assert again == value
+    assert "newton" in compiled
+    assert run(folder) == [value, []]
+
+
+@pytest.mark.slow
+def test_processes_may_start_at_once(tmp_path):
+    folder = tmp_path / "cache"
+    results = [finish(process) for process in [start(folder) for _ in range(3)]]
+    assert len({value for value, _ in results}) == 1
+    assert not [name for name in entries(folder) if name.startswith(".building")]
+    assert run(folder)[1] == []
+
+
+def test_a_folder_open_to_others_is_refused(tmp_path, monkeypatch):
+    folder = tmp_path / "shared"
+    folder.mkdir()
+    folder.chmod(0o755)  # whatever the umask
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(folder))
+    with pytest.raises(GenerationError, match=r"mode 0755[\s\S]*chmod 700"):
+        cache_folder()
+    folder.chmod(0o700)
+    assert cache_folder() == folder
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(link))
+    with pytest.raises(GenerationError, match="not private"):
+        cache_folder()
+
+
+@pytest.mark.slow
+def test_every_damage_is_seen(warm):
+    """200 bits flipped and files cut short, anywhere in the cache."""
+    folder, _ = warm
+    random = np.random.default_rng(11)
+    whole = [entry for entry in sorted(folder.iterdir()) if _intact(entry)]
+    files = [path for entry in whole for path in sorted(entry.rglob("*"))
+             if path.is_file() and path.suffix != ".pyc"]  # fmt: skip
+    for trial in range(200):
+        path = files[int(random.integers(len(files)))]
+        entry, data = folder / path.relative_to(folder).parts[0], path.read_bytes()
+        where = int(random.integers(len(data)))
+        damaged = bytearray(data)
+        damaged[where] ^= 1 << int(random.integers(8))
+        path.write_bytes(data[:where] if trial % 4 == 0 else damaged)
+        assert not _intact(entry), path
+        path.write_bytes(data)
+        assert _intact(entry)
