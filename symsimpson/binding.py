@@ -32,7 +32,12 @@ MATH = (
     "exp", "log", "sqrt", "erf", "erfc",
 )  # fmt: skip
 #: What a kernel calls to tell whether an iteration is done.
-_JUDGES = ("judge", "question", "judge_stages", "question_stages")
+_CHECKS = (
+    "check_convergence",
+    "check_acceptance",
+    "check_stage_convergence",
+    "check_stage_acceptance",
+)
 
 
 def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
@@ -75,17 +80,17 @@ def plain_arithmetic(
 ) -> dict[str, Any]:
     """Give the names that a module takes from its arithmetic; one function may stand for all.
 
-    With a number of digits the kernels judge their iterations, by thresholds for so many.
+    With a number of digits the kernels check their iterations, by thresholds for so many.
     """
     named = dict.fromkeys([*MATH, "atan2"], functions) if callable(functions) else functions
 
     def nothing(W: Any, lane: int) -> None:
         """Leave it to the caller when to stop."""
 
-    judging: dict[str, Any] = dict.fromkeys(_JUDGES, nothing)
+    checking: dict[str, Any] = dict.fromkeys(_CHECKS, nothing)
     if digits is not None:
         unit = real(10) ** -digits
-        judging = {
+        checking = {
             "NEGLIGIBLE": 4 * unit**2,
             "STAGNATION": unit,
             "LOST": unit**2,
@@ -93,7 +98,7 @@ def plain_arithmetic(
         }
     return {
         "pi": math.pi,
-        **judging,
+        **checking,
         **named,
         "real": real,
         "array": np.array,
@@ -117,7 +122,9 @@ def bind_complex(source: str) -> SimpleNamespace:
     return bind(source, plain_arithmetic(functions, float))
 
 
-def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False) -> SimpleNamespace:
+def bind_mpmath(
+    source: str, context: Any = mpmath.mp, *, checking: bool = False
+) -> SimpleNamespace:
     """Bind to mpmath at a context's working precision, in which the kernels must be called too."""
     nan, not_real = context.nan, (context.mpc, complex)
 
@@ -145,11 +152,11 @@ def bind_mpmath(source: str, context: Any = mpmath.mp, *, judging: bool = False)
     functions["power"] = real_valued(lambda a, b: a**b)
     functions["divide"] = divide
     functions |= _tables(context.mpf, context.dps)
-    digits = context.dps if judging else None
+    digits = context.dps if checking else None
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
 
 
-def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
+def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
     """Bind to the balls of python-flint, at the working precision of ``flint.ctx``."""
     from flint import arb, ctx
 
@@ -164,9 +171,9 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
     functions["power"] = _power
     functions |= _tables(arb, ctx.dps)
 
-    def judged(function: Callable[..., Any]) -> Callable[..., Any]:
-        """Let judges see midpoints: no ball of rounding errors is smaller than another."""
-        if function.__name__ not in _JUDGES:
+    def checked(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Let checks see midpoints: no ball of rounding errors is smaller than another."""
+        if function.__name__ not in _CHECKS:
             return function
 
         def on_midpoints(W: Any, lane: int) -> None:
@@ -176,8 +183,8 @@ def bind_arb(source: str, *, judging: bool = False) -> SimpleNamespace:
 
         return on_midpoints
 
-    arithmetic = plain_arithmetic(functions, arb, ctx.dps if judging else None)
-    return bind(source, arithmetic | {"compiled": judged})
+    arithmetic = plain_arithmetic(functions, arb, ctx.dps if checking else None)
+    return bind(source, arithmetic | {"compiled": checked})
 
 
 def _tables(real: Callable[..., Any], digits: int) -> dict[str, Any]:

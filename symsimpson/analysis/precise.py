@@ -97,7 +97,7 @@ class Precise:
             run = self._begun(z, h)
             for _ in range(8):
                 self._iterate(run)
-            rows = run.rows("INCREMENT", self.stepper._facts.degree * self.n)
+            rows = run.rows("INCREMENT", self.stepper._header.degree * self.n)
             solution = self._numbers.result(rows.copy())
             step = self.small * max(map(abs, solution))
             worst = 0.0
@@ -116,7 +116,7 @@ class Precise:
         values = stepper._values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
         run = Run(
-            stepper._facts, stepper._kernels, numbers, values, step, 0 * step, 0, 1, ("newton",)
+            stepper._header, stepper._kernels, numbers, values, step, 0 * step, 0, 1, ("newton",)
         )  # fmt: skip
         run.begin(start[: self.n], start[self.n :], velocity=False)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
@@ -124,7 +124,9 @@ class Precise:
 
     def _iterate(self, run: Run) -> None:
         run.rows("ACTIVE", 1)[:] = self._numbers.read(1.0)
-        self._numbers.driver("call")(self.stepper._kernels.newton[2], run.h, 0 * run.h, run.W)
+        self._numbers.driver("call")(
+            self.stepper._kernels.address("newton"), run.h, 0 * run.h, run.W
+        )
 
     def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:
         point = np.array([self.context.convert(x) for x in z], dtype=object)

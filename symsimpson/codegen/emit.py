@@ -28,13 +28,11 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.interface import INTERFACE, SIGNATURE
 from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["INTERFACE", "emit"]
-
-#: Number of the agreement between emitted modules and the runtime that drives them.
-INTERFACE = 7
+__all__ = ["emit"]
 
 #: Lists of more integers than this are arrays.
 _LONG = 16
@@ -42,7 +40,7 @@ _LONG = 16
 _LARGE = 10**6
 
 
-#: Constants of the library functions that judge an iteration and a step.
+#: Constants of the library functions that check_convergence an iteration and a step.
 _THRESHOLDS = """\
 # when Newton's method is done, and in doubt; relative sizes, squared
 INFINITE = real("inf")
@@ -51,7 +49,7 @@ QUADRATIC = 1e-2  # from here on corrections shrink quadratically
 STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
 FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
-SPREAD = 0.5  # where M of cyclic coordinates changes by more, a step is held against finer ones
+LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
 """
 #: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
@@ -101,7 +99,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         part
         for part in (
             _imports(printer.used, arrays="array(" in tables or "stage_table(" in made),
-            _facts(equations, module),
+            _header(equations, module),
             _layout(module),
         )
         if part
@@ -125,7 +123,7 @@ def _imports(used: Iterable[str], *, arrays: bool) -> str:
     return first + "from numba import carray, njit\n" + second + "\nreal = float\n"
 
 
-def _facts(equations: DiscreteEquations, module: Module) -> str:
+def _header(equations: DiscreteEquations, module: Module) -> str:
     system, scheme, names = equations.system, equations.scheme, module.names
     signs = [
         next((s for s in ("positive", "negative") if getattr(a, f"is_{s}")), "")
@@ -150,7 +148,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> str:
     return "\n".join(
         [
             *lines,
-            'SIGNATURE = "void(float64, float64, CPointer(float64))"',
+            f'SIGNATURE = "{SIGNATURE}"',
             '# contract and nsz keep NaN checks and compensated sums; "fast" would delete both',
             'OPTIONS = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}',
             "",

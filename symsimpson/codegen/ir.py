@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from symsimpson.codegen.names import NameTable
+from symsimpson.interface import BLOCKS
 
 __all__ = [
     "Assign",
@@ -33,6 +34,9 @@ class Row:
 
     block: str
     index: int | str
+
+    def __post_init__(self) -> None:
+        assert self.block in BLOCKS, self.block
 
     def __str__(self) -> str:
         return f"W[{self.block} + {self.index}, lane]" if self.index else f"W[{self.block}, lane]"

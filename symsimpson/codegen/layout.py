@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from symsimpson.codegen.names import BLOCKS
 from symsimpson.codegen.storage import Storage
+from symsimpson.interface import BLOCKS
 
 __all__ = ["layout"]
 
@@ -32,7 +32,9 @@ def layout(
         "PREVIOUS": 4 * n + unknowns,
         "SOLVED": unknowns,
         "VELOCITY": n,
-        **dict.fromkeys(("NODE_POSITION", "NODE_VELOCITY", "NODE_L_Q", "NODE_L_V", "METRIC"), n),
+        **dict.fromkeys(
+            ("NODE_POSITION", "NODE_VELOCITY", "NODE_L_Q", "NODE_L_V", "MASS_DIAGONAL"), n
+        ),
         **dict.fromkeys(("NODE_L_QQ", "NODE_L_QV", "NODE_L_VV"), storage.node_size),
         "MASS": storage.node_size if constant_mass else 0,
         "RESIDUAL": unknowns,

@@ -39,7 +39,9 @@ class Lowering:
         self.p_low = self._base(
             [f"p_{q}_low" for q in coordinates], "MOMENTUM_LOW", Level.ITERATION
         )
-        self.metric = self._base([f"metric_{q}" for q in coordinates], "METRIC", Level.STEP)
+        self.mass_diagonal = self._base(
+            [f"mass_{q}" for q in coordinates], "MASS_DIAGONAL", Level.STEP
+        )
         self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
         self.increments = [
             self._base(

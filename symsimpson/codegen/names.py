@@ -11,24 +11,10 @@ from functools import cache
 import sympy as sp
 
 from symsimpson.codegen.library import library_sources
+from symsimpson.interface import BLOCKS, KERNELS
 from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["NameTable"]
-
-#: Blocks of rows of the workspace, in their order; see :mod:`symsimpson.codegen.layout`.
-BLOCKS = (
-    "ACTIVE", "CORRECTION_SQUARED", "INCREMENT_SQUARED", "MISMATCH_SQUARED", "SURPRISE_SQUARED",
-    "CYCLIC_MISMATCH_SQUARED", "CYCLIC_SPREAD", "MASS_PIVOT", "ENERGY", "KINETIC", "STATUS",
-    "RELATIVE", "CONTRACTION", "SCALE", "IN_DOUBT", "ITERATIONS", "COUNT",
-    "POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
-    "PREVIOUS", "SOLVED",
-    "VELOCITY", "PARAMETER", "INVARIANT", "HOISTED", "NODE_POSITION", "NODE_VELOCITY",
-    "NODE_L_Q", "NODE_L_V",
-    "NODE_L_QQ", "NODE_L_QV", "NODE_L_VV", "MASS", "METRIC", "COEFFICIENT",
-    "STAGE_V", "STAGE_F", "STAGE_STEP", "STAGE_RATE", "STAGE_MU", "STAGE_NU", "STAGE_AHEAD",
-    "STAGE_CORRECTION", "STAGE_SIZE", "STAGE_HELD", "STAGE_EXPECTED", "STAGE_COUNT",
-    "RESIDUAL", "JACOBIAN",
-)  # fmt: skip
 
 #: What an emitted module defines or imports; no symbol may take these names.
 RESERVED = frozenset(BLOCKS) | frozenset(
@@ -76,7 +62,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "STAGNATION",
         "FAR",
         "UNRESOLVED",
-        "SPREAD",
+        "LARGE_CHANGE",
         "SYSTEM",
         "SCHEME",
         "DIGEST",
@@ -133,20 +119,14 @@ RESERVED = frozenset(BLOCKS) | frozenset(
 )
 
 
-#: Functions that a module may define.
-KERNELS = frozenset(
-    [
-        "prepare", "start", "legendre", "newton", "advance", "energy", "invariants", "equations",
-        "newton_pivoted", "start_stages", "iterate", "advance_stages", "jet", "forces", "gradient",
-        "mass", "potential",
-    ]
-)  # fmt: skip
+#: Functions that loops over nodes call.
+NODE_FUNCTIONS = frozenset(["jet", "forces", "gradient", "mass", "potential"])
 
 
 @cache
 def library_names() -> frozenset[str]:
     """Give the names of functions of the module."""
-    return KERNELS | frozenset(library_sources())
+    return NODE_FUNCTIONS | frozenset(KERNELS) | frozenset(library_sources())
 
 
 def _written_out(name: str) -> str:

@@ -118,7 +118,7 @@ class RouthSolver:
             for a in self._part.cyclic
         }
 
-    def mismatch(self, end: Point, slopes: Mapping[int, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
+    def velocity_jump(self, end: Point, slopes: Mapping[int, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
         """Give h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
 
         Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
@@ -135,14 +135,14 @@ class RouthSolver:
             D_inverse, x = closing.D_inverse, self._left(closing, slopes)
             seen += [closing, self._factors(low.start_point(), START)]
         terms = [D_inverse[k] * x[k] ** 2 for k in self._size]
-        value = define("cyclic_mismatch_squared", low.equations.h**2 * sp.Add(*terms), "predictor")
+        value = define("cyclic_jump_squared", low.equations.h**2 * sp.Add(*terms), "predictor")
         products = [
             sp.Mul(sp.Add(*(n.D[k] for n in seen)), sp.Add(*(n.D_inverse[k] for n in seen)))
             for k in self._size
             if low.graph.level(seen[0].D[k]) > Level.RUN
         ]
         spread = sp.Add(*products) - len(seen) ** 2 * len(products)
-        return value, define("cyclic_spread", spread / len(seen) ** 2, "predictor")
+        return value, define("cyclic_mass_change", spread / len(seen) ** 2, "predictor")
 
     def _left(self, end: _Node, slopes: Mapping[int, sp.Expr]) -> Vector:
         """Give L^-1 (L_vy - p) at the end of the path, where no node stands."""

@@ -160,10 +160,10 @@ class StageKernels:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
         found, _ = velocity(low, point, p, "velocities", suffix="new")
-        metric = [entry(point, "velocities", "M", a, a) for a in range(n)]
+        masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [define(f"dq_{names[a]}_new", self._share * found[a], "velocities") for a in range(n)]
-        correction = sp.Add(*(metric[a] * (new[a] - self._own[a]) ** 2 for a in range(n)))
-        size = sp.Add(*(metric[a] * new[a] ** 2 for a in range(n)))
+        correction = sp.Add(*(masses[a] * (new[a] - self._own[a]) ** 2 for a in range(n)))
+        size = sp.Add(*(masses[a] * new[a] ** 2 for a in range(n)))
         closing = [
             Store(Row("STAGE_CORRECTION", "node"), define("correction", correction, "velocities")),
             Store(Row("STAGE_SIZE", "node"), define("size", size, "velocities")),
@@ -181,7 +181,7 @@ class StageKernels:
         body = [
             *self._over_nodes(opening),
             *self._over_nodes(ending),
-            Call("judge_stages", HERE),
+            Call("check_stage_convergence", HERE),
         ]
         operations = sum(
             count_operations(low.graph.definitions[s].value)
@@ -209,7 +209,9 @@ class StageKernels:
         v, deficit = velocity(low, point, low.p, "velocity")
         stores = [Store(Row("VELOCITY", a), v[a]) for a in range(low.n)]
         for a in range(low.n):
-            stores.append(Store(Row("METRIC", a), low.template.entry(point, "velocity", "M", a, a)))
+            stores.append(
+                Store(Row("MASS_DIAGONAL", a), low.template.entry(point, "velocity", "M", a, a))
+            )
         stores.append(Store(Row("MASS_PIVOT", 0), deficit))
         stores += [Store(Row(f"STAGE_{name}", 0), sp.S.Zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
@@ -247,7 +249,7 @@ class StageKernels:
             stores += [Store(Row("MOMENTUM", a), new), Store(Row("MOMENTUM_LOW", a), rest)]
         cyclic = [a for a in range(n) if a not in self._forced]
         if cyclic:
-            stores.append(Store(Row("CYCLIC_MISMATCH_SQUARED", 0), self._mismatch(q, p, cyclic)))
+            stores.append(Store(Row("CYCLIC_JUMP_SQUARED", 0), self._cyclic_jump(q, p, cyclic)))
         ahead = self._ahead()
         levels = (*FIRST, Level.LATE)
         closing = low.statements(stores, levels)
@@ -256,11 +258,11 @@ class StageKernels:
         smooth = Index(
             "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
         )
-        body = [*closing, smooth, Call("question_stages", HERE), *following]
+        body = [*closing, smooth, Call("check_stage_acceptance", HERE), *following]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))
 
-    def _mismatch(
+    def _cyclic_jump(
         self, q: Sequence[sp.Expr], p: Sequence[sp.Expr], cyclic: Sequence[int]
     ) -> sp.Expr:
         """Give how far velocities of cyclic coordinates at q1 are from those of the path."""
@@ -278,7 +280,7 @@ class StageKernels:
             path = sp.Add(*(w * x for w, x in zip(weights, self._moves[a], strict=True)))
             gap = define(f"gap_{low.names.coordinates[a]}", low.equations.h * v[a] - path, section)
             terms.append(low.template.entry(end, section, "M", a, a) * gap**2)
-        return define("cyclic_mismatch_squared", sp.Add(*terms), section)
+        return define("cyclic_jump_squared", sp.Add(*terms), section)
 
     def _ahead(self) -> list[Store]:
         """Extrapolate velocities to the nodes of the next step; forces follow from them."""

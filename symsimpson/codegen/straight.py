@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 #: What ends an iteration, and a step.
-JUDGE, QUESTION = Call("judge", ("W", "lane")), Call("question", ("W", "lane"))
+JUDGE, QUESTION = Call("check_convergence", ("W", "lane")), Call("check_acceptance", ("W", "lane"))
 #: Levels that a kernel computes which is called on a bare state (q, p).
 STATE = (Level.STEP, Level.ITERATION)
 
@@ -156,8 +156,8 @@ def _update(
         named = define(f"{names[a]}_X{m}_new", value, "update")
         row = Row("INCREMENT", (m - 1) * low.n + a)
         stores.append(Store(row, named, keep=low.increments[m - 1][a]))
-        squares.append(low.metric[a] * changes[m, a] ** 2)
-        increments.append(low.metric[a] * named**2)
+        squares.append(low.mass_diagonal[a] * changes[m, a] ** 2)
+        increments.append(low.mass_diagonal[a] * named**2)
     for block, terms in (
         ("CORRECTION_SQUARED", squares),
         ("INCREMENT_SQUARED", increments),
@@ -186,7 +186,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         if isinstance(solver, RouthSolver):
             moved(solver.cyclic_increments())
     momentum = tuple(p[a][0] if a in p else low.p[a] for a in range(low.n))
-    stores, metric = _predicted(low, solvers, end, momentum) if every else ([], {})
+    stores, masses = _predicted(low, solvers, end, momentum) if every else ([], {})
     for block, old, values in (
         ("POSITION", low.q, {a: new for a, (new, _) in q.items()}),
         ("POSITION_LOW", low.q_low, {a: rest for a, (_, rest) in q.items()}),
@@ -196,7 +196,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         stores += [Store(Row(block, a), values[a], keep=old[a]) for a in sorted(values)]
     low.statements(stores, (Level.ITERATION,))  # finds out what else must be kept for a step
     to = dict(zip((*low.q, *low.p), (*end.q, *momentum), strict=True))
-    to |= {low.metric[a]: value for a, value in metric.items()}
+    to |= {low.mass_diagonal[a]: value for a, value in masses.items()}
     for symbol, row in low.hoisted_at(Level.STEP):
         following = low.moved(symbol, to)
         if following != symbol:  # it is made of constant momenta alone
@@ -212,15 +212,15 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
 def _predicted(
     low: Lowering, solvers: Sequence[Solver], end: Point, momentum: tuple[sp.Expr, ...]
 ) -> tuple[list[Store], dict[int, sp.Expr]]:
-    """Predict the next increments; keep what the driver needs to judge the step or take it back."""
+    """Predict the next increments; keep what is needed to accept the step or take it back."""
     eqs, define, n = low.equations, low.graph.define, low.n
     scheme, names, d = eqs.scheme, low.names.coordinates, eqs.scheme.degree
     every = solved(solvers)
     state = (*low.q, *low.q_low, *low.p, *low.p_low)
     stores = [Store(Row("PREVIOUS", i), old) for i, old in enumerate(state)]
     section = "predictor"
-    metric: dict[int, sp.Expr] = {}
-    mismatch: list[sp.Expr] = []
+    masses: dict[int, sp.Expr] = {}
+    jump: list[sp.Expr] = []
     cyclic: list[tuple[sp.Expr, sp.Expr]] = []
     following: dict[tuple[int, int], sp.Expr] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
@@ -230,21 +230,21 @@ def _predicted(
         slopes: dict[int, sp.Expr] = {}
         if isinstance(part, Routh) and solver.unknowns:
             for a in part.cyclic:
-                metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
+                masses[a] = low.template.entry(end, "velocity at q1", "M", a, a)
         for a in group:
-            metric[a] = low.template.entry(end, "velocity at q1", "M", a, a)
+            masses[a] = low.template.entry(end, "velocity at q1", "M", a, a)
             slope = sp.Add(*(scheme.end_slope[j] * path[a][j] for j in range(d)))
             slopes[a] = slope / eqs.h
             bend = define(f"bend_{names[a]}", eqs.h * v[a] - slope, section)
-            mismatch.append(metric[a] * bend**2)
+            jump.append(masses[a] * bend**2)
             for k in sorted(m for m, b in every if b == a):
                 terms = [scheme.extrapolation[k - 1][j] * path[a][j] for j in range(d)]
                 value = sp.Add(scheme.correction[k - 1] * bend, *terms)
                 following[k, a] = define(f"{names[a]}_X{k}_next", value, section)
         if isinstance(solver, RouthSolver) and solver.unknowns:
-            cyclic.append(solver.mismatch(end, slopes))
-    surprise = [
-        low.metric[a] * (low.increments[m - 1][a] - low.predicted[m - 1][a]) ** 2
+            cyclic.append(solver.velocity_jump(end, slopes))
+    error = [
+        low.mass_diagonal[a] * (low.increments[m - 1][a] - low.predicted[m - 1][a]) ** 2
         for m, a in every
     ]  # fmt: skip
     for m, a in sorted(every):
@@ -254,14 +254,14 @@ def _predicted(
         stores.append(Store(Row("SOLVED", place), old))
         stores.append(Store(Row("INCREMENT", place), value, keep=old))
         stores.append(Store(Row("PREDICTED", place), value, keep=guess))
-    stores += [Store(Row("METRIC", a), metric[a], keep=low.metric[a]) for a in metric]
-    measured = {"mismatch_squared": mismatch, "surprise_squared": surprise}
+    stores += [Store(Row("MASS_DIAGONAL", a), masses[a], keep=low.mass_diagonal[a]) for a in masses]
+    measured = {"velocity_jump_squared": jump, "prediction_error_squared": error}
     if cyclic:
-        measured["cyclic_mismatch_squared"] = [squared for squared, _ in cyclic]
-        measured["cyclic_spread"] = [spread for _, spread in cyclic]
+        measured["cyclic_jump_squared"] = [squared for squared, _ in cyclic]
+        measured["cyclic_mass_change"] = [spread for _, spread in cyclic]
     for name, terms in measured.items():
         stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
-    return stores, metric
+    return stores, masses
 
 
 def _mass_order(part: Part) -> tuple[int, ...]:
@@ -281,9 +281,9 @@ def _start(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     stores = [Store(row, symbol) for symbol, row in low.hoisted_at(Level.STEP)]
     for a, name in enumerate(low.names.coordinates):
         stores.append(Store(Row("VELOCITY", a), v[a]))
-        metric = low.template.entry(point, section, "M", a, a)
+        masses = low.template.entry(point, section, "M", a, a)
         if any(b == a for _, b in every):
-            stores.append(Store(Row("METRIC", a), metric))
+            stores.append(Store(Row("MASS_DIAGONAL", a), masses))
         for k in range(1, eqs.scheme.degree + 1):
             if (k, a) in every:
                 increment = eqs.scheme.points[k] * eqs.h * v[a]

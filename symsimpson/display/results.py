@@ -38,8 +38,8 @@ def stepper(one: Stepper) -> str:
     solved = "explicit, or one matrix for all"
     if found.unknowns:
         solved = "Newton's method with the exact Jacobian"
-        if one._facts.by_stages:
-            solved = f"iterated over {one._facts.layout['NODES']} stages; else {solved}"
+        if one._header.by_stages:
+            solved = f"iterated over {one._header.layout['NODES']} stages; else {solved}"
     lines = one.source.count("\n")
     return box(
         f"Stepper of {one.system}",
@@ -52,7 +52,7 @@ def stepper(one: Stepper) -> str:
             ("Newton unknowns", found.unknowns or "none"),
             ("operations", counted),
             ("module", f"{lines} lines; print(stepper.source) shows them"),
-            ("compiled code", one._kernels.whereabouts),
+            ("compiled code", one._kernels.location),
         ]),
     )  # fmt: skip
 

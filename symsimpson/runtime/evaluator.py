@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.derivation import Derivation
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, read_number, read_parameters, read_vector
-from symsimpson.runtime.kernels.module import Facts, Kernels, equations_of, read_facts
+from symsimpson.runtime.kernels.compiled import Kernels
+from symsimpson.runtime.kernels.header import Header, equations_of, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.runs.run import Run, workspace
@@ -41,23 +42,23 @@ class Evaluator:
         declared: Any = None,
         derivation: Derivation | None = None,
     ) -> None:
-        facts = read_facts(source, where)
+        header = read_header(source, where)
         self.source, self._where = source, where
-        self._facts: Facts = facts
+        self._header: Header = header
         self._numbers = numbers
-        self._kernels = numbers.kernels(source, facts)
-        self.system, self.scheme, self.order = facts.system, facts.scheme, facts.order
-        self.coordinates, self.parameters = facts.coordinates, facts.parameters
-        self.invariants, self.reference_state = facts.invariants, reference_state
+        self._kernels = numbers.kernels(source, header)
+        self.system, self.scheme, self.order = header.system, header.scheme, header.order
+        self.coordinates, self.parameters = header.coordinates, header.parameters
+        self.invariants, self.reference_state = header.invariants, reference_state
         self._declared, self._derivation = declared, derivation
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
-        self._coordinate_names = {name: i for i, name in enumerate(facts.coordinates)}
+        self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
         if declared is not None:
             users = {q.func.__name__: i for i, q in enumerate(declared.coordinates)}
             self._coordinate_names |= users
-        self._aliases = {name: i for i, name in enumerate(facts.parameters)}
-        self._defaults = numbers.read(facts.defaults)
+        self._aliases = {name: i for i, name in enumerate(header.parameters)}
+        self._defaults = numbers.read(header.defaults)
         self._given = defaults
         if defaults is not None:
             self._aliases |= {name: i for i, name in enumerate(defaults)}
@@ -66,7 +67,7 @@ class Evaluator:
     @property
     def n(self) -> int:
         """Number of coordinates."""
-        return self._facts.n
+        return self._header.n
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.reference_state
@@ -156,9 +157,9 @@ class Evaluator:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
 
     def _values(self, given: Parameters | None) -> Reals:
-        facts = self._facts
+        header = self._header
         return read_parameters(
-            self.parameters, self._aliases, facts.signs, self._defaults, given, self._numbers
+            self.parameters, self._aliases, header.signs, self._defaults, given, self._numbers
         )
 
 
@@ -166,9 +167,9 @@ def evaluate(
     stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
 ) -> Reals:
     """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-    facts, numbers = stepper._facts, stepper._numbers
+    header, numbers = stepper._header, stepper._numbers
     with numbers.working():
-        W = workspace(facts, numbers, numbers.read(values))
+        W = workspace(header, numbers, numbers.read(values))
         return evaluate_in(W, stepper, kernel, block, count, q, p)
 
 
@@ -197,14 +198,14 @@ def evaluate_in(
     Fast sines have no value for huge angles: there the library's are taken.
     """
     numbers, kernels = stepper._numbers, stepper._kernels
-    place = stepper._facts.layout[block], count
+    place = stepper._header.layout[block], count
 
     def values(q: Reals, p: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
         return _evaluated(stepper, W, (0, address), place, numbers.zeros(len(q)), q, p)
 
     found = values(q, p, any_angle=False)
-    if stepper._facts.fast_sines and not numbers.all_finite(found):
+    if stepper._header.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
@@ -222,17 +223,17 @@ def watching(
     InputError
         If the stepper has many digits.
     """
-    facts, numbers, kernels = stepper._facts, stepper._numbers, stepper._kernels
+    header, numbers, kernels = stepper._header, stepper._numbers, stepper._kernels
     if not isinstance(kernels, Kernels):
         raise InputError(
             "expressions are evaluated in double precision, and this stepper has many digits.\n"
             "Compile without precision."
         )
-    kernel = kernels.observing(observing_kernel(facts, found), len(found))
+    kernel = kernels.observing(observing_kernel(header, found), len(found))
     energy = kernels.address("energy") if any(one.energetic for one in found) else 0
-    W = workspace(facts, numbers, numbers.read(values), more=len(found))
+    W = workspace(header, numbers, numbers.read(values), more=len(found))
     return lambda t, q, p: _evaluated(
-        stepper, W, (energy, kernel), (facts.rows, len(found)), t, q, p
+        stepper, W, (energy, kernel), (header.rows, len(found)), t, q, p
     )  # fmt: skip
 
 
@@ -245,7 +246,7 @@ def _evaluated(
     out = numbers.zeros((len(q), count))
     numbers.driver("evaluate")(
         stepper._kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
-        stepper._facts.places, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
+        stepper._header.told, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
     )  # fmt: skip
     return numbers.result(out)
 
@@ -277,9 +278,9 @@ def evaluate_equations(
     given: Mapping[Any, Any] | None,
 ) -> tuple[Reals, Reals]:
     """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
-    facts, n, numbers = stepper._facts, stepper.n, stepper._numbers
-    d = facts.degree
-    if "equations" not in facts.functions:
+    header, n, numbers = stepper._header, stepper.n, stepper._numbers
+    d = header.degree
+    if "equations" not in header.functions:
         raise InputError(
             f"{stepper.scheme} is explicit: a step has no equations to evaluate.\n"
             "Ask a stepper of another scheme, as 'simpson'."
@@ -295,14 +296,14 @@ def evaluate_equations(
                 "Pass the inner control points and q1, one row each."
             )
         kernels = stepper._kernels
-        run = Run(facts, kernels, numbers, stepper._values(given), h, h * 0, 0, 1)
+        run = Run(header, kernels, numbers, stepper._values(given), h, h * 0, 0, 1)
         run.rows("POSITION", n)[:] = q
         run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         numbers.driver("evaluate")(
-            kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, facts.places,
-            numbers.zeros(1), q[None, :], p[None, :], facts.layout["RESIDUAL"],
+            kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, header.told,
+            numbers.zeros(1), q[None, :], p[None, :], header.layout["RESIDUAL"],
             numbers.zeros((1, 0)),
         )  # fmt: skip
-        residual, jacobian = map(numbers.result, equations_of(facts, run))
+        residual, jacobian = map(numbers.result, equations_of(header, run))
     return residual.ravel(), jacobian.reshape(d * n, d * n)

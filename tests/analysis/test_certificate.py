@@ -135,7 +135,7 @@ def stepper_of(text):
 
 def once():
     """A stepper that takes a single Newton iteration a step."""
-    return rewritten(ss.compile(PENDULUM), "NEGLIGIBLE = 2.0**-106", 'NEGLIGIBLE = real("inf")')
+    return rewritten(ss.compile(PENDULUM), {"NEGLIGIBLE": 'real("inf")'})
 
 
 def rounded_table():

@@ -52,14 +52,14 @@ def test_loops_and_straight_lines_agree(system, scheme, members, exploit, monkey
         assert W[module.MASS_PIVOT, 0] == 0
         for _ in range(10):
             take_step(module, W, 0.02)
-        measures = W[[module.MISMATCH_SQUARED, module.SURPRISE_SQUARED], 0]
+        measures = W[[module.VELOCITY_JUMP_SQUARED, module.PREDICTION_ERROR_SQUARED], 0]
         predicted = W[block(module, "PREDICTED", module.UNKNOWNS), 0]
-        metric = W[block(module, "METRIC", system.n), 0]
+        masses = W[block(module, "MASS_DIAGONAL", system.n), 0]
         module.energy(0.02, 0.0, W)
         velocity = W[block(module, "VELOCITY", system.n), 0]
         assert np.abs(velocity).min() > 0
         energies = W[[module.KINETIC, module.ENERGY], 0]
-        results.append([*state(module, W), *velocity, *predicted, *metric, *measures, *energies])
+        results.append([*state(module, W), *velocity, *predicted, *masses, *measures, *energies])
     np.testing.assert_allclose(results[0], results[1], rtol=1e-11, atol=1e-12)
 
 
@@ -217,9 +217,12 @@ def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
         for _ in range(4):
             old = W[rows, 0].reshape(size)[solved]
             module.newton(h, 0, W)
-            new, metric = W[rows, 0].reshape(size)[solved], W[block(module, "METRIC", system.n), 0]
+            new, masses = (
+                W[rows, 0].reshape(size)[solved],
+                W[block(module, "MASS_DIAGONAL", system.n), 0],
+            )
             for name, values in (("CORRECTION_SQUARED", new - old), ("INCREMENT_SQUARED", new)):
-                exact = (metric * values**2).sum()
+                exact = (masses * values**2).sum()
                 assert abs(W[getattr(module, name), 0] - exact) <= 1e-50 * mp.sqrt(exact) + 1e-110
             sizes.append(mp.sqrt(W[module.CORRECTION_SQUARED, 0] / W[module.INCREMENT_SQUARED, 0]))
     assert all(after < before**2 + 1e-55 for before, after in pairwise(sizes))
@@ -229,28 +232,39 @@ def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
     ("measures", "doubt"),
     [
         ({}, 0),
-        ({"SURPRISE_SQUARED": 1.5}, 1),
-        ({"SURPRISE_SQUARED": 1.5, "SCALE": 0.0}, 0),  # the first step has nothing to compare with
-        ({"MISMATCH_SQUARED": 4.5}, 1),
-        ({"MISMATCH_SQUARED": 4.5, "INCREMENT_SQUARED": 1.5}, 0),
-        ({"CYCLIC_SPREAD": 0.6}, 3),
-        ({"CYCLIC_MISMATCH_SQUARED": 0.1}, 0),
-        ({"CYCLIC_MISMATCH_SQUARED": 0.15}, 2),
-        ({"CYCLIC_SPREAD": 0.6, "CYCLIC_MISMATCH_SQUARED": 1e30}, 2),
-        ({"SCALE": 0.0, "INCREMENT_SQUARED": 0.0, "SURPRISE_SQUARED": 0.0}, 0),  # all at rest
+        ({"PREDICTION_ERROR_SQUARED": 1.5}, 1),
+        (
+            {"PREDICTION_ERROR_SQUARED": 1.5, "LARGEST_SQUARED": 0.0},
+            0,
+        ),  # the first step has nothing to compare with
+        ({"VELOCITY_JUMP_SQUARED": 4.5}, 1),
+        ({"VELOCITY_JUMP_SQUARED": 4.5, "INCREMENT_SQUARED": 1.5}, 0),
+        ({"CYCLIC_MASS_CHANGE": 0.6}, 3),
+        ({"CYCLIC_JUMP_SQUARED": 0.1}, 0),
+        ({"CYCLIC_JUMP_SQUARED": 0.15}, 2),
+        ({"CYCLIC_MASS_CHANGE": 0.6, "CYCLIC_JUMP_SQUARED": 1e30}, 2),
+        (
+            {"LARGEST_SQUARED": 0.0, "INCREMENT_SQUARED": 0.0, "PREDICTION_ERROR_SQUARED": 0.0},
+            0,
+        ),  # all at rest
     ],
 )
 def test_what_is_in_doubt(measures, doubt):
     """Surprises, lost velocities and masses that change, one at a time."""
-    module = bind_mpmath(source(ss.systems.lagrange_top()), judging=True)
+    module = bind_mpmath(source(ss.systems.lagrange_top()), checking=True)
     W = np.zeros((module.ROWS, 1))
-    quiet = {"SCALE": 1.0, "INCREMENT_SQUARED": 0.5, "SURPRISE_SQUARED": 0.5, "ACTIVE": 1.0}
+    quiet = {
+        "LARGEST_SQUARED": 1.0,
+        "INCREMENT_SQUARED": 0.5,
+        "PREDICTION_ERROR_SQUARED": 0.5,
+        "ACTIVE": 1.0,
+    }
     for name, value in (quiet | measures).items():
         W[getattr(module, name), 0] = value
-    module.question(W, 0)
+    module.check_acceptance(W, 0)
     assert W[module.IN_DOUBT, 0] == doubt
-    known, increment = ((quiet | measures)[k] for k in ("SCALE", "INCREMENT_SQUARED"))
-    assert W[module.SCALE, 0] == (known if doubt == 1 else max(known, increment))
+    known, increment = ((quiet | measures)[k] for k in ("LARGEST_SQUARED", "INCREMENT_SQUARED"))
+    assert W[module.LARGEST_SQUARED, 0] == (known if doubt == 1 else max(known, increment))
 
 
 @pytest.mark.parametrize(
@@ -260,18 +274,18 @@ def test_what_is_in_doubt(measures, doubt):
 )  # fmt: skip
 def test_when_an_iteration_is_done(correction, increment, verdict):
     """By the second correction: that of a body at rest is none of nothing."""
-    module = bind_mpmath(source(ss.systems.pendulum()), judging=True)
+    module = bind_mpmath(source(ss.systems.pendulum()), checking=True)
     W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
     given = {"CORRECTION_SQUARED": correction, "INCREMENT_SQUARED": increment, "ACTIVE": 1,
              "RELATIVE": "1e-4", "CONTRACTION": 1}  # fmt: skip
     for name, value in given.items():
         W[getattr(module, name), 0] = mp.mpf(value)
-    module.judge(W, 0)
+    module.check_convergence(W, 0)
     assert W[module.ACTIVE, 0] == verdict
     assert W[module.ITERATIONS, 0] == 1
     if verdict == -3:
         assert W[module.RELATIVE, 0] == mp.mpf("1e-4")
-    module.judge(W, 0)
+    module.check_convergence(W, 0)
     assert W[module.ITERATIONS, 0] == 1 + (verdict == 1)
 
 
@@ -291,18 +305,18 @@ def test_when_an_iteration_is_done(correction, increment, verdict):
 def test_when_stages_are_done(correction, before, factor, seen, verdict):
     """By the largest of the factors of late; sizes are sums over the nodes."""
     with mp.workdps(15):
-        module = bind_mpmath(source(ss.systems.pendulum(), "gauss6"), judging=True)
+        module = bind_mpmath(source(ss.systems.pendulum(), "gauss6"), checking=True)
         W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
         given = {"ACTIVE": 1, "RELATIVE": before, "CONTRACTION": factor}
-        given["STAGE_EXPECTED"] = 2  # nothing is judged before
+        given["STAGE_EXPECTED"] = 2  # not checked before
         for name, value in given.items():
             W[getattr(module, name), 0] = mp.mpf(value)
         W[block(module, "STAGE_CORRECTION", 3), 0] = [mp.mpf(correction) * k for k in (1, 2, 1)]
         W[block(module, "STAGE_SIZE", 3), 0] = [mp.mpf(k) for k in (1, 1, 2)]
-        module.judge_stages(W, 0)
+        module.check_stage_convergence(W, 0)
         assert W[module.ACTIVE, 0] == 1
         assert W[module.RELATIVE, 0] == mp.mpf(before)
-        module.judge_stages(W, 0)
+        module.check_stage_convergence(W, 0)
         assert W[module.ACTIVE, 0] == verdict
         if seen is not None:
             assert abs(W[module.CONTRACTION, 0] / mp.mpf(seen) - 1) < 1e-12

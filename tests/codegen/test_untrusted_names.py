@@ -11,8 +11,9 @@ from workspace import begin, block, sweep, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float
-from symsimpson.codegen.names import BLOCKS, NameTable
+from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import source
+from symsimpson.interface import BLOCKS
 
 HOSTILE = [
     '__import__("os").system("touch CANARY")', "x\nimport os", "x; import os", 'a"b', "a'b",
@@ -80,7 +81,7 @@ def test_coordinate(name, expected, tmp_path, monkeypatch):
 
 def test_rows_of_the_workspace_are_no_names():
     (x,) = ss.coordinates("x")
-    rows = sp.symbols(BLOCKS)
+    rows = sp.symbols(tuple(BLOCKS))
     system = ss.MechanicalSystem(
         "rows", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.Add(*rows) * x**2,
         parameters=dict.fromkeys(rows, 1.0),

@@ -124,7 +124,7 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     stepper = ss.compile(system, scheme)
     state = system.reference_state
     runs = [
-        Run(stepper._facts, stepper._kernels, FLOAT64, stepper._defaults, h, 0.0, 1, 401)
+        Run(stepper._header, stepper._kernels, FLOAT64, stepper._defaults, h, 0.0, 1, 401)
         for _ in range(2)
     ]
     for run in runs:
@@ -139,26 +139,26 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     assert (runs[0].iterations == runs[1].iterations).all()
 
 
-def test_stopping_leaves_no_trace_where_steps_are_mended(monkeypatch):
+def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
     stepper = ss.compile(PENDULUM)
     values = stepper._values(SHORT)
-    mended = []
+    recovered = []
 
     def counted(name, original=driver):
-        if name == "mend":
-            mended.append(name)
+        if name == "recover":
+            recovered.append(name)
         return original(name)
 
     monkeypatch.setattr("symsimpson.runtime.kernels.numbers.driver", counted)
     runs = [
-        Run(stepper._facts, stepper._kernels, FLOAT64, values, 0.1, 0.0, 1, 41) for _ in range(2)
+        Run(stepper._header, stepper._kernels, FLOAT64, values, 0.1, 0.0, 1, 41) for _ in range(2)
     ]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)
     runs[0].advance(40)
     for stop in range(1, 41):
         runs[1].advance(stop)
-    assert len(mended) >= 4
+    assert len(recovered) >= 4
     assert (runs[0].W == runs[1].W).all()
     assert (runs[0].q == runs[1].q).all()
 
@@ -189,8 +189,8 @@ def test_every_status_is_told():
 
 
 BLOCKS = ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
-          "PREVIOUS", "SOLVED", "VELOCITY", "PARAMETER", "HOISTED", "METRIC", "SCALE",
-          "NODE_L_Q", "RESIDUAL", "JACOBIAN", "STAGE_V", "STAGE_F")  # fmt: skip
+          "PREVIOUS", "SOLVED", "VELOCITY", "PARAMETER", "HOISTED", "MASS_DIAGONAL",
+          "LARGEST_SQUARED", "NODE_L_Q", "RESIDUAL", "JACOBIAN", "STAGE_V", "STAGE_F")  # fmt: skip
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "gauss8"]))
@@ -206,9 +206,9 @@ def test_injected_nan_and_infinity(scheme):
         begin_run(stepper, run, **{"v0": None, "p0": None} | start)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
-        if block not in stepper._facts.layout:
+        if block not in stepper._header.layout:
             block = "POSITION"
-        row = stepper._facts.layout[block] + int(random.integers(2))
+        row = stepper._header.layout[block] + int(random.integers(2))
         run.W[row, 0] = (np.nan, np.inf, -np.inf)[trial % 3]
         run.advance(60)
         if run.alive:

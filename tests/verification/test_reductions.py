@@ -156,7 +156,7 @@ def test_how_much_cyclic_masses_change(scheme):
     mass = np.sin([q[1], middle, end]) ** 2
     spread = mass.mean() * (1 / mass).mean() - 1
     assert spread > 1e-6
-    assert W[module.CYCLIC_SPREAD, 0] == pytest.approx(spread, rel=1e-6)
+    assert W[module.CYCLIC_MASS_CHANGE, 0] == pytest.approx(spread, rel=1e-6)
 
 
 @pytest.mark.parametrize("scheme", ["simpson", "gauss4", "gauss_3_2"])
@@ -168,7 +168,7 @@ def test_how_far_cyclic_velocities_are_from_a_path(scheme):
     for h in (0.02, 0.01, 0.005):
         W = begin(module, [0.2, 0.7, 0.1], [0.03, -0.002, 0.04], system.parameters.values(), h)
         take_step(module, W, h)
-        found.append(W[module.CYCLIC_MISMATCH_SQUARED, 0])
+        found.append(W[module.CYCLIC_JUMP_SQUARED, 0])
     assert 5.9 < np.log2(found[0] / found[1]) < 6.2
     assert 5.9 < np.log2(found[1] / found[2]) < 6.2
 

@@ -15,7 +15,7 @@ __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
 FILES = (
-    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "composed", "judge", "stages",
+    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "composed", "checks", "stages",
     "collocation",
 )  # fmt: skip
 

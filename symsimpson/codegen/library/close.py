@@ -18,7 +18,7 @@ INCREMENT: int
 VELOCITY: int
 NODE_VELOCITY: int
 NODE_L_Q: int
-METRIC: int
+MASS_DIAGONAL: int
 COORDINATE: tuple[int, ...]
 LAST_START: float
 LAST_SCALE: float
@@ -28,7 +28,7 @@ BASIS: tuple[tuple[float, ...], ...]
 POINTS: tuple[float, ...]
 PLACES: tuple[float, ...]
 RESIDUAL: int
-SURPRISE_SQUARED: int
+PREDICTION_ERROR_SQUARED: int
 PREDICTED: int
 PREVIOUS: int
 SOLVED: int
@@ -90,13 +90,13 @@ def close_step(W, lane):
     for row in range(UNKNOWNS):
         W[PREVIOUS + 4 * DIMENSION + row, lane] = W[PREDICTED + row, lane]
         W[SOLVED + row, lane] = W[INCREMENT + row, lane]
-    surprise_squared = real(0)
+    prediction_error_squared = real(0)
     for a in range(DIMENSION):
         for row in range(a, UNKNOWNS, DIMENSION):
-            surprise = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
-            surprise_squared += W[METRIC + a, lane] * surprise**2
+            error = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
+            prediction_error_squared += W[MASS_DIAGONAL + a, lane] * error**2
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]
         add_exactly(W, POSITION + a, POSITION_LOW + a, increment, lane)
         increment = W[RESIDUAL + a, lane] + W[MOMENTUM_LOW + a, lane]
         add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, increment, lane)
-    W[SURPRISE_SQUARED, lane] = surprise_squared
+    W[PREDICTION_ERROR_SQUARED, lane] = prediction_error_squared

@@ -12,7 +12,7 @@ VELOCITY: int
 NODE_VELOCITY: int
 NODE_L_V: int
 NODE_L_VV: int
-METRIC: int
+MASS_DIAGONAL: int
 MASS: int
 ENERGY: int
 KINETIC: int
@@ -36,7 +36,7 @@ def factor_mass(W, lane):
     deficit = real(0)
     for i in range(DIMENSION):
         row_i = NODE_L_VV + i * NODE_STRIDE + NODE_OFFSET
-        W[METRIC + COORDINATE[i], lane] = W[row_i + i, lane]
+        W[MASS_DIAGONAL + COORDINATE[i], lane] = W[row_i + i, lane]
         for j in range(max(0, i - BAND), i):
             row_j = NODE_L_VV + j * NODE_STRIDE + NODE_OFFSET
             entry = W[row_i + j, lane]

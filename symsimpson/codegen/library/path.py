@@ -14,10 +14,10 @@ INCREMENT: int
 VELOCITY: int
 NODE_POSITION: int
 NODE_VELOCITY: int
-METRIC: int
+MASS_DIAGONAL: int
 COORDINATE: tuple[int, ...]
 RESIDUAL: int
-MISMATCH_SQUARED: int
+VELOCITY_JUMP_SQUARED: int
 PREDICTED: int
 POINTS: tuple[float, ...]
 PLACES: tuple[float, ...]
@@ -66,18 +66,18 @@ def straight(W, h, lane):
 @compiled
 def predict(W, h, lane):
     """Extrapolate the last path, bent to leave the new point with its velocity v."""
-    mismatch_squared = real(0)
+    velocity_jump_squared = real(0)
     for a in range(DIMENSION):
-        mismatch = h * W[VELOCITY + a, lane]
+        jump = h * W[VELOCITY + a, lane]
         for j in range(DEGREE):
-            mismatch -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
-        mismatch_squared += W[METRIC + a, lane] * mismatch**2
+            jump -= END_SLOPE[j] * W[INCREMENT + j * DIMENSION + a, lane]
+        velocity_jump_squared += W[MASS_DIAGONAL + a, lane] * jump**2
         for k in range(DEGREE):
-            increment = START_SLOPE[k] * mismatch
+            increment = START_SLOPE[k] * jump
             for j in range(DEGREE):
                 increment += EXTRAPOLATION[k][j] * W[INCREMENT + j * DIMENSION + a, lane]
             W[RESIDUAL + k * DIMENSION + a, lane] = increment
     for row in range(UNKNOWNS):
         W[INCREMENT + row, lane] = W[RESIDUAL + row, lane]
         W[PREDICTED + row, lane] = W[RESIDUAL + row, lane]
-    W[MISMATCH_SQUARED, lane] = mismatch_squared
+    W[VELOCITY_JUMP_SQUARED, lane] = velocity_jump_squared

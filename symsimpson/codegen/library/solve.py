@@ -9,7 +9,7 @@ real: Callable[[Any], Any]
 DIMENSION: int
 NEWTON_UNKNOWNS: int
 INCREMENT: int
-METRIC: int
+MASS_DIAGONAL: int
 BLOCKS: int
 SOLVE_ROW_STEP: int
 SOLVE_PLACE_STEP: int
@@ -66,7 +66,7 @@ def solve_pivoted(W, lane):
 
 @compiled
 def update_increments(W, lane):
-    """Apply the Newton correction and measure it and the increments in the metric of M(q0)."""
+    """Apply the Newton correction and measure it and the increments by the diagonal of M(q0)."""
     correction_squared = real(0)
     increment_squared = real(0)
     for row in range(BLOCKS):
@@ -76,7 +76,7 @@ def update_increments(W, lane):
             correction = -W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane]
             increment = W[first + a, lane] + correction
             W[first + a, lane] = increment
-            correction_squared += W[METRIC + a, lane] * correction**2
-            increment_squared += W[METRIC + a, lane] * increment**2
+            correction_squared += W[MASS_DIAGONAL + a, lane] * correction**2
+            increment_squared += W[MASS_DIAGONAL + a, lane] * increment**2
     W[CORRECTION_SQUARED, lane] = correction_squared
     W[INCREMENT_SQUARED, lane] = increment_squared

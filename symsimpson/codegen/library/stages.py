@@ -9,11 +9,11 @@ real: Callable[[Any], Any]
 ACTIVE: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
-CYCLIC_MISMATCH_SQUARED: int
+CYCLIC_JUMP_SQUARED: int
 RELATIVE: int
 CONTRACTION: int
 ITERATIONS: int
-SCALE: int
+LARGEST_SQUARED: int
 IN_DOUBT: int
 STAGE_STEP: int
 STAGE_RATE: int
@@ -65,12 +65,12 @@ def over_nodes(W, first, lane):
 
 
 @compiled
-def judge_stages(W, lane):
+def check_stage_convergence(W, lane):
     """Go on or not: ACTIVE becomes 0 where the nodes are solved, -3 where they are not finite.
 
     Corrections shrink by a factor each time; the next one is predicted by the largest factor seen
     of late, and where it would be lost in rounding, the step is done. All sizes are squared.
-    Nothing is judged before the iteration in which the step is expected to be nearly done.
+    Convergence is not checked before the iteration in which the step is expected to be nearly done.
     """
     W[ITERATIONS, lane] += 1.0
     W[STAGE_COUNT, lane] += 1.0
@@ -92,15 +92,16 @@ def judge_stages(W, lane):
 
 
 @compiled
-def question_stages(W, lane):
+def check_stage_acceptance(W, lane):
     """Leave it to Newton's method where velocities of cyclic coordinates are no polynomial.
 
-    SCALE is what it compares its increments with: about n^2/4 times those of n nodes, squared.
-    The next step is judged first when it is likely to be solved but for one iteration.
+    LARGEST_SQUARED is what it compares its increments with: about n^2/4 times those of n nodes,
+    squared. In the next step convergence is checked first when one more iteration is likely to be
+    enough.
     """
     increment = W[INCREMENT_SQUARED, lane]
-    resolved = W[CYCLIC_MISMATCH_SQUARED, lane] <= UNRESOLVED * increment
+    resolved = W[CYCLIC_JUMP_SQUARED, lane] <= UNRESOLVED * increment
     W[IN_DOUBT, lane] = 0.0 if resolved else 1.0
-    W[SCALE, lane] = max(W[SCALE, lane], 0.25 * NODES**2 * increment)
+    W[LARGEST_SQUARED, lane] = max(W[LARGEST_SQUARED, lane], 0.25 * NODES**2 * increment)
     W[STAGE_EXPECTED, lane] = W[STAGE_COUNT, lane] - 1.0
     W[STAGE_COUNT, lane] = 0.0

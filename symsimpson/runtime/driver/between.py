@@ -5,21 +5,25 @@ Compiled behind the text of the driver, whose names it uses.
 
 from numba import njit, types
 
-from symsimpson.runtime.driver.explicit import finite
-from symsimpson.runtime.driver.steps import (
+from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
     COUNT,
     DIMENSION,
+    EXPLICIT,
     IN_DOUBT,
-    KERNELS,
+    ITERATE,
+    MODE,
     MOMENTUM,
-    NEWTON,
-    OPTIONS,
-    PLACES,
     POSITION,
-    SIGNATURES,
     STATUS,
+)
+from symsimpson.runtime.driver.explicit import finite
+from symsimpson.runtime.driver.steps import (
+    DRIVER_OPTIONS,
+    SET,
+    SIGNATURES,
+    TOLD_ROWS,
     WORKSPACE,
     begin,
     call,
@@ -30,20 +34,20 @@ from symsimpson.runtime.driver.steps import (
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 SIGNATURES |= {
     "between": types.void(
-        KERNELS, types.boolean, types.float64, TIMES, WORKSPACE, PLACES, GIVEN, GIVEN,
+        SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
         types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
         types.boolean[::1],
     ),
 }  # fmt: skip
 
 
-@njit(**OPTIONS)
-def take(kernels, direct, h, t, W, at, count, q, p):
+@njit(**DRIVER_OPTIONS)
+def take(kernels, h, t, W, at, count, q, p):
     """Take steps from (q, p), and leave there the state after them; tells whether all went well.
 
-    What is in doubt is not mended here: that is rare, and would make this slow to compile.
+    Steps in doubt are not recovered here: that is rare, and would make this slow to compile.
     """
-    n = at[DIMENSION]
+    n, direct = at[DIMENSION], kernels[MODE] == EXPLICIT
     for row in range(at[POSITION], at[POSITION] + 4 * n):
         W[row, 0] = 0.0
     for a in range(n):
@@ -53,7 +57,7 @@ def take(kernels, direct, h, t, W, at, count, q, p):
     for step in range(count):
         if not direct:
             W[at[ACTIVE], 0] = 1.0
-            if solve(kernels[NEWTON], h, t + h * step, W, at) != 0:
+            if solve(kernels[ITERATE], h, t + h * step, W, at) != 0:
                 return False
         W[at[ACTIVE], 0], W[at[COUNT], 0] = 1.0, 1.0
         call(kernels[ADVANCE], h, t + h * step, W)
@@ -65,9 +69,9 @@ def take(kernels, direct, h, t, W, at, count, q, p):
     return finite(W, at[POSITION], at[POSITION] + 4 * n, 0)
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def between(
-    kernels, direct, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine
+    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine
 ):  # fmt: skip
     """Give the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
@@ -86,7 +90,7 @@ def between(
         now = t[stored] + h * done
         if whole[i] > done and well:
             well = take(
-                kernels, direct, h, now, W, at, whole[i] - done, q_out[last], p_out[last]
+                kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last]
             )  # fmt: skip
             done = whole[i]
             now = t[stored] + h * done
@@ -94,4 +98,4 @@ def between(
             q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         fine[i] = well
         if well and rest[i] != 0.0:
-            fine[i] = take(kernels, direct, rest[i], now, W, at, 1, q_out[i], p_out[i])
+            fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i])

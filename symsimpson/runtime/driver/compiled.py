@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
+import ast
 from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from types import ModuleType
 from typing import Any
 
+from symsimpson.definitions import redefined, syntax
 from symsimpson.runtime.kernels.cache import compiled
 
 __all__ = ["driver", "driver_text"]
@@ -18,12 +19,21 @@ PARTS = ("steps", "recovery", "explicit", "ensembles", "between")
 
 
 def driver_text(lanes: int = 1) -> str:
-    """Give the text of the driver for a number of lanes."""
+    """Return the text of the driver for a number of lanes, behind the agreement with modules."""
     folder = resources.files("symsimpson.runtime.driver")
-    files = [folder.joinpath(f"{part}.py").read_text("utf-8") for part in PARTS]
-    own = r"^from symsimpson[^\n(]*(\(.*?\)|[^\n(]*)\n"  # names that stand in the same text
-    text = "\n\n".join(re.sub(own, "", part, flags=re.DOTALL | re.MULTILINE) for part in files)
-    return text.replace("LANES = 1\n", f"LANES = {lanes}\n", 1)
+    files = [resources.files("symsimpson").joinpath("interface.py")]
+    files += [folder.joinpath(f"{part}.py") for part in PARTS]
+    text = "\n\n".join(_without_own_imports(file.read_text("utf-8")) for file in files)
+    return redefined(text, {"LANES": f"LANES = {lanes}"})
+
+
+def _without_own_imports(text: str) -> str:
+    """Leave out imports of names that stand in the same text."""
+    lines = text.splitlines(keepends=True)
+    for node in reversed(syntax(text).body):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("symsimpson"):
+            del lines[node.lineno - 1 : node.end_lineno]
+    return "".join(lines)
 
 
 @cache
@@ -35,7 +45,7 @@ def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
 
         function = getattr(module, name).py_func
         made: Callable[..., Any] = njit(
-            module.SIGNATURES[name], cache=True, **module.OPTIONS
+            module.SIGNATURES[name], cache=True, **module.DRIVER_OPTIONS
         )(function)  # fmt: skip
         return made
 

@@ -7,27 +7,34 @@ with a workspace of its own; what a lane computes does not depend on its neighbo
 import numpy as np
 from numba import njit, types
 
-from symsimpson.runtime.driver.explicit import finite, march
-from symsimpson.runtime.driver.recovery import mend
-from symsimpson.runtime.driver.steps import (
+from symsimpson.interface import (
+    BAD_INPUT,
     DIMENSION,
+    EXPLICIT,
     ITERATIONS,
-    KERNELS,
-    LANES,
+    MASS_PIVOT,
+    MODE,
     MOMENTUM,
-    OPTIONS,
-    PLACES,
+    PARAMETER,
     POSITION,
-    SIGNATURES,
+    ROWS,
     STATUS,
+    VELOCITY,
+)
+from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
+from symsimpson.runtime.driver.recovery import recover
+from symsimpson.runtime.driver.steps import (
+    DRIVER_OPTIONS,
+    LANES,
+    SET,
+    SIGNATURES,
+    TOLD_ROWS,
     WORKSPACE,
     begin,
     call,
-    run,
+    take_steps,
 )
 
-#: A member whose first state makes no sense; a value of Status.
-BAD_INPUT = 5
 #: Where in the cursor what stands.
 BLOCK, STEP, BEGUN = 0, 1, 2
 #: How observed values are reduced.
@@ -35,8 +42,8 @@ LEAST, LARGEST, MEAN, FIRST = 0, 1, 2, 3
 
 MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
 SIGNATURES |= {
-    "sweep": types.void(
-        KERNELS, KERNELS, types.float64, types.float64, WORKSPACE, PLACES, PLACES,
+    "advance_blocks": types.void(
+        SET, types.int64[::1], types.float64, types.float64, WORKSPACE, TOLD_ROWS,
         types.int64[::1], types.int64, types.int64, types.int64, types.int64,
         MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
         STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
@@ -44,12 +51,12 @@ SIGNATURES |= {
 }  # fmt: skip
 
 
-@njit(**OPTIONS)
-def load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters):
+@njit(**DRIVER_OPTIONS)
+def load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters):
     """Put the members of a block into the lanes; the last one fills a ragged end."""
     members = q0.shape[0]
     n = at[DIMENSION]
-    second = at[MOMENTUM] if more[0] == 0 else rows[0]
+    second = at[MOMENTUM] if more[0] == 0 else at[VELOCITY]
     for lane in range(LANES):
         member = min(block * LANES + lane, members - 1)
         for row in range(4 * n):
@@ -58,15 +65,15 @@ def load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters)
             W[at[POSITION] + a, lane] = q0[member, a]
             W[second + a, lane] = other0[member, a]
         for k in range(parameters.shape[1]):
-            W[rows[1] + k, lane] = parameters[member, k]
+            W[at[PARAMETER] + k, lane] = parameters[member, k]
     begin(kernels, more[0], h, t0, W, at)
     for lane in range(LANES):
-        if not (W[rows[2], lane] >= 0.0 and finite(W, rows[0], rows[0] + n, lane)):
+        if not (W[at[MASS_PIVOT], lane] >= 0.0 and finite(W, at[VELOCITY], at[VELOCITY] + n, lane)):
             W[at[STATUS], lane] = BAD_INPUT
 
 
-@njit(**OPTIONS)
-def observe(more, h, t, W, at, rows, kinds, seen, block, members, step):
+@njit(**DRIVER_OPTIONS)
+def observe(more, h, t, W, at, kinds, seen, block, members, step):
     """Reduce the observed values of the present state into those seen before."""
     if more[2] != 0:
         call(more[2], h, t, W)
@@ -77,7 +84,7 @@ def observe(more, h, t, W, at, rows, kinds, seen, block, members, step):
             member = block * LANES + lane
             if member >= members or W[at[STATUS], lane] != 0.0:
                 continue
-            value = W[rows[3] + k, lane]
+            value = W[at[ROWS] + k, lane]
             before = seen[member, 2 * k]
             if kind == MEAN:
                 seen[member, 2 * k] = value if step == 0 else before + (value - before) / (step + 1)
@@ -90,7 +97,7 @@ def observe(more, h, t, W, at, rows, kinds, seen, block, members, step):
                 seen[member, 2 * k] = value
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def finish_block(
     W, at, block, step, every, buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost
 ):
@@ -116,17 +123,16 @@ def finish_block(
         codes_out[member, 2] = iterations
 
 
-@njit(**OPTIONS)
-def sweep(
-    kernels, more, h, t0, W, at, rows, cursor, last, budget, steps, every, q0, other0, parameters,
+@njit(**DRIVER_OPTIONS)
+def advance_blocks(
+    kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
     buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds,
 ):  # fmt: skip
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
-    ``more`` holds addresses: legendre (0 if momenta are given), observe, energy (0 if not wanted),
-    and whether steps are direct. ``rows`` are those of VELOCITY, PARAMETER, MASS_PIVOT and the
-    observed values. ``codes_out`` takes status, steps and iterations of each member; ``seen`` two
-    numbers for each reduction.
+    ``more`` holds addresses: legendre (0 if momenta are given), observe, energy (0 if not wanted).
+    Observed values stand behind the rows of the module. ``codes_out`` takes status, steps and
+    iterations of each member; ``seen`` two numbers for each reduction.
     """
     progress = np.zeros(2, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
@@ -134,7 +140,7 @@ def sweep(
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
         if cursor[BEGUN] == 0:
-            load_block(kernels, more, h, t0, W, at, rows, block, q0, other0, parameters)
+            load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 if every != 0:
@@ -142,7 +148,7 @@ def sweep(
                         buffer_q[0, a, lane] = W[at[POSITION] + a, lane]
                         buffer_p[0, a, lane] = W[at[MOMENTUM] + a, lane]
             if watched:
-                observe(more, h, t0, W, at, rows, kinds, seen, block, members, 0)
+                observe(more, h, t0, W, at, kinds, seen, block, members, 0)
             cursor[BEGUN], cursor[STEP] = 1, 0
             budget -= 1
         progress[0], progress[1] = cursor[STEP], 0
@@ -150,15 +156,17 @@ def sweep(
         while progress[0] < steps and budget > 0 and alive:
             step = progress[0]
             until = min(steps, step + 1 if watched else step + budget)
-            if more[3] != 0:
-                march(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted)
+            if kernels[MODE] == EXPLICIT:
+                take_explicit_steps(
+                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted
+                )
             else:
-                run(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
+                take_steps(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
                     counted)  # fmt: skip
                 if progress[1] != 0:
-                    mend(kernels, h, t0 + h * progress[0], W, at, progress[1])
-                    # the step is mended and not yet counted: run does that first
-                    run(kernels, h, t0, W, at, progress, progress[0] + 1, every,
+                    recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
+                    # the step is taken and not yet counted: take_steps does that first
+                    take_steps(kernels, h, t0, W, at, progress, progress[0] + 1, every,
                         buffer_q, buffer_p, counted)  # fmt: skip
             alive = False
             for lane in range(LANES):
@@ -168,7 +176,7 @@ def sweep(
                     lost[lane] = max(progress[0] - 1, 0)
             budget -= progress[0] - step
             if watched and alive:
-                observe(more, h, t0 + h * progress[0], W, at, rows, kinds, seen, block, members,
+                observe(more, h, t0 + h * progress[0], W, at, kinds, seen, block, members,
                         progress[0])  # fmt: skip
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:

@@ -6,25 +6,27 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.runtime.driver.steps import (
+from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
     COUNT,
-    COUNTS,
     DIMENSION,
-    ENERGY_ROW,
-    INLINE,
-    KERNELS,
-    LANES,
+    ENERGY,
     MOMENTUM,
     NOT_FINITE,
-    OPTIONS,
-    PLACES,
     POSITION,
-    SIGNATURES,
     START,
-    STATES,
     STATUS,
+)
+from symsimpson.runtime.driver.steps import (
+    COUNTS,
+    DRIVER_OPTIONS,
+    INLINE,
+    LANES,
+    SET,
+    SIGNATURES,
+    STATES,
+    TOLD_ROWS,
     WORKSPACE,
     call,
     keep,
@@ -33,16 +35,16 @@ from symsimpson.runtime.driver.steps import (
 )
 
 SIGNATURES |= {
-    "march": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1], types.int64,
+    "take_explicit_steps": types.void(
+        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1], types.int64,
         types.int64, STATES, STATES, COUNTS,
     ),
     "evaluate": types.void(
-        types.int64, types.int64, types.int64, types.float64, WORKSPACE, PLACES,
+        types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS,
         types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
     ),
     "steady": types.boolean(
-        types.int64, types.float64, WORKSPACE, PLACES, STATES, STATES, types.int64, types.int64,
+        types.int64, types.float64, WORKSPACE, TOLD_ROWS, STATES, STATES, types.int64, types.int64,
         types.float64,
     ),
 }  # fmt: skip
@@ -59,11 +61,12 @@ def finite(W, first, last, lane):
     return total == 0.0
 
 
-@njit(**OPTIONS)
-def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
+@njit(**DRIVER_OPTIONS)
+def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
     """Take steps that need no iteration, all up to the next state to store in one call.
 
-    Arguments are as for ``run``. A lane whose state would not be finite stops before that step.
+    Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that
+    step.
     """
     n, lanes = at[DIMENSION], LANES
     position, status = at[POSITION], at[STATUS]
@@ -108,7 +111,7 @@ def march(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations
     progress[0] = step
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
     """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
 
@@ -127,7 +130,7 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
             out[i, k] = W[block + k, 0]
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def steady(energy, h, W, at, q, p, last, few, limit):
     """Tell whether the energy at some states stays near that of the first.
 
@@ -135,7 +138,7 @@ def steady(energy, h, W, at, q, p, last, few, limit):
     that of some of the first ones. They are ``few`` and the first, spread over those up to the
     last; the kinetic energy stands behind the energy.
     """
-    n, row = at[DIMENSION], at[ENERGY_ROW]
+    n, row = at[DIMENSION], at[ENERGY]
     kinetic = np.empty(few + 1)
     start, change = 0.0, 0.0
     for i in range(few + 1):

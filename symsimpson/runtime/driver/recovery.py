@@ -6,38 +6,41 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.runtime.driver.steps import (
+from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
-    BY_STAGES,
     CONTRACTION,
     COORDINATE_SINGULARITY,
     DIMENSION,
-    FAILED,
     IN_DOUBT,
     INCREMENT,
+    ITERATE,
     ITERATIONS,
-    KERNELS,
-    LANES,
-    LOOKED_AT,
-    METRIC,
-    MISMATCH,
-    NEWTON,
+    LARGEST_SQUARED,
+    MASS_DIAGONAL,
+    MODE,
     NOT_CONVERGED,
     NOT_FINITE,
-    OPTIONS,
-    PLACES,
     POSITION,
+    POSSIBLY_UNRESOLVED,
     PREPARE,
-    SCALE,
-    SIGNATURES,
     SOLVED,
+    STAGES,
     START,
     STATE_END,
     STATUS,
     STEP_TOO_LARGE,
-    SUSPICIOUS,
     UNRESOLVED,
+    VELOCITY_JUMP_SQUARED,
+)
+from symsimpson.runtime.driver.steps import (
+    DRIVER_OPTIONS,
+    FAILED,
+    LANES,
+    SET,
+    SIGNATURES,
+    SUSPICIOUS,
+    TOLD_ROWS,
     WORKSPACE,
     call,
     keep,
@@ -47,8 +50,8 @@ from symsimpson.runtime.driver.steps import (
 )
 
 SIGNATURES |= {
-    "mend": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64,
+    "recover": types.void(
+        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64,
     ),
 }  # fmt: skip
 #: A step is looked at by taking so many more, and the same way in so many finer ones each; their
@@ -56,43 +59,43 @@ SIGNATURES |= {
 MORE, FINER, APART = 3, 16, 0.25
 #: Two solutions of a step are one if their relative distance is below this, squared.
 SAME_SOLUTION = 1e-12
-#: From a suspicious step the solution is followed from small steps in so many pieces.
+#: From a suspicious step the solution is continued from small steps in so many pieces.
 PIECES = 16
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def keep_all(W, copy):
     """Copy all rows of all lanes."""
     for lane in range(LANES):
         keep(W, 0, W.shape[0], lane, copy)
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def put_all_back(W, copy):
     """Restore all rows of all lanes."""
     for lane in range(LANES):
         put_back(W, 0, W.shape[0], lane, copy)
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def activate_only(W, active, lane):
     """Let kernels work on one lane."""
     for other in range(LANES):
         W[active, other] = 1.0 if other == lane else 0.0
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def distance(W, at, lane, a, b):
     """Squared distance of two sets of increments in the metric of M(q0)'s diagonal."""
     total = 0.0
     for row in range(a.shape[0]):
         gap = a[row, lane] - b[row, lane]
-        total += W[at[METRIC] + row % at[DIMENSION], lane] * gap * gap
+        total += W[at[MASS_DIAGONAL] + row % at[DIMENSION], lane] * gap * gap
     return total
 
 
-@njit(**OPTIONS)
-def follow(kernels, h, t, W, at, lane):
+@njit(**DRIVER_OPTIONS)
+def continuation(kernels, h, t, W, at, lane):
     """Solve one lane's step by following the solution from small steps to h; give a status.
 
     The state of the lane must be that at the start of the step. Only its increments change.
@@ -121,7 +124,7 @@ def follow(kernels, h, t, W, at, lane):
             extrapolated = 2.0 * bend[row, lane] - bend_before[row, lane]
             guess[row, lane] = straight[row, lane] + extrapolated * part * part
         put_back(W, first, last, lane, guess)
-        status = solve(kernels[NEWTON], part, t, W, at)
+        status = solve(kernels[ITERATE], part, t, W, at)
         if status != 0:
             break
         keep(W, first, last, lane, found)
@@ -140,21 +143,21 @@ def follow(kernels, h, t, W, at, lane):
     return status
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def go_on(kernels, h, t, W, at, lane, steps):
     """Take steps with one lane; tells whether all of them could be taken."""
     for step in range(steps):
         activate_only(W, at[ACTIVE], lane)
-        if solve(kernels[NEWTON], h, t + h * step, W, at) != 0:
+        if solve(kernels[ITERATE], h, t + h * step, W, at) != 0:
             return False
         activate_only(W, at[ACTIVE], lane)
         call(kernels[ADVANCE], h, t + h * step, W)
-        if not W[at[MISMATCH], lane] < np.inf:
+        if not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
             return False
     return True
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def resolved(kernels, h, t, W, at, lane):
     """Tell whether a step, and what follows from it, is about what finer steps come to."""
     first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
@@ -173,12 +176,12 @@ def resolved(kernels, h, t, W, at, lane):
     apart = 0.0
     for a in range(n):
         gap = W[first + a, lane] - coarse[a, lane]
-        apart += W[at[METRIC] + a, lane] * gap * gap
+        apart += W[at[MASS_DIAGONAL] + a, lane] * gap * gap
     put_all_back(W, after)
-    return good and apart <= APART * W[at[SCALE], lane]
+    return good and apart <= APART * W[at[LARGEST_SQUARED], lane]
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -187,9 +190,9 @@ def verify(kernels, h, t, W, at, lane):
     keep(W, at[SOLVED], at[SOLVED] + last - first, lane, increments)
     after = np.empty((rows, lanes))
     keep_all(W, after)
-    finite = W[at[MISMATCH], lane] < np.inf
+    finite = W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf
     unresolved = W[at[IN_DOUBT], lane] == UNRESOLVED
-    if finite and W[at[IN_DOUBT], lane] == LOOKED_AT:
+    if finite and W[at[IN_DOUBT], lane] == POSSIBLY_UNRESOLVED:
         if resolved(kernels, h, t, W, at, lane):
             return
         unresolved = True
@@ -200,34 +203,34 @@ def verify(kernels, h, t, W, at, lane):
     if unresolved:
         W[at[STATUS], lane] = COORDINATE_SINGULARITY
         return
-    if follow(kernels, h, t, W, at, lane) != 0:
+    if continuation(kernels, h, t, W, at, lane) != 0:
         W[at[STATUS], lane] = STEP_TOO_LARGE
         return
-    followed = np.zeros((last - first, lanes))
+    continued = np.zeros((last - first, lanes))
     zero = np.zeros((last - first, lanes))
-    keep(W, first, last, lane, followed)
-    size = distance(W, at, lane, followed, zero)
-    after[at[SCALE], lane] = max(after[at[SCALE], lane], size)
+    keep(W, first, last, lane, continued)
+    size = distance(W, at, lane, continued, zero)
+    after[at[LARGEST_SQUARED], lane] = max(after[at[LARGEST_SQUARED], lane], size)
     after[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
-    if not distance(W, at, lane, followed, increments) <= SAME_SOLUTION * size:
+    if not distance(W, at, lane, continued, increments) <= SAME_SOLUTION * size:
         activate_only(W, at[ACTIVE], lane)
         call(kernels[START], h, t, W)
-        put_back(W, first, last, lane, followed)
+        put_back(W, first, last, lane, continued)
         call(kernels[ADVANCE], h, t, W)
         keep(W, 0, rows, lane, after)
-        if not W[at[MISMATCH], lane] < np.inf:
+        if not W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf:
             step_back(W, at, lane)
             keep(W, 0, rows, lane, after)
             after[at[STATUS], lane] = NOT_FINITE
     put_all_back(W, after)
 
 
-@njit(**OPTIONS)
-def mend(kernels, h, t, W, at, event):
-    """Finish a step at which ``run`` stopped: lanes that failed, or are in doubt."""
+@njit(**DRIVER_OPTIONS)
+def recover(kernels, h, t, W, at, event):
+    """Finish a step at which ``take_steps`` stopped: lanes that failed, or are in doubt."""
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
-    if len(kernels) == BY_STAGES:
+    if kernels[MODE] == STAGES:
         if event == SUSPICIOUS:
             step_back(W, at, 0)
         W[at[STATUS], 0] = NOT_CONVERGED
@@ -238,7 +241,7 @@ def mend(kernels, h, t, W, at, event):
             if failure > 0.0:
                 for row in range(first, last):  # the predicted increments, which stand behind
                     W[row, lane] = W[row + last - first, lane]
-                lost = follow(kernels, h, t, W, at, lane)
+                lost = continuation(kernels, h, t, W, at, lane)
                 if lost != 0:
                     W[at[STATUS], lane] = lost if lost == STEP_TOO_LARGE else failure
         for lane in range(lanes):

@@ -2,8 +2,8 @@
 
 One piece of code drives every generated module. It calls kernels by address, with the step, the
 time and the workspace; everything that a run must remember stands in the workspace, so that a run
-can stop after any step and go on with the same bits. This file is compiled by itself and imports
-nothing of the package.
+can stop after any step and go on with the same bits. This file and those beside it are
+compiled as one text, behind the agreement with modules, and import nothing else.
 """
 
 import numpy as np
@@ -11,29 +11,45 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from symsimpson.interface import (
+    ACTIVE,
+    ADVANCE,
+    CONTRACTION,
+    COUNT,
+    DIMENSION,
+    ENERGY,
+    IN_DOUBT,
+    INCREMENT,
+    INCREMENT_SQUARED,
+    ITERATE,
+    ITERATIONS,
+    LARGEST_SQUARED,
+    MEASURE,
+    MODE,
+    MOMENTUM,
+    NEWTON_AFTER_STAGES,
+    NOT_CONVERGED,
+    NOT_FINITE,
+    POSITION,
+    PREPARE,
+    PREVIOUS,
+    RELATIVE,
+    START,
+    STATE_END,
+    STATUS,
+    STEP_TOO_LARGE,
+)
+
 #: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
 #: time of a small step). This text is compiled with other numbers too.
 LANES = 1
-# addresses of kernels
-PREPARE, START, NEWTON, ADVANCE = 0, 1, 2, 3
-#: Kernels that iterate over stages are one more: what they cannot solve is left to Newton's method,
-#: whose kernels then have another one, that of the energy.
-ENERGY, BY_STAGES, AFTER_STAGES = 5, 5, 6
 #: Such a step may change the energy by about half the largest kinetic energy before: this, divided
 #: by the degree, of the largest squared increments, over h^2.
 ENERGY_CHANGE = 0.75
 #: And its increments may be so many times the largest ones before, squared.
 GROWTH = 25.0
-# what the driver must know of the layout, in the order in which it comes
-ACTIVE, MISMATCH, STATUS, CONTRACTION, SCALE, ITERATIONS = range(6)
-POSITION, MOMENTUM, INCREMENT, STATE_END, METRIC, DIMENSION = range(6, 12)
-PREVIOUS, SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY_ROW, INCREMENT_SQUARED = range(12, 19)
-# why run stopped before the end
+# why steps stop before the end
 FAILED, SUSPICIOUS = 1, 2
-# values of Status
-NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, COORDINATE_SINGULARITY = 2, 3, 4, 6
-#: Values of IN_DOUBT: the step says nothing about the motion, or perhaps.
-UNRESOLVED, LOOKED_AT = 2.0, 3.0
 
 MOST_ITERATIONS = 40
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
@@ -41,17 +57,17 @@ MOST_ITERATIONS = 40
 FADING = 1.05**2
 
 
-OPTIONS = {"nogil": True, "error_model": "numpy"}
+DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy"}
 #: For what is called in each step: a call costs reference counts of its arrays.
-INLINE = {"inline": "always", **OPTIONS}
-KERNELS, PLACES, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
+INLINE = {"inline": "always", **DRIVER_OPTIONS}
+SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
-    "begin": types.void(KERNELS, types.int64, types.float64, types.float64, WORKSPACE, PLACES),
-    "switch": types.void(KERNELS, types.float64, types.float64, WORKSPACE, PLACES),
-    "run": types.void(
-        KERNELS, types.float64, types.float64, WORKSPACE, PLACES, types.int64[::1],
+    "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+    "take_steps": types.void(
+        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1],
         types.int64, types.int64, STATES, STATES, COUNTS,
     ),
 }  # fmt: skip
@@ -73,7 +89,7 @@ def call(typing_context, address, h, t, workspace):
     return signature, code
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def give_up(W, at):
     """Mark the lanes that have not converged."""
     for lane in range(LANES):
@@ -83,10 +99,10 @@ def give_up(W, at):
 
 
 @njit(**INLINE)
-def solve(newton, h, t, W, at):
+def solve(iterate, h, t, W, at):
     """Iterate until every active lane is done; give 0, or the status of a lane that failed.
 
-    The kernel judges: lanes that are done have ACTIVE = 0, failed ones ACTIVE = -status.
+    The kernel checks that: lanes that are done have ACTIVE = 0, failed ones ACTIVE = -status.
     """
     lanes = LANES
     active, relative, contraction = at[ACTIVE], at[RELATIVE], at[CONTRACTION]
@@ -94,7 +110,7 @@ def solve(newton, h, t, W, at):
         W[relative, lane] = np.inf
         W[contraction, lane] = min(1.0, W[contraction, lane] * FADING)
     for _ in range(MOST_ITERATIONS):
-        call(newton, h, t, W)
+        call(iterate, h, t, W)
         busy = 0
         for lane in range(lanes):
             busy += W[active, lane] > 0.0
@@ -114,14 +130,14 @@ def keep(W, first, last, lane, copy):
         copy[row - first, lane] = W[row, lane]
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def put_back(W, first, last, lane, copy):
     """Restore rows of a lane."""
     for row in range(first, last):
         W[row, lane] = copy[row - first, lane]
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def step_back(W, at, lane):
     """Restore the state and the predicted increments from before the last call of advance."""
     first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
@@ -129,14 +145,14 @@ def step_back(W, at, lane):
         W[first + row, lane] = W[previous + row, lane]
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def begin(kernels, legendre, h, t, W, at):
     """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
     for lane in range(LANES):
         W[at[ACTIVE], lane] = 1.0
         W[at[STATUS], lane] = 0.0
         W[at[CONTRACTION], lane] = 1.0
-        W[at[SCALE], lane] = 0.0
+        W[at[LARGEST_SQUARED], lane] = 0.0
         W[at[ITERATIONS], lane] = 0.0
     call(kernels[PREPARE], h, t, W)
     if legendre != 0:
@@ -144,7 +160,7 @@ def begin(kernels, legendre, h, t, W, at):
     call(kernels[START], h, t, W)
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def switch(kernels, h, t, W, at):
     """Go on with other kernels of the same layout, from the state and the predicted increments."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -171,51 +187,51 @@ def store(W, at, place, q_out, p_out, iterations_out):
             W[at[ITERATIONS], lane] = 0.0
 
 
-@njit(**OPTIONS)
+@njit(**DRIVER_OPTIONS)
 def watch(kernels, h, t, W, at):
     """Take a step back that is out of proportion to those before: another solution of it."""
-    before = W[at[ENERGY_ROW], 0]
-    call(kernels[ENERGY], h, t, W)
+    before = W[at[ENERGY], 0]
+    call(kernels[MEASURE], h, t, W)
     degree = (at[STATE_END] - at[INCREMENT]) // at[DIMENSION]
-    increment = max(W[at[INCREMENT_SQUARED], 0], W[at[SCALE], 0])
+    increment = max(W[at[INCREMENT_SQUARED], 0], W[at[LARGEST_SQUARED], 0])
     largest = W[at[COUNT], 0] if W[at[COUNT], 0] > 0.0 else increment
-    change = abs(W[at[ENERGY_ROW], 0] - before) * h * h
+    change = abs(W[at[ENERGY], 0] - before) * h * h
     small = change * degree <= ENERGY_CHANGE * largest and increment <= GROWTH * largest
     if W[at[STATUS], 0] == 0.0 and not small:
         step_back(W, at, 0)
-        W[at[SCALE], 0] = W[at[COUNT], 0]
+        W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
         W[at[STATUS], 0] = STEP_TOO_LARGE if change < np.inf else NOT_FINITE
 
 
-@njit(**OPTIONS)
-def run(
+@njit(**DRIVER_OPTIONS)
+def take_steps(
     kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left; ``progress`` is (step, event).
 
     States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
-    other than 0 is not touched. At an event the step is not finished: ``mend`` does that, and
-    ``run`` goes on.
+    other than 0 is not touched. At an event the step is not finished: ``recover`` does that, and
+    ``take_steps`` goes on.
     """
     lanes = LANES
     active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
-    step, mended = progress[0], progress[1] != 0
+    step, recovered = progress[0], progress[1] != 0
     progress[1] = 0
-    watched = len(kernels) == AFTER_STAGES
-    if watched and not mended:
-        call(kernels[ENERGY], h, t0 + h * step, W)
+    watched = kernels[MODE] == NEWTON_AFTER_STAGES
+    if watched and not recovered:
+        call(kernels[MEASURE], h, t0 + h * step, W)
     while step < stop:
-        if not mended:
+        if not recovered:
             t = t0 + h * step
             if watched:
-                W[at[COUNT], 0] = W[at[SCALE], 0]
+                W[at[COUNT], 0] = W[at[LARGEST_SQUARED], 0]
             alive = 0
             for lane in range(lanes):
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
                 alive += W[status, lane] == 0.0
             if alive == 0:
                 break
-            if solve(kernels[NEWTON], h, t, W, at) != 0:
+            if solve(kernels[ITERATE], h, t, W, at) != 0:
                 progress[1] = FAILED
                 break
             doubts = 0
@@ -231,7 +247,7 @@ def run(
             watch(kernels, h, t0 + h * step, W, at)
             if W[status, 0] != 0.0:
                 break
-        mended = False
+        recovered = False
         step += 1
         if every != 0 and step % every == 0:
             store(W, at, step // every, q_out, p_out, iterations_out)

@@ -19,7 +19,8 @@ from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.evaluator import evaluate_members, watching
-from symsimpson.runtime.kernels.module import Facts, Kernels
+from symsimpson.runtime.kernels.compiled import Kernels
+from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kernel, reduce_values
 from symsimpson.runtime.results.status import Status
 
@@ -88,14 +89,14 @@ class Task:
         )  # fmt: skip
 
 
-def lanes_for(facts: Facts) -> int:
+def lanes_for(header: Header) -> int:
     """Give the number of lanes of a block.
 
     Where Newton's method is written out as straight lines, members side by side are two to four
     times as fast with it as one after the other with nodes as lanes; where it is not, the other way
     round, by far.
     """
-    return 1 if facts.by_stages and not facts.straight else lanes_of_machine()
+    return 1 if header.by_stages and not header.unrolled else lanes_of_machine()
 
 
 @cache
@@ -131,7 +132,7 @@ class Results:
 def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
     """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
     results = Results(task, stepper.n)
-    sweep = _prepared(stepper, task, results)
+    work_off = _prepared(stepper, task, results)
     lanes = task.lanes
     blocks = -(-task.members // lanes)
     queue = _Queue(blocks, task.threads)
@@ -139,7 +140,7 @@ def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tu
 
     def work() -> None:
         while (chunk := queue.next()) is not None:
-            sweep(*chunk, queue, lambda done: count(done * lanes))
+            work_off(*chunk, queue, lambda done: count(done * lanes))
 
     _wait([work] * threads, queue)
     if not queue.stopped:
@@ -184,36 +185,30 @@ def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
 
 def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
-    facts, lanes = stepper._facts, task.lanes
-    kernels = Kernels(stepper.source, facts, lanes)
+    header, lanes = stepper._header, task.lanes
+    kernels = Kernels(stepper.source, header, lanes)
     watched = len(task.reductions)
     observing = 0
     if watched:
-        observing = kernels.observing(observing_kernel(facts, task.reductions), watched)
+        observing = kernels.observing(observing_kernel(header, task.reductions), watched)
     energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
     legendre = kernels.address("legendre") if task.velocities else 0
-    more = np.array(
-        [legendre, observing, energy, facts.newton_unknowns == 0], dtype=np.int64
-    )  # fmt: skip
-    layout = facts.layout
-    rows = np.array(
-        [layout["VELOCITY"], layout["PARAMETER"], layout["MASS_PIVOT"], facts.rows],
-        dtype=np.int64,
-    )
+    more = np.array([legendre, observing, energy], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step, compiled = getattr(kernels, kernels.ladder[0]), driver("sweep", lanes)
+    step = kernels.set(kernels.fallbacks[0])
+    advance_blocks = driver("advance_blocks", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = _aligned(facts.rows + watched, lanes)
+        W = _aligned(header.rows + watched, lanes)
         cursor = np.array([first, 0, 0], dtype=np.int64)
-        buffer_q, buffer_p = (np.empty((task.stored, facts.n, lanes)) for _ in "qp")
+        buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
         lost = np.zeros(lanes, dtype=np.int64)
         budget = FIRST_BUDGET
         while cursor[0] < last and not queue.stopped:
             before, start = cursor[0], time.perf_counter()
-            compiled(
-                step, more, task.h, task.t0, W, facts.places, rows, cursor, last, budget,
+            advance_blocks(
+                step, more, task.h, task.t0, W, header.told, cursor, last, budget,
                 task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
                 counted, results.q, results.p, results.codes, lost, results.seen, kinds,
             )  # fmt: skip
@@ -242,7 +237,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
-    if not stepper._facts.real_everywhere:
+    if not stepper._header.real_everywhere:
         good &= _real(stepper, task, results)
     good |= (status == Status.BAD_INPUT) & small
     for member in np.flatnonzero(~good):

@@ -20,7 +20,7 @@ from symsimpson.progress import Progress
 from symsimpson.runtime.ensembles.blocks import Task, lanes_for, run_blocks
 from symsimpson.runtime.ensembles.ensemble import names_in_dataset
 from symsimpson.runtime.ensembles.store import Store, members_of, said, write_chunk
-from symsimpson.runtime.kernels.module import digest
+from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.kernels.syntax import read_stepper
 
@@ -145,7 +145,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     task = Task(
         q0, other0, question["given"] == "v0", parameters, question["h"], question["t0"],
         question["steps"], question["every"], reductions, threads=1, progress=False,
-        lanes=lanes_for(stepper._facts),
+        lanes=lanes_for(stepper._header),
     )  # fmt: skip
     found, _ = run_blocks(stepper, task, lambda done: None)
     write_chunk(path, group, members, found)

@@ -75,7 +75,7 @@ def read_task(
             )
     stride, reductions = read_every(every), read_reductions(stepper, reduce)
     workers = _threads(threads)
-    lanes = lanes_for(stepper._facts)
+    lanes = lanes_for(stepper._header)
     stored = count // stride + 1 if stride else 1
     try:
         values = np.empty((members, len(stepper.parameters)))
@@ -133,7 +133,7 @@ def _parameters(
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(
-                names, aliases, stepper._facts.signs, stepper._defaults, {key: extreme}, FLOAT64
+                names, aliases, stepper._header.signs, stepper._defaults, {key: extreme}, FLOAT64
             )
         found[names[aliases[str(key)]]] = column
     return found

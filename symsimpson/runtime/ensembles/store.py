@@ -25,7 +25,7 @@ from symsimpson.files import check_folder, read_path
 from symsimpson.progress import Progress
 from symsimpson.runtime.ensembles.blocks import Results, Task, ensemble_of, run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, names_in_dataset
-from symsimpson.runtime.kernels.module import digest
+from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:

@@ -34,7 +34,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.garbage import rarely_collected
 from symsimpson.progress import waiting
 
-__all__ = ["cache_folder", "compiled", "whereabouts"]
+__all__ = ["cache_folder", "compiled", "location"]
 
 Result = TypeVar("Result")
 
@@ -119,7 +119,7 @@ def compiled(text: str, label: str, use: Callable[[ModuleType], Result]) -> Resu
     return _results[content]  # type: ignore[return-value]
 
 
-def whereabouts(text: str, label: str) -> str:
+def location(text: str, label: str) -> str:
     """Say where the compiled code of a text is: loaded, on disk, or nowhere yet."""
     content = _content(text, label)
     if content in _results:

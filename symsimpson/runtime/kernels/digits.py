@@ -7,7 +7,7 @@ code; only the thresholds that name a rounding error are other ones.
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from functools import cache, cached_property
@@ -24,8 +24,9 @@ from symsimpson.errors import InputError
 from symsimpson.extras import library
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.inputs import whole_number
-from symsimpson.runtime.kernels.module import Facts
+from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.numbers import Numbers
+from symsimpson.runtime.kernels.sets import KernelSets
 from symsimpson.runtime.signals import undisturbed
 
 __all__ = ["read_precision"]
@@ -77,40 +78,29 @@ class _Anything:
         return self
 
 
-class _Functions:
+class _Functions(KernelSets):
     """Kernels as Python functions."""
 
-    def __init__(self, module: SimpleNamespace, facts: Facts, digits: int) -> None:
+    def __init__(self, module: SimpleNamespace, header: Header, digits: int) -> None:
+        super().__init__(header, by_stages=header.by_stages and digits <= MOST_BY_STAGES)
         self._module = module
-        self._staged = facts.by_stages and digits <= MOST_BY_STAGES
 
     @property
-    def whereabouts(self) -> str:
+    def location(self) -> str:
         """Where the code of a step is, in words."""
         return "none: Python, with numbers of many digits"
 
-    @cached_property
-    def ladder(self) -> Sequence[str]:
-        return (*(("stages",) if self._staged else ()), "newton", "robust")
+    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+        """Return functions."""
+        return [self.address(name) if name else 0 for name in names]
 
-    @cached_property
-    def stages(self) -> Sequence[Any]:
-        names = ("prepare", "start_stages", "iterate", "advance_stages")
-        return *map(self.address, names), 1
-
-    @cached_property
-    def newton(self) -> Sequence[Any]:
-        kernels = map(self.address, ("prepare", "start", "newton", "advance"))
-        return *kernels, *((1, self.address("energy")) if self._staged else ())
-
-    @cached_property
-    def robust(self) -> Sequence[Any]:
-        pivoted = getattr(self._module, "newton_pivoted", None)
-        prepare, start, newton, *others = self.newton
-        return prepare, start, pivoted or newton, *others
+    def joined(self, mode: int, kernels: list[Any]) -> tuple[Any, ...]:
+        """Return mode and functions."""
+        return mode, *kernels
 
     def address(self, name: str, *, any_angle: bool = False) -> Any:
-        return getattr(self._module, name, None)
+        """Return a function, whose sines take any angle."""
+        return getattr(self._module, name)
 
 
 def _revive(digits: int, arithmetic: str, number: Any) -> Any:
@@ -182,9 +172,9 @@ class Digits(Numbers):
         """Give whole numbers to multiply with."""
         return np.array(range(first, stop, stride), dtype=object)
 
-    def kernels(self, text: str, facts: Facts) -> _Functions:
+    def kernels(self, text: str, header: Header) -> _Functions:
         """Bind the kernels of a module."""
-        return _Functions(bind_mpmath(text, self.context, judging=True), facts, self.digits)
+        return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
 
     def driver(self, name: str) -> Callable[..., Any]:
         """Give a function of the driver, bound to these numbers."""
@@ -246,10 +236,10 @@ class Arb(Digits):
         """Give numbers of mpmath."""
         return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
 
-    def kernels(self, text: str, facts: Facts) -> _Functions:
+    def kernels(self, text: str, header: Header) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
-            return _Functions(bind_arb(text, judging=True), facts, self.digits)
+            return _Functions(bind_arb(text, checking=True), header, self.digits)
 
     def working(self) -> AbstractContextManager[Any]:
         """Set the precision of python-flint, which is global, for a while."""

@@ -3,42 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.driver.compiled import driver
-from symsimpson.runtime.kernels.module import Facts, Kernels
+from symsimpson.runtime.kernels.compiled import Kernels
+from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.sets import KernelSets
 
-__all__ = ["FLOAT64", "KernelSet", "Numbers"]
+__all__ = ["FLOAT64", "Numbers"]
 
 
 #: A context that does nothing can be entered many times.
 NOTHING: AbstractContextManager[None] = nullcontext()
 #: Python is quicker than NumPy with so many numbers.
 FEW = 16
-
-
-class KernelSet(Protocol):
-    """Kernels as the driver calls them: addresses, or functions."""
-
-    @property
-    def ladder(self) -> Sequence[str]:
-        """The kernels to take steps with, each where the one before fails; they are attributes."""
-
-    @property
-    def whereabouts(self) -> str:
-        """Where the code of a step is, in words."""
-
-    @property
-    def newton(self) -> Any:
-        """Prepare, start, newton and advance."""
-
-    def address(self, name: str, *, any_angle: bool = False) -> Any:
-        """Give one kernel; of one that takes any angle, if that is asked for."""
 
 
 class Numbers:
@@ -94,9 +77,9 @@ class Numbers:
         """Give an array as a user gets it."""
         return array
 
-    def kernels(self, text: str, facts: Facts) -> KernelSet:
+    def kernels(self, text: str, header: Header) -> KernelSets:
         """Give the kernels of a module."""
-        return Kernels(text, facts)
+        return Kernels(text, header)
 
     def driver(self, name: str) -> Callable[..., Any]:
         """Give a function of the driver."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.kernels.module import Facts
+from symsimpson.runtime.kernels.header import Header
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -211,7 +211,7 @@ class _Reader:
             raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
 
 
-def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
+def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
     """Write a kernel that puts the quantities into the rows behind the workspace's others."""
     lines = [
         "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
@@ -222,13 +222,13 @@ def observing_kernel(facts: Facts, found: Sequence[Observed]) -> str:
         "    W = carray(workspace, (ROWS, LANES))",
         "    for lane in range(LANES):",
     ]
-    rows = [(f"q_{i}", f"POSITION + {i}") for i in range(facts.n)]
-    rows += [(f"p_{i}", f"MOMENTUM + {i}") for i in range(facts.n)]
-    rows += [(f"v_{i}", f"VELOCITY + {i}") for i in range(facts.n)]
-    rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(facts.parameters))]
+    rows = [(f"q_{i}", f"POSITION + {i}") for i in range(header.n)]
+    rows += [(f"p_{i}", f"MOMENTUM + {i}") for i in range(header.n)]
+    rows += [(f"v_{i}", f"VELOCITY + {i}") for i in range(header.n)]
+    rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows.append(("energy", "ENERGY"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
-    lines += [f"        W[{facts.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
+    lines += [f"        W[{header.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"
 
 

@@ -118,27 +118,26 @@ class DenseOutput:
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Give q, p and a status so much later than stored states, by their numbers."""
         run, stepper = self._run, self._run._stepper
-        numbers, facts, kernels = stepper._numbers, stepper._facts, stepper._kernels
+        numbers, header, kernels = stepper._numbers, stepper._header, stepper._kernels
         h = run.h
         whole = np.maximum(np.floor(np.asarray(later / h, dtype=float)), 0).astype(np.int64)
         rest = later - whole * h
         none = np.abs(np.asarray(rest / h, dtype=float)) <= self._nothing
         order = np.lexsort((whole, start))
         with numbers.working():
-            W = workspace(facts, numbers, numbers.read(run._values))
+            W = workspace(header, numbers, numbers.read(run._values))
             t, q, p, step = self._t, self._q, self._p, numbers.read(h)
             rest = numbers.read(np.where(none, 0 * rest, rest))
-            found_q, found_p = numbers.zeros((2, len(order), facts.n))
+            found_q, found_p = numbers.zeros((2, len(order), header.n))
             fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
             at_once = max(1, AT_ONCE // (run.every or 1))
             for some in (order[i : i + at_once] for i in range(0, order.size, at_once)):
-                q_out, p_out = numbers.zeros((2, some.size + 1, facts.n))
+                q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
                 well = np.zeros(some.size, dtype=np.bool_)
                 between(
-                    getattr(kernels, kernels.ladder[0]), facts.newton_unknowns == 0, step.item(),
-                    t, W, facts.places, q, p, start[some], whole[some], rest[some], q_out, p_out,
-                    well,
+                    kernels.set(kernels.fallbacks[0]), step.item(), t, W, header.told, q, p,
+                    start[some], whole[some], rest[some], q_out, p_out, well,
                 )  # fmt: skip
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
             codes = np.zeros(len(order), dtype=np.int64)
@@ -169,7 +168,7 @@ class DenseOutput:
     def _run_on(self, q: Reals, p: Reals, h: Any, steps: int) -> tuple[Any, Status]:
         stepper, numbers = self._run._stepper, self._run._stepper._numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
-        one = Run(stepper._facts, stepper._kernels, numbers, values, h, 0 * h, 0, 1)
+        one = Run(stepper._header, stepper._kernels, numbers, values, h, 0 * h, 0, 1)
         one.begin(q, p, velocity=False)
         one.advance(steps)
         return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
+from symsimpson import interface
+
 __all__ = ["Status"]
 
 
@@ -17,16 +19,16 @@ class Status(IntEnum):
     (True, 'NOT_CONVERGED')
     """
 
-    SUCCESS = 0
-    INTERRUPTED = 1
-    NOT_CONVERGED = 2
-    NOT_FINITE = 3
-    STEP_TOO_LARGE = 4
-    BAD_INPUT = 5
-    COORDINATE_SINGULARITY = 6
-    DIVERGED = 7
-    SINGULAR_JACOBIAN = 8
-    FILE_ERROR = 9
+    SUCCESS = interface.SUCCESS
+    INTERRUPTED = interface.INTERRUPTED
+    NOT_CONVERGED = interface.NOT_CONVERGED
+    NOT_FINITE = interface.NOT_FINITE
+    STEP_TOO_LARGE = interface.STEP_TOO_LARGE
+    BAD_INPUT = interface.BAD_INPUT
+    COORDINATE_SINGULARITY = interface.COORDINATE_SINGULARITY
+    DIVERGED = interface.DIVERGED
+    SINGULAR_JACOBIAN = interface.SINGULAR_JACOBIAN
+    FILE_ERROR = interface.FILE_ERROR
 
     @property
     def message(self) -> str:

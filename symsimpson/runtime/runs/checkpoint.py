@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
-from symsimpson.runtime.kernels.module import digest
+from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.signals import undisturbed
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class Checkpoint:
 
     def states(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
         """Give q, p and iterations of the stored states, which stay on disk."""
-        n = self._run.facts.n
+        n = self._run.header.n
         shape = (self._rows, 2 * n + 1)
         rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
         unwritten = self._since()
@@ -200,7 +200,7 @@ class Checkpoint:
         run.put_back(record.position, record.workspace)
         self._rows, self._digest = record.stored, record.digest
         if run.every:
-            n = run.facts.n
+            n = run.header.n
             run.q[0, :, 0], run.p[0, :, 0] = record.last[:n], record.last[n : 2 * n]
 
 

@@ -122,9 +122,9 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
 
     Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
     """
-    if not trajectory.success and stepper._facts.real_everywhere:
+    if not trajectory.success and stepper._header.real_everywhere:
         return trajectory
-    if trajectory.every is None and not stepper._facts.real_everywhere:  # the last state, too
+    if trajectory.every is None and not stepper._header.real_everywhere:  # the last state, too
         numbers = stepper._numbers
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
@@ -200,7 +200,7 @@ def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, store
     """
     try:
         return Run(
-            stepper._facts, stepper._kernels, stepper._numbers, values, h, t0, stride, stored
+            stepper._header, stepper._kernels, stepper._numbers, values, h, t0, stride, stored
         )
     except (MemoryError, ValueError):
         raise InputError(
@@ -227,7 +227,7 @@ def begin_run(
     other = read_vector(name, given, stepper.coordinates, numbers)
     run.begin(q, other, velocity=name == "v0")
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
-    if stepper._facts.fast_sines and not numbers.all_finite(velocities):
+    if stepper._header.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, other, velocity=name == "v0", any_angle=True)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.kernels.module import Facts
+from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.kernels.numbers import KernelSet, Numbers
+    from symsimpson.runtime.kernels.numbers import Numbers
+    from symsimpson.runtime.kernels.sets import KernelSets
 
 __all__ = ["Run", "workspace"]
 
@@ -25,11 +26,11 @@ FALLBACK_STRETCH = 64
 
 
 def workspace(
-    facts: Facts, numbers: Numbers, parameters: NDArray[Any], more: int = 0
+    header: Header, numbers: Numbers, parameters: NDArray[Any], more: int = 0
 ) -> NDArray[Any]:
     """Make the workspace of one lane, with the parameters in it and so many further rows."""
-    W = numbers.zeros((facts.rows + more, 1))
-    first = facts.layout["PARAMETER"]
+    W = numbers.zeros((header.rows + more, 1))
+    first = header.layout["PARAMETER"]
     W[first : first + parameters.size, 0] = parameters
     return W
 
@@ -42,20 +43,20 @@ class Run:
 
     def __init__(
         self,
-        facts: Facts,
-        kernels: KernelSet,
+        header: Header,
+        kernels: KernelSets,
         numbers: Numbers,
         parameters: NDArray[Any],
         h: Any,
         t0: Any,
         every: int,
         stored: int,
-        ladder: Sequence[str] | None = None,
+        fallbacks: Sequence[str] | None = None,
     ) -> None:
-        layout, n = facts.layout, facts.n
-        self.facts, self.kernels, self.h, self.t0, self.every = facts, kernels, h, t0, every
+        layout, n = header.layout, header.n
+        self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
-        self.W = workspace(facts, numbers, parameters)
+        self.W = workspace(header, numbers, parameters)
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]
         self.q, self.p = numbers.zeros((2, stored, n, 1))
@@ -63,42 +64,42 @@ class Run:
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(2, dtype=np.int64)
         self.listener: Callable[[int], None] | None = None
-        self._ladder = kernels.ladder if ladder is None else ladder
-        self._rung, self._rung_until = 0, -1
+        self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
+        self._set, self._set_until = 0, -1
         self._stretch = numbers.stretch
 
     def begin(
         self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False
     ) -> None:
         """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed."""
-        layout, n = self.facts.layout, self.facts.n
+        layout, n = self.header.layout, self.header.n
         legendre = 0
         second = layout["MOMENTUM"]
         if any_angle:
-            self._rung, self._rung_until = len(self._ladder) - 1, FALLBACK_STRETCH
+            self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         if velocity:
             legendre = self.kernels.address("legendre", any_angle=any_angle)
             second = layout["VELOCITY"]
         self._column[layout["POSITION"] : layout["POSITION"] + n] = q
         self._column[second : second + n] = other
-        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.facts.places)
+        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.header.told)
         if self.every:
             self.store(0)
 
     def store(self, place: int) -> None:
         """Store the present state."""
-        n = self.facts.n
+        n = self.header.n
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
 
     def rows(self, block: str, count: int) -> NDArray[Any]:
         """Give rows of the workspace."""
-        first = self.facts.layout[block]
+        first = self.header.layout[block]
         return self._column[first : first + count]
 
     def value(self, block: str) -> Any:
         """Give the number in a block of one row."""
-        return self._column[self.facts.layout[block]]
+        return self._column[self.header.layout[block]]
 
     @property
     def step(self) -> int:
@@ -119,17 +120,19 @@ class Run:
 
     def _diverged(self) -> bool:
         """Tell whether the increments became ten times what was predicted, and seen before."""
-        n, d = self.facts.n, self.facts.degree
+        n, d = self.header.n, self.header.degree
         predicted = self.rows("PREDICTED", d * n).reshape(d, n)
-        expected = max((self.rows("METRIC", n) * predicted**2).sum(), self.value("SCALE"))
+        expected = max(
+            (self.rows("MASS_DIAGONAL", n) * predicted**2).sum(), self.value("LARGEST_SQUARED")
+        )
         return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
 
     def _singular(self) -> bool:
         """Tell whether elimination with pivoting, the last resort, met a pivot of zero."""
-        if self._ladder[self._rung] != "robust":
+        if self._fallbacks[self._set] != "robust":
             return False
-        at = self.facts.layout
-        places = np.arange(self.facts.newton_unknowns) * (at["SOLVE_STRIDE"] + 1)
+        at = self.header.layout
+        places = np.arange(self.header.newton_unknowns) * (at["SOLVE_STRIDE"] + 1)
         return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
     @property
@@ -151,8 +154,8 @@ class Run:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
         while self.step < stop and self.alive:
             until = min(stop, self.step + self._stretch)
-            if self._rung:
-                until = min(until, self._rung_until)
+            if self._set:
+                until = min(until, self._set_until)
             before, start = self.step, time.perf_counter()
             with self._undisturbed():
                 self._stretch_until(self._kernels(), until)
@@ -162,25 +165,25 @@ class Run:
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
             hopeful = not self.alive and self.status is not Status.COORDINATE_SINGULARITY
-            if hopeful and self._rung + 1 < len(self._ladder):
-                self._rung_until = self.step + FALLBACK_STRETCH
-                self._climb(self._rung + 1)
-            elif self._rung and self.step == self._rung_until:
-                self._climb(0)
+            if hopeful and self._set + 1 < len(self._fallbacks):
+                self._set_until = self.step + FALLBACK_STRETCH
+                self._change_to(self._set + 1)
+            elif self._set and self.step == self._set_until:
+                self._change_to(0)
 
     def _kernels(self) -> Any:
-        return getattr(self.kernels, self._ladder[self._rung])
+        return self.kernels.set(self._fallbacks[self._set])
 
-    def _climb(self, rung: int) -> None:
+    def _change_to(self, number: int) -> None:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
-        anew = "stages" in (self._ladder[rung], self._ladder[self._rung])
-        self._rung = rung
+        anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
+        self._set = number
         if not anew:
-            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.facts.places)
+            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.header.told)
             return
-        kept = [self.rows(name, 1) for name in ("ITERATIONS", "SCALE")]
+        kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
         values = [row.copy() for row in kept]
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.facts.places)
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.header.told)
         for row, value in zip(kept, values, strict=True):
             row[:] = value
 
@@ -188,25 +191,25 @@ class Run:
         return self.t0 + self.h * self.step
 
     def _stretch_until(self, kernels: Any, stop: int) -> None:
-        """Run compiled, mending the steps at which the loop stops."""
-        at, W = self.facts.places, self.W
+        """Run compiled, recovering the steps at which the loop stops."""
+        at, W = self.header.told, self.W
         t0, stop = self.t0 + self.h * self.first, stop - self.first
-        if self.facts.newton_unknowns == 0:
-            self._driver("march")(
+        if self.header.newton_unknowns == 0:
+            self._driver("take_explicit_steps")(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
                 self.iterations,
             )  # fmt: skip
             return
-        run = self._driver("run")
+        take_steps = self._driver("take_steps")
         while True:
-            run(
+            take_steps(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every,
                 self.q, self.p, self.iterations,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:
                 return
-            self._driver("mend")(kernels, self.h, self._time(), W, at, event)
+            self._driver("recover")(kernels, self.h, self._time(), W, at, event)
             if not self.alive:
                 self._progress[1] = 0
                 return
@@ -222,9 +225,9 @@ class Run:
 
     def position(self) -> list[int]:
         """Give what tells, beside the workspace, where the run is."""
-        return [self.first, self._progress.item(0), self._rung, self._rung_until]
+        return [self.first, self._progress.item(0), self._set, self._set_until]
 
     def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
         """Go on where another run was."""
-        self.first, self._progress[0], self._rung, self._rung_until = position
+        self.first, self._progress[0], self._set, self._set_until = position
         self._column[:] = workspace

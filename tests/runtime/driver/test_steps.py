@@ -10,15 +10,15 @@ from symsimpson.runtime.driver import steps as text
 
 
 def test_a_step_allocates_nothing():
-    compiled = njit(text.SIGNATURES["run"], **text.OPTIONS)(text.run.py_func)
+    compiled = njit(text.SIGNATURES["take_steps"], **text.DRIVER_OPTIONS)(text.take_steps.py_func)
     assert all("NRT_Allocate" not in code for code in compiled.inspect_llvm().values())
-    assert text.OPTIONS["nogil"]
+    assert text.DRIVER_OPTIONS["nogil"]
 
 
 @pytest.mark.slow
 def test_other_threads_run_meanwhile():
     """What is called from Python lets go of the interpreter."""
-    for name in ("begin", "run", "march", "mend", "sweep"):
+    for name in ("begin", "take_steps", "take_explicit_steps", "recover", "advance_blocks"):
         assert compiled.driver(name).targetoptions["nogil"]
 
 

@@ -100,7 +100,7 @@ def damage(path, how):
 )  # fmt: skip
 def test_damage_is_mended(warm, pattern, how):
     folder, value = warm
-    step = [path for path in folder.glob(pattern) if "step" in str(path)]
+    step = [path for path in folder.glob(pattern) if "newton_" in str(path)]
     assert step
     for path in step:
         damage(path, how)

@@ -8,7 +8,7 @@ import pytest
 from workspace import sweep
 
 import symsimpson as ss
-from symsimpson.runtime.kernels.module import SIGNED, digest
+from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.kernels.syntax import check_structure
 
 GENERATED = sorted((Path(__file__).parents[3] / "generated").glob("*.py"))

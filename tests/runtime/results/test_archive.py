@@ -118,7 +118,7 @@ def hostile(text):
 
 
 def resigned(text, more):
-    from symsimpson.runtime.kernels.module import SIGNED, digest
+    from symsimpson.runtime.kernels.header import SIGNED, digest
 
     found = SIGNED.search(text)
     body = text[found.end() :] + more

@@ -98,7 +98,7 @@ def test_the_same_call_goes_on(path, ended, monkeypatch):
 
 @pytest.mark.slow
 def test_after_newton_took_over(path, ended, monkeypatch):
-    """What the ladder of kernels remembers is kept."""
+    """Which fallback is in use is kept."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}
     stepper = ss.compile(system, "gauss6")
     start = {"q0": [1.0, 0.3], "v0": [0.0, 0.0], "h": 15 / 2e5**0.5, "steps": 200,

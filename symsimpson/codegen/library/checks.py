@@ -8,14 +8,14 @@ compiled: Callable[[Any], Any]
 ACTIVE: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
-MISMATCH_SQUARED: int
-SURPRISE_SQUARED: int
-CYCLIC_MISMATCH_SQUARED: int
-CYCLIC_SPREAD: int
+VELOCITY_JUMP_SQUARED: int
+PREDICTION_ERROR_SQUARED: int
+CYCLIC_JUMP_SQUARED: int
+CYCLIC_MASS_CHANGE: int
 RELATIVE: int
 CONTRACTION: int
 ITERATIONS: int
-SCALE: int
+LARGEST_SQUARED: int
 IN_DOUBT: int
 INFINITE: float
 NEGLIGIBLE: float
@@ -23,11 +23,11 @@ QUADRATIC: float
 STAGNATION: float
 FAR: float
 UNRESOLVED: float
-SPREAD: float
+LARGE_CHANGE: float
 
 
 @compiled
-def judge(W, lane):
+def check_convergence(W, lane):
     """Go on with a lane, or not: ACTIVE becomes 0 where it is solved, -3 where it is not finite.
 
     The correction after the present one is predicted from the ratio of a correction to the square
@@ -53,7 +53,7 @@ def judge(W, lane):
 
 
 @compiled
-def question(W, lane):
+def check_acceptance(W, lane):
     """Mark a solution that may not be the one that smaller steps lead to, or that says nothing.
 
     Its increments are further from the predicted ones than any was from zero (the first step of a
@@ -62,11 +62,11 @@ def question(W, lane):
     It says nothing (2) where the velocities of cyclic coordinates are lost within the step, and
     is looked at (3) where their masses change much.
     """
-    known = W[SCALE, lane]
+    known = W[LARGEST_SQUARED, lane]
     largest = max(known, W[INCREMENT_SQUARED, lane])
-    expected = (known <= 0) | (W[SURPRISE_SQUARED, lane] <= known)
-    sure = expected & (W[MISMATCH_SQUARED, lane] <= FAR * largest)
-    lost = W[CYCLIC_MISMATCH_SQUARED, lane] > UNRESOLVED * largest
-    doubt = 3.0 if W[CYCLIC_SPREAD, lane] > SPREAD else (0.0 if sure else 1.0)
+    expected = (known <= 0) | (W[PREDICTION_ERROR_SQUARED, lane] <= known)
+    sure = expected & (W[VELOCITY_JUMP_SQUARED, lane] <= FAR * largest)
+    lost = W[CYCLIC_JUMP_SQUARED, lane] > UNRESOLVED * largest
+    doubt = 3.0 if W[CYCLIC_MASS_CHANGE, lane] > LARGE_CHANGE else (0.0 if sure else 1.0)
     W[IN_DOUBT, lane] = 2.0 if lost else doubt
-    W[SCALE, lane] = largest if sure & (W[ACTIVE, lane] > 0) else known
+    W[LARGEST_SQUARED, lane] = largest if sure & (W[ACTIVE, lane] > 0) else known

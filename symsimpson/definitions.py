@@ -1,0 +1,57 @@
+"""The constants and functions that a module's text defines, and texts in which some are others."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from functools import lru_cache
+from types import MappingProxyType
+
+__all__ = ["definitions", "redefined", "syntax"]
+
+
+@lru_cache(maxsize=4)
+def syntax(text: str) -> ast.Module:
+    """Return the syntax tree of a text, which is not to be changed."""
+    return ast.parse(text)
+
+
+@lru_cache(maxsize=4)
+def definitions(text: str) -> Mapping[str, tuple[int, int]]:
+    """Give the first line, and the line behind the last, of each constant and function.
+
+    Decorators belong to functions. Lines are counted from 0.
+
+    Raises
+    ------
+    SyntaxError, ValueError, RecursionError, MemoryError
+        If the text is no Python.
+    """
+    found = {}
+    for node in syntax(text).body:
+        match node:
+            case ast.FunctionDef(name=name, decorator_list=marks):
+                first = min([node.lineno, *(mark.lineno for mark in marks)])
+            case ast.Assign(targets=[ast.Name(id=name)]):
+                first = node.lineno
+            case _:
+                continue
+        found[name] = first - 1, node.end_lineno or first
+    return MappingProxyType(found)
+
+
+def redefined(text: str, changes: Mapping[str, str]) -> str:
+    """Give a text in which constants and functions have other definitions.
+
+    Parameters
+    ----------
+    text : str
+    changes : mapping from str to str
+        The definition of each name as it is to stand there; empty to leave it out.
+    """
+    lines = text.splitlines(keepends=True)
+    spans = definitions(text)
+    for name in sorted(changes, key=lambda name: spans[name], reverse=True):
+        first, end = spans[name]
+        lines[first:end] = [f"{changes[name]}\n"] if changes[name] else []
+    return "".join(lines)

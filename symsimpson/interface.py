@@ -1,0 +1,122 @@
+"""The agreement between generated modules and the driver that calls their kernels.
+
+A kernel is a function ``kernel(h, t, workspace)``. Everything that a run remembers stands in the
+workspace: blocks of rows, one column for each lane. What both sides must know of it is said here
+and nowhere else. This text is compiled in front of the driver's, so it imports nothing.
+"""
+
+#: Number of the agreement; modules with another number are refused.
+INTERFACE = 8
+
+#: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
+#: compensated sums, "fast" would delete both.
+SIGNATURE = "void(float64, float64, CPointer(float64))"
+KERNEL_OPTIONS = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
+
+#: Blocks of the workspace in their order, and what stands there. Sizes are squared norms with the
+#: diagonal of M(q0) as weights.
+BLOCKS = {
+    "ACTIVE": "1: to be solved, 0: done, negative: failed, with a status",
+    "CORRECTION_SQUARED": "size of the last correction",
+    "INCREMENT_SQUARED": "size of the increments",
+    "VELOCITY_JUMP_SQUARED": "between the end of a path and the velocity there, times h",
+    "PREDICTION_ERROR_SQUARED": "size of what the increments differ by from the predicted ones",
+    "CYCLIC_JUMP_SQUARED": "the velocity jump of cyclic coordinates alone",
+    "CYCLIC_MASS_CHANGE": "relative change of M of cyclic coordinates over the step",
+    "MASS_PIVOT": "below 0 if M is not positive definite",
+    "ENERGY": "the Hamiltonian",
+    "KINETIC": "its kinetic part",
+    "STATUS": "0: going on, else why the lane stopped",
+    "RELATIVE": "correction relative to the increments, squared",
+    "CONTRACTION": "rate at which corrections shrink",
+    "LARGEST_SQUARED": "size of the largest increments so far",
+    "IN_DOUBT": "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved",
+    "ITERATIONS": "since the last stored state",
+    "COUNT": "steps that an explicit kernel takes in one call",
+    "POSITION": "q",
+    "POSITION_LOW": "what rounding has taken from q",
+    "MOMENTUM": "p",
+    "MOMENTUM_LOW": "what rounding has taken from p",
+    "INCREMENT": "control points of the path less q0",
+    "PREDICTED": "those that the iteration began with",
+    "PREVIOUS": "the state before the step, and the increments predicted then",
+    "SOLVED": "the increments of the step",
+    "VELOCITY": "v",
+    "PARAMETER": "parameters",
+    "INVARIANT": "quantities to watch",
+    "HOISTED": "values that are computed once a run or a step",
+    "NODE_POSITION": "q at a node",
+    "NODE_VELOCITY": "v at a node",
+    "NODE_L_Q": "F at a node",
+    "NODE_L_V": "P, or a, at a node",
+    "NODE_L_QQ": "F_q at a node",
+    "NODE_L_QV": "F_v at a node",
+    "NODE_L_VV": "M at a node",
+    "MASS": "a constant M",
+    "MASS_DIAGONAL": "diagonal of M(q0)",
+    "COEFFICIENT": "factors of the terms of L",
+    "STAGE_V": "h b_i v_i",
+    "STAGE_F": "h b_i F_i",
+    "STAGE_STEP": "h b_i",
+    "STAGE_RATE": "1 / (h b_i)",
+    "STAGE_MU": "from STAGE_V to positions at the nodes",
+    "STAGE_NU": "from STAGE_F to momenta at the nodes",
+    "STAGE_AHEAD": "from STAGE_V to that of the next step",
+    "STAGE_CORRECTION": "sizes of the corrections at the nodes",
+    "STAGE_SIZE": "sizes of the increments at the nodes",
+    "STAGE_HELD": "values between the two halves of an iteration",
+    "STAGE_EXPECTED": "iterations before convergence is checked",
+    "STAGE_COUNT": "iterations of the step",
+    "RESIDUAL": "residual, then the correction",
+    "JACOBIAN": "its derivatives",
+}
+
+#: Blocks that must stand right behind one another: the driver moves them as one.
+ADJACENT = (
+    ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED"),
+    ("ENERGY", "KINETIC"),
+)
+
+#: What the driver is told of a module, in this order: rows of blocks, the row behind the
+#: increments, and the number of coordinates.
+TOLD = (
+    "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
+    "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
+    "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
+    "PARAMETER", "MASS_PIVOT", "ROWS",
+)  # fmt: skip
+(
+    ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
+    POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
+    SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
+    PARAMETER, MASS_PIVOT, ROWS,
+) = range(23)  # fmt: skip
+
+# values in STATUS, and negative ones in ACTIVE
+SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
+COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
+
+# values in IN_DOUBT
+ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
+
+#: How a set of kernels takes a step: by none but itself; by Newton's method; by an iteration over
+#: stages; by Newton's method where that failed, with the energy watched as in all steps by stages.
+EXPLICIT, NEWTON, STAGES, NEWTON_AFTER_STAGES = range(4)
+
+#: A set of kernels as the driver takes it: the mode, then addresses, 0 where there is none.
+MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE = range(6)
+
+#: The kernels of each set by name, in that order.
+KERNEL_SETS = {
+    EXPLICIT: ("prepare", "start", "", "advance", ""),
+    NEWTON: ("prepare", "start", "newton", "advance", ""),
+    STAGES: ("prepare", "start_stages", "iterate", "advance_stages", ""),
+    NEWTON_AFTER_STAGES: ("prepare", "start", "newton", "advance", "energy"),
+}
+#: What takes the place of Newton's method where a pivot was zero.
+PIVOTED = "newton_pivoted"
+#: All kernels that a module may have.
+KERNELS = (
+    "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
+    "iterate", "advance_stages", "energy", "invariants", "equations",
+)  # fmt: skip

@@ -1,0 +1,102 @@
+"""The kernels of one module, compiled or loaded from the cache when first asked for."""
+
+from __future__ import annotations
+
+import time
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.definitions import redefined
+from symsimpson.runtime.kernels.cache import compiled, location
+from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.sets import KernelSets
+
+__all__ = ["Kernels"]
+
+#: Runs begin with it: compiled beside the kernels of a step, because they share functions.
+_BEGIN = "legendre"
+#: The library's sine and cosine, which have a value for any angle.
+_ANY_ANGLE = """\
+from math import cos, sin
+
+
+@compiled
+def sincos(x):
+    return sin(x), cos(x)
+"""
+
+
+class Kernels(KernelSets):
+    """Addresses of compiled kernels, for so many lanes."""
+
+    def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
+        super().__init__(header, by_stages=header.by_stages and lanes == 1)
+        # values of parameters are no part of what is compiled, nor is the banner above the module
+        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}"})
+        self._text = changed[changed.index('"""') :]
+        self._single: dict[tuple[str, bool], int] = {}
+        self.seconds = 0.0  # spent on compiling, or on loading what is compiled
+
+    @property
+    def location(self) -> str:
+        """Where the code of a step is, in words."""
+        return location(self._text, self.fallbacks[0])
+
+    @cached_property
+    def _any_angle(self) -> str:
+        """The text with the library's sine and cosine."""
+        if not self.header.fast_sines:
+            return self._text
+        return redefined(self._text, {"sincos": _ANY_ANGLE.rstrip()})
+
+    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[int]:
+        """Return addresses of kernels that are compiled together; 0 for an empty name."""
+        if any_angle:
+            return self._addresses(self._any_angle, label, names)
+        *kernels, begin = self._addresses(self._text, label, [*names, _BEGIN])
+        self._single.setdefault((_BEGIN, False), begin)
+        return kernels
+
+    def joined(self, mode: int, kernels: list[int]) -> NDArray[np.int64]:
+        """Return mode and addresses."""
+        return np.array([mode, *kernels], dtype=np.int64)
+
+    def address(self, name: str, *, any_angle: bool = False) -> int:
+        """Return the address of one kernel; of one that takes any angle, if that is asked for."""
+        key = name, any_angle
+        if key == (_BEGIN, False):
+            self.set(self.fallbacks[0])
+        if key not in self._single:  # finding it among what is compiled takes the text's digest
+            text = self._any_angle if any_angle else self._text
+            label = f"{name}_any_angle" if any_angle else name
+            self._single[key] = self._addresses(text, label, [name])[0]
+        return self._single[key]
+
+    def observing(self, kernel: str, rows: int) -> int:
+        """Return the address of a further kernel, whose text is compiled behind the module's.
+
+        The workspace has so many more rows, from what was ROWS on.
+        """
+        text = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
+        return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
+
+    def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
+        def compile_kernels(module: ModuleType) -> tuple[list[Any], list[int]]:
+            from numba import cfunc
+
+            kernels: list[Any] = [
+                cfunc(module.SIGNATURE, cache=True, **module.OPTIONS)(getattr(module, name))
+                for name in names if name
+            ]  # fmt: skip
+            found = iter(kernels)
+            addresses = [next(found).address if name else 0 for name in names]
+            return kernels, list(map(int, addresses))
+
+        start = time.perf_counter()
+        found = compiled(text, label, compile_kernels)[1]
+        self.seconds += time.perf_counter() - start
+        return found

@@ -1,0 +1,186 @@
+"""The header of a generated module: what it states of itself, read without executing it."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.definitions import syntax
+from symsimpson.errors import StaleKernelError
+from symsimpson.interface import ADJACENT, BLOCKS, INTERFACE, PIVOTED, TOLD
+
+__all__ = ["SIGNED", "Header", "digest", "equations_of", "read_header"]
+
+#: The line above a module that holds the digest of what follows.
+SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a generated module states of itself, read without executing it."""
+
+    system: str
+    scheme: str
+    digest: str
+    order: int
+    degree: int
+    newton_unknowns: int
+    coordinates: tuple[str, ...]
+    parameters: tuple[str, ...]
+    defaults: tuple[float, ...]
+    signs: tuple[str, ...]
+    invariants: tuple[str, ...]
+    real_everywhere: bool
+    rows: int
+    row_order: tuple[int, ...]
+    column_order: tuple[int, ...]
+    coordinate_order: tuple[int, ...]
+    layout: Mapping[str, int]
+    functions: tuple[str, ...]
+
+    @cached_property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @cached_property
+    def by_stages(self) -> bool:
+        """Whether steps are iterated by velocities and forces at the nodes, which are lanes."""
+        return "iterate" in self.functions
+
+    @property
+    def fast_sines(self) -> bool:
+        """Whether kernels use the fast sine and cosine, which have no value for huge angles."""
+        return "sincos" in self.functions
+
+    @property
+    def unrolled(self) -> bool:
+        """Whether Newton's method is written out, without loops and pivots."""
+        return PIVOTED in self.functions
+
+    @cached_property
+    def told(self) -> NDArray[np.int64]:
+        """What the driver must know of the layout, in its order."""
+        more = {
+            "STATE_END": self.layout["INCREMENT"] + self.degree * self.n, "DIMENSION": self.n,
+            "ROWS": self.rows,
+        }  # fmt: skip
+        return np.array([{**self.layout, **more}[name] for name in TOLD], dtype=np.int64)
+
+
+def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
+
+    Rows are those of the module; columns are brought into the order X_1..X_d.
+    """
+    at, n, d = header.layout, header.n, header.degree
+    place = np.argsort(header.coordinate_order)
+    unknown = (
+        np.arange(d)[:, None] * at["EQUATION_ROW_STEP"] + place * at["EQUATION_PLACE_STEP"]
+    ).ravel()
+    residual = run.rows("RESIDUAL", d * n)[unknown].reshape(d, n)
+    near = np.abs(place[:, None] - place) <= at["BAND"]
+    inside = np.tile(near, (d, d))
+    entries = unknown[:, None] * at["EQUATION_STRIDE"] + at["EQUATION_OFFSET"] + unknown
+    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
+    jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
+    return residual, jacobian[:, :, [header.column_order.index(k) for k in range(1, d + 1)]]
+
+
+def read_header(text: str, where: str) -> Header:
+    """Read the constants of a generated module from its syntax tree.
+
+    Raises
+    ------
+    StaleKernelError
+        If the text is not a module that this version's generator wrote, unchanged.
+    """
+    _check_digest(text, where)
+    constants: dict[str, Any] = {}
+    functions: list[str] = []
+    try:
+        body = syntax(text).body
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise StaleKernelError(
+            f"{where}: this is no Python, so no module that symsimpson generated.\n"
+            "It is damaged, or was made by somebody else. Generate it anew."
+        ) from None
+    for node in body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+            value = node.value
+            if isinstance(value, ast.Call) and value.args:  # array((...))
+                value = value.args[0]
+            try:
+                constants[node.targets[0].id] = ast.literal_eval(value)
+            except ValueError:
+                continue
+        elif isinstance(node, ast.FunctionDef):
+            functions.append(node.name)
+    if constants.get("INTERFACE") != INTERFACE:
+        raise StaleKernelError(
+            f"{where}: the module has kernel interface {constants.get('INTERFACE')}, "
+            f"this symsimpson drives interface {INTERFACE}.\n"
+            "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
+        )
+    names = {
+        "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
+        "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
+        "coordinates": "COORDINATES", "parameters": "PARAMETERS",
+        "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS",
+        "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
+        "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
+        "coordinate_order": "COORDINATE",
+    }  # fmt: skip
+    blocks = {
+        name: value
+        for name, value in constants.items()
+        if type(value) is int and re.fullmatch(r"[A-Z][A-Z_]+", name)
+    }
+    _check_layout(blocks, where)
+    return Header(
+        **{field: constants[name] for field, name in names.items()},
+        layout=MappingProxyType(blocks),
+        functions=tuple(functions),
+    )
+
+
+def _check_layout(layout: Mapping[str, int], where: str) -> None:
+    """Check that blocks that the driver moves as one stand behind one another."""
+    order = sorted((block for block in BLOCKS if block in layout), key=layout.__getitem__)
+    for blocks in ADJACENT:
+        first = order.index(blocks[0]) if blocks[0] in order else 0
+        if tuple(order[first : first + len(blocks)]) != blocks:
+            raise StaleKernelError(
+                f"{where}: the blocks {', '.join(blocks)} of the workspace do not stand behind one "
+                "another.\nGenerate the module anew."
+            )
+
+
+def digest(text: str) -> str:
+    """Give the SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _check_digest(text: str, where: str) -> None:
+    found = SIGNED.search(text)
+    if found is None:
+        raise StaleKernelError(
+            f"{where}: this is no module that symsimpson generated: its banner has no digest.\n"
+            "Only generated modules are loaded, because loading executes them. Generate one with "
+            "symsimpson.generate(system, scheme)."
+        )
+    if digest(text[found.end() :]) != found[1]:
+        raise StaleKernelError(
+            f"{where}: the module does not match the digest in its banner: it was edited or "
+            "damaged.\nIts equations can no longer be trusted. Change the system, not the file, "
+            "and generate it anew."
+        )

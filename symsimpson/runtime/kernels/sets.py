@@ -1,0 +1,86 @@
+"""The kernels of a module in sets, as the driver takes them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+from typing import Any
+
+from symsimpson.interface import (
+    EXPLICIT,
+    KERNEL_SETS,
+    MEASURE,
+    NEWTON,
+    NEWTON_AFTER_STAGES,
+    PIVOTED,
+    STAGES,
+)
+from symsimpson.runtime.kernels.header import Header
+
+__all__ = ["KernelSets"]
+
+
+class KernelSets(ABC):
+    """Kernels in some arithmetic: addresses of compiled ones, or functions.
+
+    Attributes
+    ----------
+    header : Header
+    by_stages : bool
+        Whether steps are iterated over stages first.
+    """
+
+    def __init__(self, header: Header, *, by_stages: bool) -> None:
+        self.header, self.by_stages = header, by_stages
+        self._sets: dict[str, Any] = {}
+
+    @cached_property
+    def fallbacks(self) -> tuple[str, ...]:
+        """Names of the sets to take steps with, each where the one before fails."""
+        first = ("stages",) if self.by_stages else ()
+        return (*first, "newton", *(("robust",) if self.header.newton_unknowns else ()))
+
+    def set(self, name: str) -> Any:
+        """Return a set: its mode, then its kernels.
+
+        "robust" is Newton's method with row pivoting and the library's sine and cosine. It takes
+        any angle and meets no singular pivot, at several times the cost.
+        """
+        if name not in self._sets:  # finding compiled code takes the digest of the text
+            self._sets[name] = self._made(name)
+        return self._sets[name]
+
+    def _made(self, name: str) -> Any:
+        if name == "stages":
+            mode = STAGES
+        elif not self.header.newton_unknowns:
+            mode = EXPLICIT
+        else:
+            mode = NEWTON_AFTER_STAGES if self.by_stages else NEWTON
+        robust = name == "robust"
+        names = list(KERNEL_SETS[mode])
+        if robust and self.header.unrolled:
+            names[names.index("newton")] = PIVOTED
+        # the energy is a kernel of its own, for whoever asks for it
+        own = [*names[: MEASURE - 1], ""] if names[MEASURE - 1] else names
+        kernels = self.compiled(name, own, any_angle=robust)
+        if names[MEASURE - 1]:
+            kernels[MEASURE - 1] = self.address(names[MEASURE - 1], any_angle=robust)
+        return self.joined(mode, kernels)
+
+    @property
+    @abstractmethod
+    def location(self) -> str:
+        """Where the code of a step is, in words."""
+
+    @abstractmethod
+    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+        """Return kernels that are compiled together; 0 for an empty name."""
+
+    @abstractmethod
+    def joined(self, mode: int, kernels: list[Any]) -> Any:
+        """Return a set as the driver of this arithmetic takes it."""
+
+    @abstractmethod
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        """Return one kernel; of one that takes any angle, if that is asked for."""

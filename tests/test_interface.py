@@ -1,0 +1,61 @@
+"""What generated modules and their driver agree on, and what becomes of a module that does not."""
+
+import ast
+import re
+
+import pytest
+
+import symsimpson as ss
+from symsimpson import interface
+from symsimpson.codegen.pipeline import source
+from symsimpson.definitions import redefined
+from symsimpson.errors import StaleKernelError
+from symsimpson.runtime.driver.compiled import driver_text
+from symsimpson.runtime.kernels.header import SIGNED, digest, read_header
+
+TEXT = source(ss.systems.pendulum(), "gauss8")
+
+
+def signed(text):
+    banner = SIGNED.search(text)
+    return text.replace(banner[1], digest(text[banner.end() :]), 1)
+
+
+def test_names_and_places_of_what_the_driver_is_told_agree():
+    assert [getattr(interface, name) for name in interface.TOLD] == list(range(len(interface.TOLD)))
+    told = read_header(TEXT, "here").told
+    layout = read_header(TEXT, "here").layout
+    for name in set(interface.TOLD) - {"STATE_END", "DIMENSION"}:
+        assert told[getattr(interface, name)] == layout[name]
+    assert told[interface.STATE_END] == layout["PREDICTED"]
+
+
+def test_sets_of_kernels_have_a_kernel_in_each_place():
+    for names in interface.KERNEL_SETS.values():
+        assert len(names) == interface.MEASURE
+        assert set(names) <= {*interface.KERNELS, ""}
+
+
+def test_statuses_are_those_of_the_driver():
+    for status in ss.Status:
+        assert getattr(interface, status.name) == status
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("INCREMENT", "PREDICTED"), ("POSITION_LOW", "MOMENTUM")]
+)
+def test_blocks_that_move_as_one_must_stand_together(first, second):
+    """The driver would move the wrong rows without a word."""
+    rows = read_header(TEXT, "here").layout
+    changed = redefined(
+        TEXT, {first: f"{first} = {rows[second]}", second: f"{second} = {rows[first]}"}
+    )
+    with pytest.raises(StaleKernelError, match="do not stand behind one another"):
+        read_header(signed(changed), "here")
+
+
+def test_the_driver_is_one_text_that_imports_nothing_of_ours():
+    tree = ast.parse(driver_text(8))
+    imported = {node.module for node in tree.body if isinstance(node, ast.ImportFrom)}
+    assert not any(name.startswith("symsimpson") for name in imported)
+    assert len(re.findall(r"^LANES = 8$", driver_text(8), re.MULTILINE)) == 1
