@@ -146,6 +146,9 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
     known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
 
     def written(value: sp.Expr) -> Any:
+        # it reads no fractions that are not exact in binary
+        inexact = {x: sp.Float(x, 17) for x in value.atoms(sp.Rational) if x.q & (x.q - 1)}
+        value = value.xreplace(inexact)
         # its powers above the second divide by their base, which may be zero
         for power in sorted(value.atoms(sp.Pow), key=sp.count_ops):
             if power not in named and power.exp.is_Integer and power.exp > 2:

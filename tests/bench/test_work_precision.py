@@ -10,9 +10,10 @@ import symsimpson as ss
 from symsimpson.bench import ensembles
 from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import make_problem
-from symsimpson.bench.programs import PROGRAMS
+from symsimpson.bench.programs import PROGRAMS, in_heyoka
 from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
+from symsimpson.reference.first_order import canonical
 
 
 @pytest.fixture(
@@ -169,3 +170,17 @@ def test_ensembles_are_compared(monkeypatch):
         for line in found:
             level = 1e-3 if found.index(line) < 4 else 1e-6
             assert float(line.rstrip(")").rsplit(" ", 1)[1]) <= level
+
+
+def test_heyoka_reads_fractions_that_are_not_binary():
+    heyoka = pytest.importorskip("heyoka")
+    equations = canonical(ss.systems.puma560(2))
+    written = in_heyoka(heyoka, equations)
+    unknowns, rates = zip(*written, strict=True)
+    at = [0.3, -0.7, 0.2, 0.5]
+    found = heyoka.cfunc(list(rates), vars=list(unknowns))(np.array(at))
+    known = dict(zip(equations.unknowns, at, strict=True)) | dict(equations.parameters)
+    for symbol, value in equations.definitions:
+        known[symbol] = float(value.xreplace(known))
+    expected = [float(rate.xreplace(known)) for rate in equations.rates]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
