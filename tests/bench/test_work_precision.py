@@ -13,7 +13,7 @@ from symsimpson.bench.problem import make_problem
 from symsimpson.bench.programs import PROGRAMS, in_heyoka
 from symsimpson.bench.record import WorkPrecision
 from symsimpson.cli import main
-from symsimpson.reference.first_order import canonical
+from symsimpson.reference.first_order import second_order
 
 
 @pytest.fixture(
@@ -174,7 +174,7 @@ def test_ensembles_are_compared(monkeypatch):
 
 def test_heyoka_reads_fractions_that_are_not_binary():
     heyoka = pytest.importorskip("heyoka")
-    equations = canonical(ss.systems.puma560(2))
+    equations = second_order(ss.systems.puma560(2))
     written = in_heyoka(heyoka, equations)
     unknowns, rates = zip(*written, strict=True)
     at = [0.3, -0.7, 0.2, 0.5]
