@@ -78,7 +78,7 @@ def plain_arithmetic(
     real: Callable[..., Any],
     digits: int | None = None,
 ) -> dict[str, Any]:
-    """Give the names that a module takes from its arithmetic; one function may stand for all.
+    """Return the names that a module takes from its arithmetic; one function may stand for all.
 
     With a number of digits the kernels check their iterations, by thresholds for so many.
     """
@@ -129,7 +129,7 @@ def bind_mpmath(
     nan, not_real = context.nan, (context.mpc, complex)
 
     def real_valued(function: Callable[..., Any]) -> Callable[..., Any]:
-        """Give NaN where there is no real value, as compiled code does."""
+        """Return NaN where there is no real value, as compiled code does."""
 
         def evaluated(*arguments: Any) -> Any:
             try:

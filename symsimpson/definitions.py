@@ -18,7 +18,7 @@ def syntax(text: str) -> ast.Module:
 
 @lru_cache(maxsize=4)
 def definitions(text: str) -> Mapping[str, tuple[int, int]]:
-    """Give the first line, and the line behind the last, of each constant and function.
+    """Return the first line, and the line behind the last, of each constant and function.
 
     Decorators belong to functions. Lines are counted from 0.
 
@@ -41,7 +41,7 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
 
 
 def redefined(text: str, changes: Mapping[str, str]) -> str:
-    """Give a text in which constants and functions have other definitions.
+    """Return a text in which constants and functions have other definitions.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ _drawn = threading.Lock()
 
 
 def watched() -> bool:
-    """Tell whether somebody sees what is drawn: in a terminal or a notebook."""
+    """Return whether somebody sees what is drawn: in a terminal or a notebook."""
     return "ipykernel" in sys.modules or bool(getattr(sys.stderr, "isatty", bool)())
 
 

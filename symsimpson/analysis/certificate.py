@@ -89,11 +89,11 @@ class Certificate:
         return all(check.passed for check in self.checks)
 
     def __getitem__(self, name: str) -> Check:
-        """Give a check by its name."""
+        """Return a check by its name."""
         return next(check for check in self.checks if check.name == name)
 
     def to_json(self) -> str:
-        """Give it as text in JSON, the same every time but for the seconds."""
+        """Return it as text in JSON, the same every time but for the seconds."""
         content: dict[str, Any] = asdict(self) | {"parameters": dict(self.parameters)}
         for check, row in zip(self.checks, content["checks"], strict=True):
             row["measured"] = None if check.measured != check.measured else check.measured

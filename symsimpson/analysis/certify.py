@@ -86,7 +86,7 @@ class Subject:
         )  # fmt: skip
 
     def distance(self, a: Any, b: Any) -> float:
-        """Give the largest difference of two states in units of the scale."""
+        """Return the largest difference of two states in units of the scale."""
         return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
 
 
@@ -144,7 +144,7 @@ def _order(s: Subject) -> Iterator[Check]:
     resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
 
     def error(level: int) -> float:
-        """Give the error with steps of h / 2**level."""
+        """Return the error with steps of h / 2**level."""
         flow = s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
         return s.distance(flow, exact)
 
@@ -174,7 +174,7 @@ def _parts(level: int) -> str:
 
 
 def coefficient_digits(source: str) -> int | None:
-    """Give the decimals of coefficients that a module states as they were published, if any."""
+    """Return the decimals of coefficients that a module states as they were published, if any."""
     found = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
     return max(map(len, found)) if found else None
 

@@ -222,11 +222,11 @@ class _Problem:
         return best
 
     def _wanted(self, growth: float) -> float:
-        """Give the error that the pilot run may have."""
+        """Return the error that the pilot run may have."""
         return self.error / SAFETY * (self.pilot / self.t_end) ** growth
 
     def _measure(self, stepper: Stepper, steps: int) -> tuple[float, float, int, float] | None:
-        """Give the error, the exponent of its growth with time, the work, and the run time."""
+        """Return the error, the exponent of its growth with time, the work, and the run time."""
         seconds = math.inf
         for _ in range(REPEATS):  # the first one may compile
             begin = time.perf_counter()

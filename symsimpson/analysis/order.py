@@ -9,7 +9,7 @@ __all__ = ["observed_orders"]
 
 
 def observed_orders(errors: ArrayLike, ratio: float = 2.0) -> NDArray[np.float64]:
-    """Give the observed order between each error and the next.
+    """Return the observed order between each error and the next.
 
     Parameters
     ----------

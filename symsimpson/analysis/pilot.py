@@ -42,7 +42,7 @@ def any_step() -> Iterator[None]:
 def choose_state(
     stepper: Stepper, state: Mapping[str, Any] | None, parameters: Mapping[str, float]
 ) -> State:
-    """Give (q, p) of the state asked for, the stepper's reference state, or one at random.
+    """Return (q, p) of the state asked for, the stepper's reference state, or one at random.
 
     A state is q0, and v0 or p0; what is None is not asked for.
 

@@ -46,7 +46,7 @@ class Precise:
         )
 
     def flow(self, z: Vector, h: Any, steps: int = 1) -> Vector:
-        """Give the state after some steps."""
+        """Return the state after some steps."""
         end = self.run(z, h, steps, every=None)
         return np.concatenate([end.q[0], end.p[0]])
 
@@ -67,12 +67,12 @@ class Precise:
         return (energies[0::2] - energies[1::2]) / (2 * self.small)
 
     def rates(self, z: Iterable[Any]) -> list[Any]:
-        """Give Hamilton's equations: q' = dH/dp, p' = -dH/dq."""
+        """Return Hamilton's equations: q' = dH/dp, p' = -dH/dq."""
         gradient = self.gradient(z)
         return [*gradient[self.n :], *(-gradient[: self.n])]
 
     def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
-        """Give the sizes of the first Newton corrections, relative to the increments."""
+        """Return the sizes of the first Newton corrections, relative to the increments."""
         found = []
         with self._numbers.working():
             run = self._begun(z, h)

@@ -44,14 +44,14 @@ class Symmetry:
     name: str
 
     def momentum(self, q: ArrayLike, p: ArrayLike) -> NDArray[Any]:
-        """Give p (A q + b) for states of shape (..., n), in the digits that these have."""
+        """Return p (A q + b) for states of shape (..., n), in the digits that these have."""
         q, p = np.asarray(q), np.asarray(p)
         A, b = (self.A, self.b) if q.dtype != object else (self.exact[:, :-1], self.exact[:, -1])
         terms: NDArray[Any] = p * (q @ A.T + b)
         return terms.sum(axis=-1)
 
     def size(self, q: ArrayLike, p: ArrayLike) -> float:
-        """Give the largest sum of the moduli of the terms."""
+        """Return the largest sum of the moduli of the terms."""
         q, p = (np.abs(np.asarray(x, dtype=np.float64)) for x in (q, p))
         return float((p * (q @ np.abs(self.A).T + np.abs(self.b))).sum(axis=-1).max())
 
@@ -103,7 +103,7 @@ def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> ND
 
 
 def _fraction(value: float, context: Any) -> Any:
-    """Give an entry as the number that it is a double of, None if it is none of few digits."""
+    """Return an entry as the number that it is a double of, None if it is none of few digits."""
     twelfths = round(12 * value)
     return context.mpf(twelfths) / 12 if value == twelfths / 12 else None
 

@@ -52,7 +52,7 @@ class Contender:
 
 
 def numbers_of_steps(problem: Problem) -> list[int]:
-    """Give numbers of steps from coarse to fine; not so coarse that an oscillation is left out."""
+    """Return numbers of steps from coarse to fine; none leaves out an oscillation."""
     values = problem.system.parameters.values()
     turns = problem.t_end * largest_frequency(problem.system, problem.q0, values) / COARSEST
     least = max(4, round(problem.t_end / 2), round(turns))

@@ -18,7 +18,7 @@ __all__ = ["ours", "peers"]
 
 
 def ours(problem: Problem, scheme: str | Scheme) -> Contender:
-    """Give one of our schemes; it counts Newton iterations."""
+    """Return one of our schemes; it counts Newton iterations."""
     stepper = compile_system(problem.system, scheme)
 
     def make(steps: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
@@ -42,7 +42,7 @@ def ours(problem: Problem, scheme: str | Scheme) -> Contender:
 
 
 def peers(problem: Problem, names: str | Sequence[str] = "installed") -> Iterator[Contender]:
-    """Give the other programs: those named, or all that are installed.
+    """Return the other programs: those named, or all that are installed.
 
     Raises
     ------

@@ -55,13 +55,13 @@ class Problem:
     scale: Floats
 
     def error(self, q: Any, p: Any) -> float:
-        """Give the largest error of a state at ``t_end``, in units of ``scale``."""
+        """Return the largest error of a state at ``t_end``, in units of ``scale``."""
         difference = np.concatenate([q, p]) - self.solution
         largest = float(np.abs(difference / self.scale).max())
         return largest if np.isfinite(largest) else float("inf")
 
     def momentum(self, stepper: Stepper, q: Any, v: Any) -> Floats:
-        """Give p of a state in (q, v), NaN for a peer that failed."""
+        """Return p of a state in (q, v), NaN for a peer that failed."""
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             return np.full(len(self.q0), np.nan)
         momentum: Floats = stepper.integrate(q, v0=v, h=1.0, steps=0).p[0]

@@ -79,12 +79,12 @@ class WorkPrecision:
         return tuple(dict.fromkeys(point.name for point in self.points))
 
     def fastest(self, name: str, error: float) -> Point | None:
-        """Give the fastest point of a contender with at most this error; None if there is none."""
+        """Return the fastest point of a contender with at most this error; or None."""
         good = [p for p in self.points if p.name == name and p.error <= error]
         return min(good, key=lambda point: point.median) if good else None
 
     def plot(self, *, ax: Any = None) -> Any:
-        """Draw median run time against error; gives the axes. Needs matplotlib."""
+        """Draw median run time against error; returns the axes. Needs matplotlib."""
         from symsimpson.plotting.work_precision import plot_work_precision
 
         return plot_work_precision(self, ax=ax)
@@ -123,7 +123,7 @@ class WorkPrecision:
             ) from error
 
     def compare(self, before: WorkPrecision) -> str:
-        """Give the ratio of run times now and before, for each contender and level.
+        """Return the ratio of run times now and before, for each contender and level.
 
         Raises
         ------

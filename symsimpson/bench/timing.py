@@ -10,7 +10,7 @@ __all__ = ["alternate"]
 
 
 def alternate(jobs: Mapping[str, Callable[[], Any]], rounds: int) -> dict[str, list[float]]:
-    """Run all jobs in some rounds; gives the seconds of each."""
+    """Run all jobs in some rounds; returns the seconds of each."""
     times: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(rounds):
         for name, job in jobs.items():

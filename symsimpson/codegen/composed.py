@@ -30,13 +30,13 @@ class ComposedSolver(Explicit):
         self._impulse: dict[int, sp.Expr] = {}
 
     def _shares(self, table: str, values: Sequence[sp.Expr]) -> list[sp.Expr]:
-        """Give h times the entries of a table of the module, equal ones by the same name."""
+        """Return h times the entries of a table of the module, equal ones by the same name."""
         first = [sp.Symbol(f"{table}[{values.index(value)}]", real=True) for value in values]
         graph = self._low.graph
         return [self._low.equations.h * graph.declare(name, Level.RUN) for name in first]
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0, after all kicks but the last."""
+        """Return q1 - q0, after all kicks but the last."""
         low, names, define = self._low, self._low.names.coordinates, self._low.graph.define
         moved: dict[int, sp.Expr] = {a: low.q_low[a] for a in self.coordinates}
         self._impulse = {a: low.p_low[a] for a in self._forced}
@@ -58,7 +58,7 @@ class ComposedSolver(Explicit):
         return {a: value - low.q_low[a] for a, value in moved.items()}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0, the last kick included."""
+        """Return p1 - p0, the last kick included."""
         self._kick(self._kicks[-1], end, "last kick", "dp_{}_end")
         return {a: value - self._low.p_low[a] for a, value in self._impulse.items()}
 

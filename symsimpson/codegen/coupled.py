@@ -38,21 +38,21 @@ class Solver(Protocol):
         ...
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give right-hand side and matrix of a Newton iteration."""
+        """Return right-hand side and matrix of a Newton iteration."""
         ...
 
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
     ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give the new values of what is carried, from the changes of the unknowns."""
+        """Return the new values of what is carried, from the changes of the unknowns."""
         ...
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 at the solution."""
+        """Return q1 - q0 at the solution."""
         ...
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0 at the solution, where it is not zero; ``end`` is q1."""
+        """Return p1 - p0 at the solution, where it is not zero; ``end`` is q1."""
         ...
 
 
@@ -63,13 +63,13 @@ class Explicit:
     carried: tuple[tuple[int, int], ...] = ()
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give nothing to solve."""
+        """Return nothing to solve."""
         return [], []
 
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
     ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give nothing: no increment is left over."""
+        """Return nothing: no increment is left over."""
         return {}
 
 
@@ -86,7 +86,7 @@ def constant_mass_velocity(
 def node_point(
     low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None
 ) -> Point:
-    """Give the point of node i in terms of the increments; ``end`` stands for a node at q1.
+    """Return the point of node i in terms of the increments; ``end`` stands for a node at q1.
 
     Velocities are there if it is ``moving``.
     """
@@ -128,7 +128,7 @@ class CoupledSolver:
         self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give right-hand side and matrix of a Newton iteration."""
+        """Return right-hand side and matrix of a Newton iteration."""
         low, part, eqs = self._low, self._part, self._low.equations
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
         stages = range(eqs.scheme.stages)
@@ -163,15 +163,15 @@ class CoupledSolver:
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
     ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give nothing: every increment is an unknown."""
+        """Return nothing: every increment is an unknown."""
         return {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 at the solution."""
+        """Return q1 - q0 at the solution."""
         return {a: self._low.increments[-1][a] for a in self.coordinates}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+        """Return p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
         low, eqs = self._low, self._low.equations
         points = [
             node_point(low, i, self.coordinates, moving=True, end=end)

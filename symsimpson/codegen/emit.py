@@ -244,7 +244,7 @@ def _constants(module: Module, printer: Printer) -> str:
 
 
 def _library(body: str) -> Iterator[str]:
-    """Give the library functions that the body calls, as they stand in their file."""
+    """Return the library functions that the body calls, as they stand in their file."""
     sources = library_sources()
     called: dict[str, str] = {}
     texts = [body]

@@ -56,7 +56,7 @@ def lower(equations: DiscreteEquations) -> Module:
 
 
 def unrolled(equations: DiscreteEquations) -> bool:
-    """Tell whether the parts are emitted one by one as straight lines, or all as loops."""
+    """Return whether the parts are emitted one by one as straight lines, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
 

@@ -13,7 +13,7 @@ __all__ = ["layout"]
 def layout(
     storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
 ) -> tuple[dict[str, int], int]:
-    """Give the first row of each block, and the number of rows.
+    """Return the first row of each block, and the number of rows.
 
     ``sizes`` are those of blocks that depend on the module: parameters, invariants, hoisted
     values, coefficients of families and what belongs to stages.

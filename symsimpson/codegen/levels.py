@@ -91,7 +91,7 @@ class Graph:
         return self.definitions[self._known[key]].targets
 
     def level(self, expression: sp.Expr) -> Level:
-        """Tell when an expression is known."""
+        """Return when an expression is known."""
         return max((self.levels[s] for s in expression.free_symbols), default=Level.CONSTANT)
 
     def split(self, expression: sp.Expr, section: str) -> tuple[sp.Expr, Level]:
@@ -137,7 +137,7 @@ class Graph:
         return func(sign, value, *late) if func is sp.Mul else func(value, *late)
 
     def _name(self, value: sp.Expr, wish: str, section: str) -> sp.Expr:
-        """Give the symbol that stands for a value already split; signs are pulled out."""
+        """Return the symbol that stands for a value already split; signs are pulled out."""
         if value.could_extract_minus_sign() and -value in self._known:
             return -self._known[-value]
         level = self.level(value)

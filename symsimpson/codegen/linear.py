@@ -49,7 +49,7 @@ class LinearSolver(Explicit):
         self._impulse: Vector = {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 after all shears but the last."""
+        """Return q1 - q0 after all shears but the last."""
         low = self._low
         q: Vector = {a: low.q[a] for a in self.coordinates}
         moved: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
@@ -67,7 +67,7 @@ class LinearSolver(Explicit):
         return moved
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0: the kicks before, and the last at q1."""
+        """Return p1 - p0: the kicks before, and the last at q1."""
         q = {a: end.q[a] for a in self.coordinates}
         number = len(self._shears) - 1
         last = self._kick(0, self._shears[-1][1], q)  # products of shears are symmetric
@@ -96,7 +96,7 @@ class LinearSolver(Explicit):
         shift = self._solve(self._M, [self._f[a] for a in group], "f")
 
         def through(a: int, column: list[sp.Expr]) -> sp.Expr:
-            """Give row a of K times a column."""
+            """Return row a of K times a column."""
             return sp.Add(*(self._K[a, b] * x for b, x in zip(group, column, strict=True)))
 
         kicks: Vector = {}

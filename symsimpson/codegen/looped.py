@@ -31,7 +31,7 @@ def _nodes(over: str, *body: Statement) -> Loop:
 
 
 def equations_kernel(storage: Storage, degree: int) -> Kernel:
-    """Give the equations themselves, all of them, whatever a step solves."""
+    """Return the equations themselves, all of them, whatever a step solves."""
     doc = "Residual and Jacobian of the step, rows in the order of elimination."
     return Kernel("equations", doc, lanes(_all_rows(storage, degree)))
 
@@ -143,7 +143,7 @@ def energy_kernel() -> Kernel:
 
 
 def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]:
-    """Give the tables by which the loops combine nodes and control points."""
+    """Return the tables by which the loops combine nodes and control points."""
     tables: dict[str, object] = {"BLOCKS": len(part.columns), "SOLVE_COLUMNS": part.columns}
     if isinstance(part, Coupled):
         return tables

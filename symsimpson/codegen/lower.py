@@ -105,7 +105,7 @@ class Lowering:
         return tuple(symbols)
 
     def start_point(self) -> Point:
-        """Give the point q0; its suffix is that of a node standing there."""
+        """Return the point q0; its suffix is that of a node standing there."""
         scheme = self.equations.scheme
         at_start = [i for i in range(scheme.stages) if self.equations.at_start(i)]
         return Point(str(at_start[0]) if at_start else "start", self.q)
@@ -175,7 +175,7 @@ class Lowering:
         ]
 
     def moved(self, symbol: sp.Symbol, to: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-        """Give the value that a step-level symbol takes when q and p move on as in ``to``."""
+        """Return the value that a step-level symbol takes when q and p move on as in ``to``."""
         if symbol in to:
             return to[symbol]
         if self.graph.levels[symbol] != Level.STEP:

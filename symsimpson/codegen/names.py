@@ -125,7 +125,7 @@ NODE_FUNCTIONS = frozenset(["jet", "forces", "gradient", "mass", "potential"])
 
 @cache
 def library_names() -> frozenset[str]:
-    """Give the names of functions of the module."""
+    """Return the names of functions of the module."""
     return NODE_FUNCTIONS | frozenset(KERNELS) | frozenset(library_sources())
 
 
@@ -180,7 +180,7 @@ class NameTable:
         return self.fresh(plain).name
 
     def fresh(self, wish: str) -> sp.Symbol:
-        """Give a symbol with the wished name, or the wished name and a number."""
+        """Return a symbol with the wished name, or the wished name and a number."""
         name, count = wish, 1
         while name in self._taken or name in RESERVED or name in library_names():
             count += 1

@@ -118,7 +118,7 @@ class Printer(StrPrinter):
 
 
 def _within(number: sp.Expr, part: Any) -> Any:
-    """Give a part of a number that has a value in doubles; others are refused."""
+    """Return a part of a number that has a value in doubles; others are refused."""
     if abs(part) <= sys.float_info.max:
         return part
     raise GenerationError(

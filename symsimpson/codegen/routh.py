@@ -57,7 +57,7 @@ class RouthSolver:
         self._added: dict[int, Vector] = {}
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give right-hand side and matrix of a Newton iteration."""
+        """Return right-hand side and matrix of a Newton iteration."""
         low, part, eqs = self._low, self._part, self._low.equations
         define, names = low.graph.define, low.names.coordinates
         nodes = self._solved_nodes(None)
@@ -91,15 +91,15 @@ class RouthSolver:
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
     ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give nothing: no increment is left over."""
+        """Return nothing: no increment is left over."""
         return {}
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 at the solution, without the cyclic ones."""
+        """Return q1 - q0 at the solution, without the cyclic ones."""
         return {a: self._low.increments[-1][a] for a in self.coordinates}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0; the cyclic momenta stay."""
+        """Return p1 - p0; the cyclic momenta stay."""
         low = self._low
         self._nodes = self._solved_nodes(end)
 
@@ -111,7 +111,7 @@ class RouthSolver:
         return {a: weighted.impulse(a) for a in self.coordinates}
 
     def cyclic_increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 of the cyclic coordinates: h sum_i b_i v_y(q_i)."""
+        """Return q1 - q0 of the cyclic coordinates: h sum_i b_i v_y(q_i)."""
         h = self._low.equations.h
         return {
             a: sp.Add(*(h * self._weights[n.number] * _velocity(n, a) for n in self._nodes))
@@ -119,7 +119,7 @@ class RouthSolver:
         }
 
     def velocity_jump(self, end: Point, slopes: Mapping[int, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
-        """Give h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
+        """Return h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
 
         Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
         the cyclic coordinates are no polynomial, and d is as large as p. The second value tells
@@ -145,7 +145,7 @@ class RouthSolver:
         return value, define("cyclic_mass_change", spread / len(seen) ** 2, "predictor")
 
     def _left(self, end: _Node, slopes: Mapping[int, sp.Expr]) -> Vector:
-        """Give L^-1 (L_vy - p) at the end of the path, where no node stands."""
+        """Return L^-1 (L_vy - p) at the end of the path, where no node stands."""
         low, part, scheme = self._low, self._part, self._low.equations.scheme
         names, section = low.names.coordinates, "predictor"
         used = range(scheme.stages - scheme.degree, scheme.stages)
@@ -188,7 +188,7 @@ class RouthSolver:
         return solve_symmetric(self._low.graph, matrix, right, wishes, "multipliers")[0]
 
     def project(self, nodes: list[_Node], vectors: list[Vector], wish: str) -> Vector:
-        """Give sum_i C_ri T_i^T D_i^-1 x_i for each multiplier."""
+        """Return sum_i C_ri T_i^T D_i^-1 x_i for each multiplier."""
         C, define = self._part.annihilator, self._low.graph.define
         return [
             define(
@@ -260,7 +260,7 @@ class RouthSolver:
         return replace(node, momentum=momentum, point=point)
 
     def _factored(self, i: int, end: Point | None) -> _Node:
-        """Give a node with the factors of its cyclic mass matrix."""
+        """Return a node with the factors of its cyclic mass matrix."""
         point = node_point(self._low, i, self.coordinates, moving=True, end=end)
         return self._factors(point, i)
 
@@ -289,7 +289,7 @@ class RouthSolver:
         return _Node(i, point, D, D_inverse, L, one, [])
 
     def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
-        """Give a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""
+        """Return a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""
         low, part = self._low, self._part
         node = middle if i == middle.number else self._factored(i, end)
         section = f"node {i}: cyclic mass L D L^T"
@@ -332,7 +332,7 @@ class _Tangent:
         self._answers: dict[tuple[int, int], Vector] = {}
 
     def along(self, k: tuple[int, int], m: tuple[int, int]) -> sp.Expr:
-        """Give the entry for control points and coordinates k and m."""
+        """Return the entry for control points and coordinates k and m."""
         low, size = self._low, range(len(self._part.cyclic))
         h, b = low.equations.h, low.equations.scheme.quadrature.weights
         terms = []
@@ -346,7 +346,7 @@ class _Tangent:
         return sp.Add(*terms)
 
     def _slope(self, node: _Node, m: int, b: int) -> Vector:
-        """Give H for a control point and a coordinate."""
+        """Return H for a control point and a coordinate."""
         i, scheme, h = node.number, self._low.equations.scheme, self._low.equations.h
         A, B = scheme.A[i][m], scheme.B[i][m]
         zero = [sp.S.Zero] * len(self._part.cyclic)
@@ -355,7 +355,7 @@ class _Tangent:
         return [A * x + B * y / h for x, y in zip(position, velocity, strict=True)]
 
     def _parts(self, node: _Node, b: int) -> tuple[Vector, Vector]:
-        """Give L^-1 L_vq and L^-1 M_yx for a coordinate."""
+        """Return L^-1 L_vq and L^-1 M_yx for a coordinate."""
         i, template = node.number, self._low.template
         if (i, b) not in self._turned:
             section, point = f"node {i}, all velocities known", node.point
@@ -369,7 +369,7 @@ class _Tangent:
         return self._turned[i, b]
 
     def _project(self, m: tuple[int, int]) -> Vector:
-        """Give Q for a control point and a coordinate."""
+        """Return Q for a control point and a coordinate."""
         if m not in self._projected:
             vectors = [self._slope(node, *m) for node in self._nodes]
             wish = f"Q_{m[0]}_{self._low.names.coordinates[m[1]]}"
@@ -377,7 +377,7 @@ class _Tangent:
         return self._projected[m]
 
     def _answer(self, m: tuple[int, int]) -> Vector:
-        """Give S^-1 Q."""
+        """Return S^-1 Q."""
         if m not in self._answers:
             wish = f"kappa_{m[0]}_{self._low.names.coordinates[m[1]]}"
             self._answers[m] = self._solver.solve(self._nodes, self._project(m), wish)

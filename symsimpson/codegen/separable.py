@@ -31,18 +31,18 @@ class SeparableSolver:
         self.carried = [(end, a) for a in part.coordinates] if carried else []
 
     def _force_factor(self, test: tuple[sp.Expr, ...], i: int) -> sp.Expr:
-        """Give b_i sum_k test_k A_ik: how often the force at node i enters a row."""
+        """Return b_i sum_k test_k A_ik: how often the force at node i enters a row."""
         scheme = self._low.equations.scheme
         weight = scheme.quadrature.weights[i]
         return sp.radsimp(weight * sp.Add(*(c * x for c, x in zip(test, scheme.A[i], strict=True))))
 
     def _inertia_factor(self, test: tuple[sp.Expr, ...], m: int) -> sp.Expr:
-        """Give sum_k test_k S_km."""
+        """Return sum_k test_k S_km."""
         stiffness = self._low.equations.scheme.stiffness
         return sp.radsimp(sp.expand(sp.Add(*(c * stiffness[k][m] for k, c in enumerate(test)))))
 
     def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Give right-hand side and matrix of a Newton iteration."""
+        """Return right-hand side and matrix of a Newton iteration."""
         low, part, h = self._low, self._part, self._low.equations.h
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
         scheme, points = low.equations.scheme, self._points()
@@ -70,7 +70,7 @@ class SeparableSolver:
         return right, matrix
 
     def _points(self) -> dict[int, Point]:
-        """Give the nodes whose forces enter the rows."""
+        """Return the nodes whose forces enter the rows."""
         tests, last = self._part.tests, self._part.last
         rows = range(self._low.equations.scheme.degree + 1)
         if last is not None:
@@ -82,7 +82,7 @@ class SeparableSolver:
         }
 
     def _row(self, k: int, a: int) -> sp.Expr:
-        """Give a row by itself, h times D_k L_d."""
+        """Return a row by itself, h times D_k L_d."""
         low, h, points = self._low, self._low.equations.h, self._points()
         define, name = low.graph.define, f"R_{k}_{low.names.coordinates[a]}_alone"
         weighted = self._weighted(points)
@@ -94,7 +94,7 @@ class SeparableSolver:
         return define(name, value, "residual")
 
     def _weighted(self, points: Mapping[int, Point]) -> WeightedRows:
-        """Give the rows of the forces at some nodes.
+        """Return the rows of the forces at some nodes.
 
         At the end of the path the force is in no row: what it adds to p1 it takes from D_0.
         """
@@ -107,13 +107,13 @@ class SeparableSolver:
         return WeightedRows(self._low, force)
 
     def _moved(self, x: Sequence[sp.Expr], a: int, wish: str) -> sp.Expr:
-        """Give M x, component a."""
+        """Return M x, component a."""
         terms = [self._mass(a, b) * x[b] for b in self.coordinates]
         name = f"M_{self._low.names.coordinates[a]}_{wish}"
         return self._low.graph.define(name, sp.Add(*terms), "residual")
 
     def _inertia(self, k: int, a: int) -> sp.Expr:
-        """Give sum_m S_km M Y_m, 0 < k, m < d: straight paths are in none of these rows."""
+        """Return sum_m S_km M Y_m, 0 < k, m < d: straight paths are in none of these rows."""
         low, d = self._low, self._low.equations.scheme.degree
         terms = []
         for m in range(1, d):
@@ -130,7 +130,7 @@ class SeparableSolver:
     def carry(
         self, changes: Mapping[tuple[int, int], sp.Expr]
     ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Give the new X_d where it is no unknown, from its row with the force linearised.
+        """Return the new X_d where it is no unknown, from its row with the force linearised.
 
         So it takes the values that it would have as an unknown, and the force at the solution need
         not be known before the end of the path is.
@@ -170,7 +170,7 @@ class SeparableSolver:
         return found
 
     def increments(self) -> Mapping[int, sp.Expr]:
-        """Give q1 - q0 at the solution."""
+        """Return q1 - q0 at the solution."""
         low, d = self._low, self._low.equations.scheme.degree
         if self._part.last is None or self.carried:
             return {a: low.increments[d - 1][a] for a in self.coordinates}
@@ -181,7 +181,7 @@ class SeparableSolver:
         return {a: low.equations.h * x for a, x in zip(self.coordinates, v, strict=True)}
 
     def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Give p1 - p0 = h sum_i b_i L_q(q_i)."""
+        """Return p1 - p0 = h sum_i b_i L_q(q_i)."""
         low, eqs = self._low, self._low.equations
         points = [
             node_point(low, i, self.coordinates, moving=False, end=end)

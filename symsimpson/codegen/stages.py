@@ -87,7 +87,7 @@ class StageKernels:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Give the sizes of the blocks of rows that stages need; none without kernels."""
+        """Return the sizes of the blocks of rows that stages need; none without kernels."""
         if not self.kernels:
             return {}
         n = self._low.n
@@ -107,7 +107,7 @@ class StageKernels:
     def _combined(
         self, factors: Sequence[sp.Symbol], values: Sequence[sp.Symbol], wish: str, section: str
     ) -> sp.Expr:
-        """Give a sum of products in two halves that do not wait for each other."""
+        """Return a sum of products in two halves that do not wait for each other."""
         define, half = self._low.graph.define, len(values) // 2
         terms = [x * y for x, y in zip(factors, values, strict=True)]
         first = define(f"{wish}_first", sp.Add(*terms[:half]), section)
@@ -194,7 +194,7 @@ class StageKernels:
         return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
 
     def _velocity(self, a: int) -> sp.Expr:
-        """Give a node's velocity: what gives its share of q1 - q0 to the last digit.
+        """Return a node's velocity: what gives its share of q1 - q0 to the last digit.
 
         With a rounded 1/(h b_j) alone, forces would belong to another velocity than momenta.
         """
@@ -265,7 +265,7 @@ class StageKernels:
     def _cyclic_jump(
         self, q: Sequence[sp.Expr], p: Sequence[sp.Expr], cyclic: Sequence[int]
     ) -> sp.Expr:
-        """Give how far velocities of cyclic coordinates at q1 are from those of the path."""
+        """Return how far velocities of cyclic coordinates at q1 are from those of the path."""
         low, c = self._low, self._low.equations.scheme.quadrature.nodes
         define, section = low.graph.define, "velocity at q1"
         end = Point("end", tuple(q))

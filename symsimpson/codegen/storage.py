@@ -50,7 +50,7 @@ class Storage:
         return unknowns * (3 * self._half(blocks) + 1) if self.banded else unknowns**2
 
     def node_constants(self) -> dict[str, object]:
-        """Give what loops over the entries of an n by n matrix must know."""
+        """Return what loops over the entries of an n by n matrix must know."""
         return {
             "COORDINATE": self.order,
             "BAND": self.band,
@@ -59,7 +59,7 @@ class Storage:
         }
 
     def constants(self, prefix: str, blocks: int) -> dict[str, object]:
-        """Give what loops over the entries of a system of blocks times n unknowns must know."""
+        """Return what loops over the entries of a system of blocks times n unknowns must know."""
         half, unknowns = self._half(blocks), self.n * blocks
         return {
             f"{prefix}_ROW_STEP": 1 if self.banded else self.n,

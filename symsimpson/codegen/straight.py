@@ -96,7 +96,7 @@ def _velocities(
     group: Sequence[int],
     suffix: str | None = None,
 ) -> tuple[dict[int, sp.Expr], list[sp.Expr]]:
-    """Solve M v = p - a for a group of coordinates; gives the pivots of L D L^T too."""
+    """Solve M v = p - a for a group of coordinates; returns the pivots of L D L^T too."""
     entry = low.template.entry
     mass = [[entry(point, section, "M", i, j) for j in group] for i in group]
     right = [p[i] - entry(point, section, "a", i) for i in group]

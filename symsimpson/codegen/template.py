@@ -73,11 +73,11 @@ class JetTemplate:
         return self._jet.forced
 
     def vanishes(self, what: str, *index: int) -> bool:
-        """Tell whether an entry is zero at all points."""
+        """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]
 
     def entry(self, point: Point, section: str, what: str, *index: int | str) -> sp.Expr:
-        """Give one entry of the jet at a point, making the definitions it needs."""
+        """Return one entry of the jet at a point, making the definitions it needs."""
         key: Key = (what, *index)
         value = self._value(self._jet[key], point, section)
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
@@ -96,7 +96,7 @@ class JetTemplate:
         return number(coefficient) * written
 
     def _line(self, n: int, point: Point, section: str) -> sp.Expr:
-        """Give what stands for a line at a point."""
+        """Return what stands for a line at a point."""
         if n == UNIT:
             return sp.S.One
         line = self._program.lines[n]
@@ -124,7 +124,7 @@ class JetTemplate:
     def _factors(
         self, line: Line, done: dict[int, sp.Expr], point: Point, section: str
     ) -> list[tuple[int, object]]:
-        """Give the factors of a product; of two, a number and a sum, the sum has a name."""
+        """Return the factors of a product; of two, a number and a sum, the sum has a name."""
         numbers = [m for m, _ in line.parts if done[m].is_Number]
         for m, _ in line.parts if numbers else ():
             if done[m].is_Add:
@@ -149,7 +149,7 @@ class JetTemplate:
         return point.v[place]
 
     def _angle(self, n: int, line: Line, point: Point, section: str) -> sp.Expr:
-        """Give the sine or the cosine of an angle, of which both are made at once."""
+        """Return the sine or the cosine of an angle, of which both are made at once."""
         angle = self._value(line.parts[1], point, section)
         number = self._angles[line.parts[1]]
         wish = angle.name if angle.is_Symbol else f"angle{number}_{point.suffix}"

@@ -28,7 +28,7 @@ AtNode = Callable[[int, int], sp.Expr]
 
 
 def unit_row(row: Sequence[sp.Expr]) -> int | None:
-    """Give the control point at which a node stands, None if at none.
+    """Return the control point at which a node stands, None if at none.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def unit_row(row: Sequence[sp.Expr]) -> int | None:
 
 
 def bend(low: Lowering, k: int, a: int) -> sp.Expr:
-    """Give Y_k = X_k - c_k X_d, 0 < k < d."""
+    """Return Y_k = X_k - c_k X_d, 0 < k < d."""
     X = low.increments
     value = X[k - 1][a] - low.equations.scheme.points[k] * X[-1][a]
     return low.graph.define(f"{low.names.coordinates[a]}_Y{k}", value, "path")
@@ -62,13 +62,13 @@ class WeightedRows:
         )
 
     def _forces(self, a: int) -> list[sp.Expr]:
-        """Give h b_i L_q at the nodes."""
+        """Return h b_i L_q at the nodes."""
         return [
             self._weighted("Lq", i, a, self._force(i, a)) for i in range(self._scheme.stages)
         ]  # fmt: skip
 
     def _momenta(self, a: int) -> list[sp.Expr]:
-        """Give h b_i L_v at the nodes; none where M is constant and the rows have its inertia."""
+        """Return h b_i L_v at the nodes; none where M is constant and the rows have its inertia."""
         momentum = self._momentum
         if momentum is None:
             return []
@@ -80,7 +80,7 @@ class WeightedRows:
         return self._low.graph.define(wish, value, "residual D_k L_d")
 
     def row(self, k: int, a: int) -> sp.Expr:
-        """Give D_k L_d for 0 < k < d."""
+        """Return D_k L_d for 0 < k < d."""
         A, B = self._scheme.A, self._scheme.B
         forces = sp.Add(*(A[i][k] * f for i, f in enumerate(self._forces(a))))
         momenta = sp.Add(*(B[i][k] * p for i, p in enumerate(self._momenta(a))))
@@ -88,7 +88,7 @@ class WeightedRows:
         return forces + self._define(f"Lv_{k}_{name}", momenta) / self._low.equations.h
 
     def start(self, a: int) -> sp.Expr:
-        """Give p0 and what q0 adds where the bends are held, p0 + D_0 L_d + sum (1 - c_k) D_k L_d.
+        """Return p0 and what q0 adds where bends are held, p0 + D_0 L_d + sum (1 - c_k) D_k L_d.
 
         The forces are added up first: 1 - c_i need not be what rounding makes of it.
         """
@@ -108,7 +108,7 @@ class WeightedRows:
         return self._define(f"p_{name}_0", sp.Add(*whole)) - forces - inertia / low.equations.h
 
     def rest(self, rows: Sequence[sp.Expr]) -> sp.Expr:
-        """Give sum (1 - c_k) D_k L_d, by which the row above differs from that of q0 alone.
+        """Return sum (1 - c_k) D_k L_d, by which the row above differs from that of q0 alone.
 
         Elimination is stable with that; at the solution it is zero, whatever the factors are.
         """
@@ -116,14 +116,14 @@ class WeightedRows:
         return sp.Add(*((1 - c) * row for c, row in zip(points, rows, strict=False)))
 
     def impulse(self, a: int) -> sp.Expr:
-        """Give p1 - p0."""
+        """Return p1 - p0."""
         return sp.Add(*self._forces(a))
 
 
 def weighted_residual(
     low: Lowering, rows: WeightedRows, order: Sequence[int], group: Sequence[int]
 ) -> list[sp.Expr]:
-    """Give the right-hand side of a Newton iteration: rows in an order in which 0 comes last."""
+    """Return the right-hand side of a Newton iteration: rows in an order in which 0 comes last."""
     define, names = low.graph.define, low.names.coordinates
     found: dict[tuple[int, int], sp.Expr] = {}
     for k in order:

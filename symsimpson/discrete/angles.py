@@ -77,7 +77,7 @@ def _two_terms(
 
 
 def _delicate(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Give the sines and cosines that something is divided by, or a root is taken of."""
+    """Return the sines and cosines that something is divided by, or a root is taken of."""
     bases = {
         m for n in nodes if graph.nodes[n].kind == "product"
         for m, e in graph.nodes[n].parts if e < 0 or e.denominator != 1

@@ -84,14 +84,14 @@ class DiscreteEquations:
         return derive_jet(self.plain, more, tuple(halves))
 
     def joined(self) -> Composed | Coupled | Separable:
-        """Give all coordinates as one part, as loops take them."""
+        """Return all coordinates as one part, as loops take them."""
         alone = self.exploit & {"constant_mass"}
         (part,) = reduce(self.system.structure, self.scheme, alone)
         assert isinstance(part, (Composed, Coupled, Separable))
         return part
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
-        """Give the factor of a second derivative of L at node i in D_k D_m L_d.
+        """Return the factor of a second derivative of L at node i in D_k D_m L_d.
 
         What the equations themselves are made of stands in :mod:`symsimpson.codegen.weighted`.
         """
@@ -105,7 +105,7 @@ class DiscreteEquations:
         return sp.radsimp(factors[what])
 
     def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> sp.Expr:
-        """Give D_m D_k L_d, components a and b."""
+        """Return D_m D_k L_d, components a and b."""
         return self._sum(("F_q", "F_v", "P_q", "M"), (a, b), entry, k, m)
 
     def _sum(
@@ -121,7 +121,7 @@ class DiscreteEquations:
         return sp.Add(*terms)
 
     def at_start(self, i: int) -> bool:
-        """Tell whether node i lies at q0, so that its position is known before the step."""
+        """Return whether node i lies at q0, so that its position is known before the step."""
         return all(a == 0 for a in self.scheme.A[i][1:])
 
 

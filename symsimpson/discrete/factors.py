@@ -92,7 +92,7 @@ def _eliminate(
 
 
 def _tidy(expression: sp.Expr) -> sp.Expr:
-    """Give the shortest of a few ways to write an expression."""
+    """Return the shortest of a few ways to write an expression."""
     if sp.count_ops(expression) > LONG:
         return expression
     candidates = [expression, sp.expand(expression), sp.cancel(expression)]

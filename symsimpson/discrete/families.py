@@ -76,7 +76,7 @@ def families(plain: Plain) -> tuple[Family, ...]:
 
 
 def _terms(plain: Plain) -> Iterator[Value]:
-    """Give the terms of L, those of the same coordinates in one entry or in V together."""
+    """Return the terms of L, those of the same coordinates in one entry or in V together."""
     graph, v = plain.graph, plain.numbers(plain.v)
     moving = frozenset((*plain.numbers(plain.q), *v))
     for (i, j), entry in sorted(plain.M.items()):
@@ -99,7 +99,7 @@ def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value
 
 
 def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value]:
-    """Give the terms of a sum, and of sums that only constants are multiplied with."""
+    """Return the terms of a sum, and of sums that only constants are multiplied with."""
     work = [value]
     while work:
         c, n = work.pop()
@@ -135,11 +135,11 @@ class _Reader:
         self.coefficients: list[Value] = []
 
     def moves(self, n: int) -> bool:
-        """Tell whether a node contains a coordinate or a velocity."""
+        """Return whether a node contains a coordinate or a velocity."""
         return not self._source.nodes[n].symbols.isdisjoint(self._place)
 
     def read(self, term: Value) -> tuple[Any, Value]:
-        """Give the shape of a term, and the term in slots q_s, v_s, c_s."""
+        """Return the shape of a term, and the term in slots q_s, v_s, c_s."""
         self.coordinates, self.coefficients = [], []
         c, n = term
         kind, parts, _ = self._source.nodes[n]
@@ -151,7 +151,7 @@ class _Reader:
         return value, value
 
     def _shape(self, n: int) -> tuple[int, tuple[int, ...]]:
-        """Give a number for what is left of a node without its names, and its coordinates."""
+        """Return a number for what is left of a node without its names, and its coordinates."""
         for m in self._source.reached([n]) if n not in self._shapes else ():
             if m not in self._shapes:
                 self._shapes[m] = self._new_shape(m)
@@ -218,7 +218,7 @@ class _Reader:
 
 
 def _number(c: Exact) -> str:
-    """Give one and minus one as they stand, any other number as a coefficient."""
+    """Return one and minus one as they stand, any other number as a coefficient."""
     return str(c) if abs(c) == 1 else "c"
 
 

@@ -195,7 +195,7 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
 
 
 def _cyclic_mass(plain: Plain, cyclic: Sequence[int]) -> sp.ImmutableDenseMatrix | None:
-    """Give the block of M of cyclic coordinates; None if it is too long for symbols."""
+    """Return the block of M of cyclic coordinates; None if it is too long for symbols."""
     entries = [plain.entry(i, j) for i in cyclic for j in cyclic]
     if any(tree_size(plain.graph, value) > LONGEST_ENTRY for value in entries):
         return None
@@ -236,7 +236,7 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
 
 
 def annihilating(scheme: Scheme) -> Table:
-    """Give a basis of the combinations of nodal values that vanish for degree d - 1."""
+    """Return a basis of the combinations of nodal values that vanish for degree d - 1."""
     nodes, d = scheme.quadrature.nodes, scheme.degree
     basis = []
     for first in range(len(nodes) - d):  # divided differences of d + 1 neighbours

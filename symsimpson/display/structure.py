@@ -92,7 +92,7 @@ def rows(found: Structure) -> list[Row]:
 
 
 def costs(found: Structure) -> list[tuple[str, Cost, Cost]] | None:
-    """Give the costs of a step on the general path and on this one, for each scheme of the paper.
+    """Return the costs of a step on the general path and on this one, for each scheme of the paper.
 
     None for systems so large that counting takes longer than a report should.
     """

@@ -25,7 +25,7 @@ MOST_NUMBERS = 42
 
 
 def system(one: MechanicalSystem) -> str:
-    """Give T, V, M and, for few coordinates, the equations of motion."""
+    """Return T, V, M and, for few coordinates, the equations of motion."""
     try:
         return _equations(one)
     except RecursionError:
@@ -74,7 +74,7 @@ def _safe(one: MechanicalSystem) -> dict[Any, Any]:
 
 
 def scheme(one: Scheme) -> str:
-    """Give order, nodes, weights and the tables A and B, where they are exact and few."""
+    """Return order, nodes, weights and the tables A and B, where they are exact and few."""
     rows = [
         ("", rf"\text{{{_plain(one.name)}: {one.quadrature.kind} quadrature, order {one.order}}}"),
         ("d", str(one.degree)),
@@ -95,7 +95,7 @@ def scheme(one: Scheme) -> str:
 
 
 def composition(one: Composition) -> str:
-    """Give order, kicks and drifts."""
+    """Return order, kicks and drifts."""
     return _aligned([
         ("", rf"\text{{{_plain(one.name)}: {len(one.drifts)} drifts, order {one.order}}}"),
         ("b_k", sp.latex(sp.Matrix([one.kicks]).evalf(6))),

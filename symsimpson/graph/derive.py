@@ -69,7 +69,7 @@ def gradient(graph: Graph, value: Value, symbols: Sequence[int]) -> list[Value]:
 
 
 def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
-    """Give the derivatives of a node by the nodes that it is made of."""
+    """Return the derivatives of a node by the nodes that it is made of."""
     kind, parts, _ = graph.nodes[n]
     if kind == "sum":
         return [(m, (c, 0)) for c, m in parts]
@@ -90,7 +90,7 @@ def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
 
 
 def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[Value]:
-    """Give the derivatives of a function by its arguments."""
+    """Return the derivatives of a function by its arguments."""
     x = arguments[0]
     square = graph.power(x, 2)
     own = (1, n)

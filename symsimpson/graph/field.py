@@ -41,11 +41,11 @@ class Arithmetic(Protocol):
     prime: int
 
     def draw(self, *key: object) -> Element:
-        """Give a random number that is the same for the same key."""
+        """Return a random number that is the same for the same key."""
         ...
 
     def inverse(self, x: Element) -> Element:
-        """Give 1/x.
+        """Return 1/x.
 
         Raises
         ------
@@ -55,15 +55,15 @@ class Arithmetic(Protocol):
         ...
 
     def root(self, x: Element) -> Element:
-        """Give a square root."""
+        """Return a square root."""
         ...
 
     def times(self, x: Element, y: Element) -> Element:
-        """Give x y."""
+        """Return x y."""
         ...
 
     def plus(self, x: Element, y: Element) -> Element:
-        """Give x + y."""
+        """Return x + y."""
         ...
 
 
@@ -74,12 +74,12 @@ class Numbers:
         self._seed, self.prime = seed, prime
 
     def draw(self, *key: object) -> int:
-        """Give a random number that is the same for the same key."""
+        """Return a random number that is the same for the same key."""
         text = repr((self._seed, *key)).encode()
         return int.from_bytes(hashlib.blake2b(text, digest_size=16).digest(), "big") % self.prime
 
     def inverse(self, x: Element) -> Element:
-        """Give 1/x."""
+        """Return 1/x."""
         if isinstance(x, int):
             if not x:
                 raise ZeroDivisionError
@@ -89,7 +89,7 @@ class Numbers:
         return a * norm % self.prime, -b * norm % self.prime
 
     def root(self, x: Element) -> Element:
-        """Give a square root; of a number without one in the field, a random number."""
+        """Return a square root; of a number without one in the field, a random number."""
         if not isinstance(x, int):
             return self.draw("root", x)
         prime = self.prime
@@ -99,14 +99,14 @@ class Numbers:
         return 0, pow(-x, (prime + 1) // 4, prime)
 
     def times(self, x: Element, y: Element) -> Element:
-        """Give x y."""
+        """Return x y."""
         if isinstance(x, int) and isinstance(y, int):
             return x * y % self.prime
         (a, b), (c, d) = _pair(x), _pair(y)
         return self._reduced(a * c - b * d, a * d + b * c)
 
     def plus(self, x: Element, y: Element) -> Element:
-        """Give x + y."""
+        """Return x + y."""
         if isinstance(x, int) and isinstance(y, int):
             return (x + y) % self.prime
         (a, b), (c, d) = _pair(x), _pair(y)
@@ -194,7 +194,7 @@ class Evaluation:
         self._having: dict[int, list[int]] | None = None
 
     def __getitem__(self, value: Value) -> Element:
-        """Give the value of a value."""
+        """Return the value of a value."""
         coefficient, n = value
         return self.arithmetic.times(self._number(coefficient), self.values[n])
 
@@ -208,7 +208,7 @@ class Evaluation:
         return self._having.get(x, [])
 
     def moved(self, x: int) -> set[int]:
-        """Give the nodes whose values change when a symbol takes another value."""
+        """Return the nodes whose values change when a symbol takes another value."""
         own = self.having(x)
         if not own:
             return set()
@@ -221,7 +221,7 @@ class Evaluation:
         return {n for n in own if values[n] != self.values[n]}
 
     def at(self, symbols: dict[int, Element]) -> Evaluation:
-        """Give the values of the same nodes where symbols have these values."""
+        """Return the values of the same nodes where symbols have these values."""
         other = object.__new__(Evaluation)
         other.__dict__.update(self.__dict__)
         other._symbols, other.values, other._having = symbols, {}, None
@@ -302,11 +302,11 @@ class Evaluation:
         return a.draw(name, *(times(self._number(c), values[m]) for c, m in arguments))
 
     def _share(self, n: int, value: Element) -> Element:
-        """Give the part of a node of which angles hold whole multiples."""
+        """Return the part of a node of which angles hold whole multiples."""
         return self.arithmetic.times(self._number(Fraction(1, self._angles.divisors[n])), value)
 
     def _turned(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:
-        """Give cosine and sine of a multiple of a node."""
+        """Return cosine and sine of a multiple of a node."""
         a = self.arithmetic
         times, plus = a.times, a.plus
         t = a.draw("circle", self._share(n, value))
@@ -321,7 +321,7 @@ class Evaluation:
     def _joined(
         self, first: tuple[Element, Element], second: tuple[Element, Element]
     ) -> tuple[Element, Element]:
-        """Give cosine and sine of the sum of two angles."""
+        """Return cosine and sine of the sum of two angles."""
         times, plus = self.arithmetic.times, self.arithmetic.plus
         (c, s), (d, r) = first, second
         minus = times(self.arithmetic.prime - 1, times(s, r))

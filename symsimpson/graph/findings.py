@@ -49,11 +49,11 @@ class Findings:
         self._known_opaque: dict[int, bool] = {}
 
     def vanishes(self, value: Value) -> bool:
-        """Tell whether a value is zero."""
+        """Return whether a value is zero."""
         return not value[0] or all(not at.values[value[1]] for at in self.points)
 
     def equal(self, first: Value, second: Value) -> bool:
-        """Tell whether two values are the same."""
+        """Return whether two values are the same."""
         return all(at[first] == at[second] for at in self.points)
 
     def _moved_at(self, number: int, x: int) -> set[int]:
@@ -62,7 +62,7 @@ class Findings:
         return self._moved[number, x]
 
     def depends(self, value: Value, x: int) -> bool:
-        """Tell whether a value depends on a symbol."""
+        """Return whether a value depends on a symbol."""
         if not value[0] or x not in self._graph.nodes[value[1]].symbols:
             return False
         return any(value[1] in self._moved_at(number, x) for number in range(POINTS))
@@ -94,7 +94,7 @@ class Findings:
         return answer
 
     def opaque(self, value: Value) -> bool:
-        """Tell whether a value holds functions of which the field knows nothing."""
+        """Return whether a value holds functions of which the field knows nothing."""
         if value[1] not in self._known_opaque:
             nodes = self._graph.reached([value[1]])
             self._known_opaque[value[1]] = any(map(self._is_opaque, nodes))
@@ -110,7 +110,7 @@ class Findings:
 
 
 def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:
-    """Give a parallelogram of points: z, z + u, z + w, z + u + w."""
+    """Return a parallelogram of points: z, z + u, z + w, z + u + w."""
     draw = Numbers(number + 1000, at.arithmetic.prime)
     for u, w in ((0, 0), (1, 0), (0, 1), (1, 1)):
         moved: dict[int, Element] = {

@@ -109,7 +109,7 @@ def _rewritten(
 def _unsigned(
     key: tuple[object, ...], points: Sequence[Evaluation]
 ) -> tuple[int, tuple[object, ...]]:
-    """Give the same key for a node and its negative, and which of them it is."""
+    """Return the same key for a node and its negative, and which of them it is."""
     pairs = zip(key, points, strict=True)
     other = tuple(_negative(x, at.arithmetic.prime) for x, at in pairs)
     return (1, key) if repr(key) <= repr(other) else (-1, other)

@@ -78,17 +78,17 @@ class Graph:
         return next(iter(sets)) if len(sets) == 1 else frozenset().union(*sets)
 
     def symbol(self, name: str) -> Value:
-        """Give the symbol of a name."""
+        """Return the symbol of a name."""
         known = self._numbers.get(("symbol", (name,)))
         number = len(self.nodes) if known is None else known
         return 1, self._make("symbol", (name,), frozenset([number]))
 
     def numbers(self, names: Iterable[str]) -> tuple[int, ...]:
-        """Give the nodes of symbols by their names."""
+        """Return the nodes of symbols by their names."""
         return tuple(self.symbol(name)[1] for name in names)
 
     def constant(self, name: str) -> Value:
-        """Give a number that is not rational, by its name."""
+        """Return a number that is not rational, by its name."""
         return 1, self._make("constant", (name,), frozenset())
 
     def add(self, values: Iterable[Value]) -> Value:
@@ -173,7 +173,7 @@ class Graph:
         return self.multiply([(1, self.kept(value), exponent)])
 
     def kept(self, value: Value) -> int:
-        """Give a node that stands for a value together with its coefficient."""
+        """Return a node that stands for a value together with its coefficient."""
         coefficient, n = value
         if coefficient == 1:
             return n
@@ -215,7 +215,7 @@ class Graph:
         return list((shared or {}).items())
 
     def factors(self, n: int) -> tuple[tuple[int, Exact], ...]:
-        """Give the factors of a node and their exponents."""
+        """Return the factors of a node and their exponents."""
         node = self.nodes[n]
         return node.parts if node.kind == "product" else ((n, 1),)
 
@@ -254,17 +254,17 @@ def scaled(factor: Exact, value: Value) -> Value:
 
 
 def exact(number: Exact) -> Exact:
-    """Give a fraction that is whole as a whole number."""
+    """Return a fraction that is whole as a whole number."""
     return number if isinstance(number, int) or number.denominator != 1 else number.numerator
 
 
 def magnitude(number: Exact) -> Exact:
-    """Give a number without its sign."""
+    """Return a number without its sign."""
     return number if number >= 0 else -number
 
 
 def _content(coefficients: list[Exact]) -> Exact:
-    """Give the common factor of coefficients, with the sign of the first; floats keep theirs."""
+    """Return the common factor of coefficients, with the sign of the first; floats keep theirs."""
     sign = 1 if coefficients[0] > 0 else -1
     top = gcd(*(c.numerator for c in coefficients))
     bottom = lcm(*(c.denominator for c in coefficients))
@@ -274,7 +274,7 @@ def _content(coefficients: list[Exact]) -> Exact:
 
 
 def _root(number: Exact, exponent: Fraction) -> Exact | None:
-    """Give a power of a positive number if it is rational."""
+    """Return a power of a positive number if it is rational."""
     parts = []
     for whole in (number.numerator, number.denominator):
         root = _whole_root(whole, exponent.denominator)

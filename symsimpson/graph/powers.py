@@ -68,13 +68,13 @@ class _Powers:
             self._power(k)
 
     def _steps(self, e: Exact) -> int:
-        """Give how often the unit stands in a power; 0 if the base itself serves better."""
+        """Return how often the unit stands in a power; 0 if the base itself serves better."""
         if self._unit < 0 < e or (self._unit > 0 and e.denominator == 1 and self._unit != 1):
             return 0
         return int(e / self._unit)
 
     def __call__(self, e: Exact) -> list[Item]:
-        """Give the factors of a power."""
+        """Return the factors of a power."""
         if e in self._plain:
             return [(self._base, e)]
         steps = self._steps(e)
@@ -89,15 +89,15 @@ class _Powers:
         return [(self._base, e)]
 
     def _whole(self, k: int) -> int:
-        """Give a line with a whole power of the base."""
+        """Return a line with a whole power of the base."""
         return self._in_chain(self._chain if self._unit == 1 else self._of_base, k)
 
     def _power(self, k: int) -> int:
-        """Give a line with a power of the unit."""
+        """Return a line with a power of the unit."""
         return self._in_chain(self._chain, k)
 
     def _in_chain(self, chain: dict[int, int], k: int) -> int:
-        """Give a power: one product of two that are there, if there are."""
+        """Return a power: one product of two that are there, if there are."""
         if k not in chain:
             have = sorted(chain, reverse=True)
             pair = next(((j, k - j) for j in have if k - j in chain), None)

@@ -54,7 +54,7 @@ class Program:
         return program
 
     def line(self, kind: str, parts: Sequence[Any], level: int) -> int:
-        """Give the number of a line, a new one if there is none with these parts."""
+        """Return the number of a line, a new one if there is none with these parts."""
         key = (kind, tuple(parts))
         number = self.known.get(key)
         if number is None or (self.lines[number].kind, tuple(self.lines[number].parts)) != key:
@@ -63,7 +63,7 @@ class Program:
         return number
 
     def level(self, numbers: Sequence[int]) -> int:
-        """Tell when all lines of some numbers are known."""
+        """Return when all lines of some numbers are known."""
         return max((self.lines[n].level for n in numbers), default=0)
 
     def arguments(self, n: int) -> list[int]:

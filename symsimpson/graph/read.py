@@ -58,7 +58,7 @@ class Reader:
         self.done: dict[sp.Basic, Value] = dict(known)
 
     def __call__(self, expression: sp.Basic) -> Value:
-        """Give the value of an expression."""
+        """Return the value of an expression."""
         done, work = self.done, [(expression, False)]
         while work:
             node, checked = work.pop()
@@ -105,7 +105,7 @@ class Reader:
 
 
 def fraction(number: Any) -> int | Fraction:
-    """Give a SymPy number as the fraction that it is."""
+    """Return a SymPy number as the fraction that it is."""
     if number.is_Rational:
         return exact(Fraction(int(number.p), int(number.q)))
     sign, mantissa, exponent, _ = number._mpf_
@@ -114,13 +114,13 @@ def fraction(number: Any) -> int | Fraction:
 
 
 def was_float(value: int | Fraction) -> bool:
-    """Tell whether a number is one that only floats are: with a large power of two below it."""
+    """Return whether a number is one that only floats are: with a large power of two below it."""
     q = value.denominator
     return q > FLOAT and q & (q - 1) == 0
 
 
 def number(value: int | Fraction) -> sp.Number:
-    """Give a fraction as a SymPy number; what was a float is one again."""
+    """Return a fraction as a SymPy number; what was a float is one again."""
     q = value.denominator
     if magnitude(value) > sys.float_info.max:
         raise GenerationError(

@@ -91,7 +91,7 @@ def fixed(graph: Graph, value: Value, symbols: Iterable[int]) -> Value | None:
 
 
 def same(graph: Graph, old: Value, new: Value) -> bool:
-    """Tell whether a value agrees with an old one at points of several signs."""
+    """Return whether a value agrees with an old one at points of several signs."""
     symbols = sorted(graph.nodes[old[1]].symbols | graph.nodes[new[1]].symbols)
     seen = False
     with mpmath.workdps(DIGITS):

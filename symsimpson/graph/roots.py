@@ -41,7 +41,7 @@ def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
 
 
 def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
-    """Give the radicands of which some product is a square, or may be one.
+    """Return the radicands of which some product is a square, or may be one.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
 
 
 def _dependent(graph: Graph, own: list[int], angles: Angles, varied: int | None) -> set[int]:
-    """Give radicands of which a product is a square, as functions of all symbols or of one."""
+    """Return radicands of which a product is a square, as functions of all symbols or of one."""
     name = None if varied is None else graph.nodes[varied].parts[0]
     try:
         at = Evaluation(graph, own, _Rows(len(own) + MORE, name), angles=angles)
@@ -90,7 +90,7 @@ class _Rows:
         self._count, self._varied = count, varied
 
     def draw(self, *key: object) -> Row:
-        """Give random numbers that are the same for the same key."""
+        """Return random numbers that are the same for the same key."""
         text = repr([k.tobytes() if isinstance(k, np.ndarray) else k for k in key]).encode()
         seed = int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big")
         still = self._varied is not None and key[0] == "symbol" and key[1] != self._varied
@@ -98,7 +98,7 @@ class _Rows:
         return np.broadcast_to(drawn, self._count)
 
     def inverse(self, x: Any) -> Row:
-        """Give 1/x."""
+        """Return 1/x."""
         return _power(np.broadcast_to(np.asarray(x, dtype=np.int64), self._count), PRIME - 2)
 
     def root(self, x: Any) -> Row:
@@ -106,11 +106,11 @@ class _Rows:
         raise AssertionError
 
     def times(self, x: Any, y: Any) -> Any:
-        """Give x y."""
+        """Return x y."""
         return x * y % PRIME
 
     def plus(self, x: Any, y: Any) -> Any:
-        """Give x + y."""
+        """Return x + y."""
         return (x + y) % PRIME
 
 
@@ -120,13 +120,13 @@ def _power(x: Row, e: int) -> Row:
 
 
 def _bits(values: Row) -> int:
-    """Give the points at which a radicand is no square, as the bits of a number."""
+    """Return the points at which a radicand is no square, as the bits of a number."""
     character = _power(values.astype(np.int64), (PRIME - 1) // 2)
     return int("".join("1" if c == PRIME - 1 else "0" for c in character), 2)
 
 
 def _kernel(bits: list[int]) -> set[int]:
-    """Give the places that take part in a dependence modulo two."""
+    """Return the places that take part in a dependence modulo two."""
     basis: dict[int, tuple[int, int]] = {}
     found: set[int] = set()
     for place, row in enumerate(bits):

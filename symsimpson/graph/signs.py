@@ -36,7 +36,7 @@ class Signs:
         self._done: dict[int, tuple[int, bool]] = {n: words[word] for n, word in known.items()}
 
     def __call__(self, value: Value) -> tuple[int, bool]:
-        """Give the sign of a value."""
+        """Return the sign of a value."""
         coefficient, n = value
         if not coefficient:
             return 1, False
@@ -82,7 +82,7 @@ class Signs:
         return sign, strict
 
     def real_everywhere(self, roots: Iterable[int]) -> bool:
-        """Tell whether nodes are real wherever they have a value; True is certain."""
+        """Return whether nodes are real wherever they have a value; True is certain."""
         for n in self._graph.reached(roots):
             kind, parts, _ = self._graph.nodes[n]
             if kind == "product":
@@ -95,7 +95,7 @@ class Signs:
         return True
 
     def never_real(self, n: int) -> bool:
-        """Tell whether a node is a root or a logarithm of what is always negative."""
+        """Return whether a node is a root or a logarithm of what is always negative."""
         kind, parts, _ = self._graph.nodes[n]
         if kind == "product":
             return any(e.denominator != 1 and self((1, m)) == (-1, True) for m, e in parts)

@@ -128,7 +128,7 @@ def arm_energies(
     *,
     modified: bool = False,
 ) -> tuple[sp.Expr, sp.Expr, dict[str, tuple[Any, ...]]]:
-    """Give T, V and the points to draw of a serial arm, to which other terms may be added.
+    """Return T, V and the points to draw of a serial arm, to which other terms may be added.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def arm_energies(
 
 
 def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Rows, Vector, Vector]:
-    """Give rotation and shift from the frame before, and the joint's axis in that frame."""
+    """Return rotation and shift from the frame before, and the joint's axis in that frame."""
     theta, d = (link.theta, link.d + x) if link.prismatic else (link.theta + x, link.d)
     c, s = (_number(f(theta)) for f in (sp.cos, sp.sin))
     ca, sa = _cosine_and_sine(link.alpha)
@@ -196,7 +196,7 @@ def _joint(link: Link, x: Any, *, modified: bool) -> tuple[Rows, Vector, Vector]
 
 
 def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
-    """Give omega.I.omega."""
+    """Return omega.I.omega."""
     inertia = _entries(name, "inertia", link.inertia)
     if len(inertia) not in (3, 6):
         raise fail(name, f"a link's inertia has {len(inertia)} entries.",
@@ -220,7 +220,7 @@ def _check_numbers(name: str, link: Link) -> None:
 
 
 def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:
-    """Give the entries of a vector, numbers or expressions."""
+    """Return the entries of a vector, numbers or expressions."""
     try:
         entries = tuple(given)
         for entry in entries:
@@ -232,7 +232,7 @@ def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:
 
 
 def _cosine_and_sine(angle: Any) -> tuple[Any, Any]:
-    """Give cosine and sine; those of floats that are meant as right angles are whole."""
+    """Return cosine and sine; those of floats that are meant as right angles are whole."""
     if isinstance(angle, (int, float)):
         quarters = round(2 * angle / math.pi)
         if abs(angle - quarters * math.pi / 2) < CLOSE:

@@ -46,7 +46,7 @@ def coordinates(names: str) -> tuple[AppliedUndef, ...]:
 
 
 def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:
-    """Give the symbols that stand for the conjugate momenta in ``invariants``.
+    """Return the symbols that stand for the conjugate momenta in ``invariants``.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ LARGE = 2000
 def energies(
     lagrangian: sp.Expr, parts: Polynomial, symbols: Symbols
 ) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
-    """Give T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
+    """Return T, a.v and V of a Lagrangian; what would be a large tree is left as it is written."""
     graph, restored = symbols.graph, symbols.restored
     linear = restored(graph.add(graph.products(parts.a, symbols.numbers(symbols.v))))
     potential: sp.Expr = -restored(parts.rest)

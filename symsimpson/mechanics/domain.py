@@ -8,7 +8,7 @@ __all__ = ["has_real_energy"]
 
 
 def has_real_energy(plain: Plain) -> bool:
-    """Tell whether the energy is real at all states, so that nobody need look.
+    """Return whether the energy is real at all states, so that nobody need look.
 
     True is certain; where the sign of what a root or a logarithm is taken of is not known, the
     answer is False.

@@ -212,14 +212,14 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
 
 
 def _differentiable(node: sp.Basic) -> bool:
-    """Tell whether a node can be differentiated twice and compiled, if its arguments can."""
+    """Return whether a node can be differentiated twice and compiled, if its arguments can."""
     if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
         return False
     return not isinstance(node, sp.Function) or isinstance(node, SMOOTH)
 
 
 def _not_real(node: sp.Basic, number: sp.Expr | None) -> bool:
-    """Tell whether a node is not real, or is not for all exponents that come up."""
+    """Return whether a node is not real, or is not for all exponents that come up."""
     if node is sp.I or (number is not None and number.is_extended_real is False):
         return True
     return bool(
@@ -230,7 +230,7 @@ def _not_real(node: sp.Basic, number: sp.Expr | None) -> bool:
 
 
 def _number(node: sp.Basic) -> sp.Expr | None:
-    """Give the value of a node that contains no symbols, None of others."""
+    """Return the value of a node that contains no symbols, None of others."""
     if not getattr(node, "is_number", False):
         return None
     return node if node.is_Number else sp.N(node, 15)

@@ -38,12 +38,12 @@ class Dependence(Enum):
 
 
 def certain(plain: Plain, findings: Findings, value: Value) -> bool:
-    """Tell whether all that moves a value in a field truly does, and by no rounding of floats."""
+    """Return whether all that moves a value in a field truly does, and by no rounding of floats."""
     return not findings.opaque(value) and not _has_floats(plain, value)
 
 
 def dependence(plain: Plain, value: Value, x: int) -> Dependence:
-    """Tell how a value depends on a symbol that moves it in a field, where that is not certain.
+    """Return how a value depends on a symbol that moves it in a field, where that is not certain.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ def dependence(plain: Plain, value: Value, x: int) -> Dependence:
 
 
 def vanishes(expression: sp.Expr) -> bool:
-    """Tell whether SymPy finds that a short expression is zero."""
+    """Return whether SymPy finds that a short expression is zero."""
     return bool(sp.expand(expression) == 0 or sp.simplify(expression) == 0)
 
 
 def _jumps(plain: Plain, value: Value, x: int) -> bool:
-    """Tell whether a value that is constant on both sides of zero is not the same on both."""
+    """Return whether a value that is constant on both sides of zero is not the same on both."""
     with mpmath.workdps(DIGITS):
         for sample in SAMPLES:
             point = _point(plain, sample)
@@ -87,7 +87,7 @@ def _jumps(plain: Plain, value: Value, x: int) -> bool:
 
 
 def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
-    """Give a number for each symbol, parameters with their signs."""
+    """Return a number for each symbol, parameters with their signs."""
     symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
     own = set(plain.parameters)
     found = {}
@@ -98,7 +98,7 @@ def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
 
 
 def _has_floats(plain: Plain, value: Value) -> bool:
-    """Tell whether a value holds numbers that were floats, and no round ones."""
+    """Return whether a value holds numbers that were floats, and no round ones."""
     graph = plain.graph
     return any(
         was_float(c)
@@ -109,7 +109,7 @@ def _has_floats(plain: Plain, value: Value) -> bool:
 
 
 def _relative(plain: Plain, slope: Value, sample: mpmath.mpf) -> mpmath.mpf | None:
-    """Give the size of a slope in units of its largest term; None off the domain."""
+    """Return the size of a slope in units of its largest term; None off the domain."""
     graph = plain.graph
     if not slope[0]:
         return mpmath.mpf(0)

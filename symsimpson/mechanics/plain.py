@@ -41,7 +41,7 @@ class Plain:
     invariants: Mapping[str, Value]
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
-        """Give the nodes of symbols."""
+        """Return the nodes of symbols."""
         return self.graph.numbers(s.name for s in symbols)
 
     @property
@@ -61,7 +61,7 @@ class Plain:
         return (*self.M.values(), *self.a, self.V)
 
     def entry(self, i: int, j: int) -> Value:
-        """Give an entry of M."""
+        """Return an entry of M."""
         return self.M.get((max(i, j), min(i, j)), (0, 0))
 
     @cached_property
@@ -70,7 +70,7 @@ class Plain:
         return _signs(self.graph, self.parameters)
 
     def level(self, graph: Graph) -> Callable[[int], int]:
-        """Give a function that tells of nodes what they depend on.
+        """Return a function that tells of nodes what they depend on.
 
         0 for parameters alone, 1 for q, 2 for v or p. The graph may be another one with symbols of
         these names.
@@ -158,7 +158,7 @@ class Symbols:
         self.signs = _signs(self.graph, self.a)
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
-        """Give the nodes of plain symbols."""
+        """Return the nodes of plain symbols."""
         return self.graph.numbers(s.name for s in symbols)
 
     def restored(self, value: Value) -> sp.Expr:
@@ -168,7 +168,7 @@ class Symbols:
 
 
 def _real(name: str, user: sp.Symbol) -> sp.Symbol:
-    """Give a real symbol with the sign that the user's symbol is assumed to have."""
+    """Return a real symbol with the sign that the user's symbol is assumed to have."""
     signs = ("positive", "negative", "nonnegative", "nonpositive", "nonzero")
     assumed = {sign: True for sign in signs if getattr(user, f"is_{sign}")}
     return sp.Symbol(name, real=True, **assumed)

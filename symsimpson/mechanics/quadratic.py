@@ -236,7 +236,7 @@ def _conditioned(matrix: Any) -> bool:
 def _regular(
     M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]
 ) -> bool:  # fmt: skip
-    """Tell whether the determinant of a block of M is not zero in a field."""
+    """Return whether the determinant of a block of M is not zero in a field."""
     findings = Findings(symbols.graph, list(M.values()))
     for at in findings.points:
         places = [[(max(i, j), min(i, j)) for j in block] for i in block]
@@ -247,7 +247,7 @@ def _regular(
 
 
 def _determinant(rows: list[list[Element]], field: Arithmetic) -> bool:
-    """Tell whether a matrix over the field is regular: Gauss's elimination."""
+    """Return whether a matrix over the field is regular: Gauss's elimination."""
     minus = field.prime - 1
     for k in range(len(rows)):
         pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)

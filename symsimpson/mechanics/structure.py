@@ -178,7 +178,7 @@ class _Look:
         self._findings = Findings(graph, values, before)
 
     def _met(self) -> Iterator[tuple[int, int, Value, int]]:
-        """Give coordinates i, k of which k stands, as x, in a force or a momentum of i."""
+        """Return coordinates i, k of which k stands, as x, in a force or a momentum of i."""
         place = {x: i for group in (self.q, self.v) for i, x in enumerate(group)}
         for i, pair in enumerate(zip(self.F, self.P, strict=True)):
             for value in pair:
@@ -294,7 +294,7 @@ def kinetic(plain: Plain) -> Value:
 
 
 def _angle(plain: Plain, x: int) -> bool:
-    """Tell whether x stands in L, and in sines and cosines alone, by whole multiples."""
+    """Return whether x stands in L, and in sines and cosines alone, by whole multiples."""
     graph = plain.graph
     work = [n for c, n in plain.energies if c and x in graph.nodes[n].symbols]
     seen = set(work)
@@ -315,7 +315,7 @@ def _angle(plain: Plain, x: int) -> bool:
 
 
 def _whole(graph: Graph, angle: Value, x: int) -> bool:
-    """Tell whether an angle holds a whole multiple of x, and x nowhere else."""
+    """Return whether an angle holds a whole multiple of x, and x nowhere else."""
     c, n = angle
     if x not in graph.nodes[n].symbols:
         return True

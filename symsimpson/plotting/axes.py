@@ -11,7 +11,7 @@ __all__ = ["axes"]
 
 
 def axes(ax: Any, size: tuple[float, float], **how: Any) -> Any:
-    """Give the axes that are there, or new ones; ``how`` they are made.
+    """Return the axes that are there, or new ones; ``how`` they are made.
 
     Raises
     ------

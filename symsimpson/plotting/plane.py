@@ -22,7 +22,7 @@ ICONS = {
 
 
 def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
-    """Give a page with matplotlib's own player, that needs no connection."""
+    """Return a page with matplotlib's own player, that needs no connection."""
     figures = library("matplotlib.figure", "an animation", "plot")
     film = library("matplotlib.animation", "an animation", "plot")
     figure = figures.Figure(figsize=(4.2, 4.2), dpi=72)

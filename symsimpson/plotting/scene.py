@@ -71,11 +71,11 @@ class Scene:
         return self.points.shape[2] == 3
 
     def trail(self, frame: int, which: int) -> Floats:
-        """Give where a point has been of late, between the frames too."""
+        """Return where a point has been of late, between the frames too."""
         return self.fine[max(0, frame - TRAIL) * self.stride : frame * self.stride + 1, which]
 
     def ends(self, frame: int, link: Link) -> Floats:
-        """Give the two ends of a link in one frame."""
+        """Return the two ends of a link in one frame."""
         first = self.points[frame, link.first] if link.first >= 0 else np.zeros_like(self.middle)
         return np.array([first, self.points[frame, link.second]])
 
@@ -117,7 +117,7 @@ def scene_of(some: States, stride: int = 1) -> Scene:
 
 
 def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats]:
-    """Give what evaluates points at all states, shape (N, points, dimension)."""
+    """Return what evaluates points at all states, shape (N, points, dimension)."""
     import sympy as sp
 
     declared = some._stepper._declared

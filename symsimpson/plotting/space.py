@@ -15,7 +15,7 @@ BODY, PATH, LINE = "#3b7dd8", "#e07b39", "#444444"
 
 
 def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
-    """Give a page that carries plotly with it."""
+    """Return a page that carries plotly with it."""
     go = library("plotly.graph_objects", "an animation in space", "plot")
 
     def parts(frame: int) -> list[Any]:

@@ -67,7 +67,7 @@ def extrapolate(
 def _step(
     f: Callable[[Vector], Vector], y: Vector, H: Any, tolerance: Any
 ) -> tuple[Vector | None, int]:
-    """Take a step; gives the new state, None if it did not converge, and the columns used."""
+    """Take a step; returns the new state, None if it did not converge, and the columns used."""
     slope = f(y)
     previous: list[Vector] = []
     for column in range(1, MOST_COLUMNS + 1):

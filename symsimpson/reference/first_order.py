@@ -166,12 +166,12 @@ class Lines:
                 self._done[n] = name
 
     def value(self, *key: Hashable) -> sp.Expr:
-        """Give an output."""
+        """Return an output."""
         coefficient, n = self._outputs.get(key, ZERO)
         return number(coefficient) * self._done[n] if coefficient else sp.S.Zero
 
     def mass(self, n: int) -> sp.ImmutableDenseMatrix:
-        """Give M."""
+        """Return M."""
         return sp.ImmutableDenseMatrix(
             n, n, lambda i, j: self.value("M", max(i, j), min(i, j))
         )  # fmt: skip

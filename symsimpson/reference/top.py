@@ -145,7 +145,7 @@ class ExactTop:
         return self._give(self._advance[1])
 
     def state(self, t: Any) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """Give q = (phi, theta, psi) and p at a time."""
+        """Return q = (phi, theta, psi) and p at a time."""
         t = self._context.mpf(t)
         q = self._angles(t)
         sn, cn, dn = (self._elliptic(name, t) for name in ("sn", "cn", "dn"))
@@ -156,13 +156,13 @@ class ExactTop:
         return tuple(map(self._give, q)), tuple(map(self._give, p))
 
     def theta(self, t: Any) -> Any:
-        """Give the nutation at a time."""
+        """Return the nutation at a time."""
         u1, u2, _ = self.roots
         u = u1 + (u2 - u1) * self._elliptic("sn", self._context.mpf(t)) ** 2
         return self._give(self._context.acos(u))
 
     def theta_weierstrass(self, t: Any) -> Any:
-        """Give the nutation at a time by Weierstrass's function.
+        """Return the nutation at a time by Weierstrass's function.
 
         cos theta = (2 I/G) P(t + shift) + (2 I c + p_psi^2)/(6 I G), with
         P(z) = e3 + (e1 - e3)/sn^2; the shift is a half-period or, in general, any number for
@@ -180,7 +180,7 @@ class ExactTop:
         return self._give(context.acos(context.re(P / scale + mean)))
 
     def nutation(self, t: ArrayLike) -> NDArray[np.float64]:
-        """Give theta at many times in double precision.
+        """Return theta at many times in double precision.
 
         Needs SciPy (the extra ``notebook``).
         """
@@ -217,7 +217,7 @@ class ExactTop:
         return phi0 + above + below, context.acos(u), psi0 + spin + above - below
 
     def _amplitude(self, z: Any) -> Any:
-        """Give am(z), which grows without bound."""
+        """Return am(z), which grows without bound."""
         context = self._context
         halves = context.nint(z / (2 * self._quarter))
         rest = z - 2 * self._quarter * halves  # cn >= 0 there

@@ -216,7 +216,7 @@ def evaluate_in(
 def watching(
     stepper: Evaluator, found: Sequence[Observed], values: Reals
 ) -> Callable[[Reals, Reals, Reals], Reals]:
-    """Give what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
+    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
 
     Raises
     ------
@@ -241,7 +241,7 @@ def _evaluated(
     stepper: Evaluator, W: Reals, kernels: tuple[Any, Any], block: tuple[int, int], t: Reals,
     q: Reals, p: Reals,
 ) -> Reals:  # fmt: skip
-    """Evaluate two kernels, the first of which may be 0; gives a block of so many rows."""
+    """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
     numbers, (first, count) = stepper._numbers, block
     out = numbers.zeros((len(q), count))
     numbers.driver("evaluate")(

@@ -145,7 +145,7 @@ def read_count(name: str, value: Any, least: int) -> int:
 
 
 def whole_number(value: Any) -> int | None:
-    """Give an int, None for what is no whole number; truth values are none."""
+    """Return an int, None for what is no whole number; truth values are none."""
     if type(value) is int:
         return value
     try:
@@ -204,7 +204,7 @@ def _short(value: object) -> str:
 def read_given(
     who: str, how: str, v0: ArrayLike | None, p0: ArrayLike | None
 ) -> tuple[str, ArrayLike]:
-    """Give the one of v0 and p0 that is there, with its name."""
+    """Return the one of v0 and p0 that is there, with its name."""
     if v0 is not None and p0 is None:
         return "v0", v0
     if p0 is not None and v0 is None:

@@ -98,7 +98,7 @@ class Composition(Scheme):
         return {"KICKS": self.kicks, "DRIFTS": self.drifts}
 
     def oscillator(self, x: float) -> NDArray[np.float64]:
-        """Give the matrix of a step of q'' = -q with h = x.
+        """Return the matrix of a step of q'' = -q with h = x.
 
         Examples
         --------
@@ -123,7 +123,7 @@ class Composition(Scheme):
 
 
 def composition(name: str) -> Composition:
-    """Give an explicit scheme by its name.
+    """Return an explicit scheme by its name.
 
     For systems with constant M whose forces depend on positions alone. Coefficients are published
     with 15 digits by Blanes and Moan, and with 26 by Kahan and Li; beyond, errors end there.

@@ -42,7 +42,7 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
 
 
 def named_schemes(order: int) -> tuple[Scheme, ...]:
-    """Give every scheme with a name of its own, up to an order."""
+    """Return every scheme with a name of its own, up to an order."""
     family = [MIDPOINT, SIMPSON]
     for nodes in range(2, order // 2 + 2):
         family += [galerkin("gauss", nodes, nodes), galerkin("lobatto", nodes, nodes - 1)]

@@ -50,7 +50,7 @@ class Quadrature:
 
 @cache
 def gauss(nodes: int) -> Quadrature:
-    """Give the Gauss rule: the zeros of the Legendre polynomial, order 2s."""
+    """Return the Gauss rule: the zeros of the Legendre polynomial, order 2s."""
     _check("gauss", nodes, 1)
     if nodes > CLOSED_FORM["gauss"]:
         return Quadrature("gauss", *_decimal(gauss_legendre(nodes, SHOWN_DIGITS)), 2 * nodes)
@@ -60,7 +60,7 @@ def gauss(nodes: int) -> Quadrature:
 
 @cache
 def lobatto(nodes: int) -> Quadrature:
-    """Give the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
+    """Return the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
     _check("lobatto", nodes, 2)
     if nodes > CLOSED_FORM["lobatto"]:
         found, weights = _decimal(gauss_lobatto(nodes, SHOWN_DIGITS))
@@ -72,7 +72,7 @@ def lobatto(nodes: int) -> Quadrature:
 
 
 def lagrange_basis(points: tuple[sp.Expr, ...], x: sp.Expr) -> tuple[sp.Expr, ...]:
-    """Give the Lagrange polynomials l_k(x) of the points, with l_k(points[j]) = 1 if j = k."""
+    """Return the Lagrange polynomials l_k(x) of the points, with l_k(points[j]) = 1 if j = k."""
     return tuple(
         sp.prod([(x - other) / (point - other) for other in points if other != point])
         for point in points
@@ -101,7 +101,7 @@ def _decimal(
 
 
 def _unit_roots(polynomial: sp.Expr) -> tuple[sp.Expr, ...]:
-    """Give the real roots on [-1, 1], moved to [0, 1] and sorted."""
+    """Return the real roots on [-1, 1], moved to [0, 1] and sorted."""
     roots = sorted(sp.roots(polynomial, _x), key=lambda root: float(sp.N(root, 30)))
     return tuple(sp.radsimp(sp.expand((1 + root) / 2)) for root in roots)
 

@@ -132,7 +132,7 @@ class Scheme:
         }
 
     def oscillator(self, x: float) -> NDArray[np.float64]:
-        """Give the matrix of a step of q'' = -q with h = x.
+        """Return the matrix of a step of q'' = -q with h = x.
 
         Examples
         --------

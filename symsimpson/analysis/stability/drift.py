@@ -141,7 +141,7 @@ def _sampled(
     values: Mapping[str, float],
     progress: bool | None,
 ) -> tuple[Floats, float, int]:
-    """Give relative energies at samples, the drift of constant momenta, and failures."""
+    """Return relative energies at samples, the drift of constant momenta, and failures."""
     every = max(1, steps // (BLOCKS * SAMPLES))
     found = stepper.ensemble(
         q,

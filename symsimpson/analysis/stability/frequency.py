@@ -35,7 +35,7 @@ ALWAYS_STABLE = 1.5
 def largest_frequency(
     system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float]
 ) -> float:
-    """Give the largest omega of K x = omega^2 M x, K the Hessian of V at q.
+    """Return the largest omega of K x = omega^2 M x, K the Hessian of V at q.
 
     It is 0 if none is positive, or K or M have no value there.
 
@@ -56,7 +56,7 @@ def largest_frequency(
 
 @lru_cache(maxsize=64)
 def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
-    """Give a function of q and the parameters for (K, M)."""
+    """Return a function of q and the parameters for (K, M)."""
     plain = system.plain
     graph, q = plain.graph, plain.numbers(plain.q)
     derivatives = Derivatives(graph)
@@ -76,7 +76,7 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
 
 @cache
 def largest_stable(scheme: str) -> float:
-    """Give h omega up to which a scheme is stable for a linear oscillator; infinity if for all."""
+    """Return h omega up to which a scheme is stable for a linear oscillator; inf if for all."""
     if read_scheme(scheme).unbounded:
         return math.inf
     edges = theory_limits(scheme, LARGEST)

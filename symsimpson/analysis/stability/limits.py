@@ -70,7 +70,7 @@ def _edges(stable: Callable[[float], bool], largest: float, width: float) -> lis
 
 
 def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
-    """Give the same edges from the scheme's tables: where |trace R| passes 2.
+    """Return the same edges from the scheme's tables: where |trace R| passes 2.
 
     The step (q0, p0) -> (q1, p1) of L = v^2/2 - q^2/2 is linear; for Simpson's scheme the edges are
     2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).

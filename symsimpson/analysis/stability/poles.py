@@ -153,7 +153,7 @@ def _in_space(case: _Case) -> FirstOrder:
 
 
 def _angles(n: Floats, v: Floats, case: _Case) -> tuple[list[float], list[float]]:
-    """Give angles and their velocities for an axis and its velocity."""
+    """Return angles and their velocities for an axis and its velocity."""
     z = -n[2] if case.down else n[2]
     theta = float(np.arctan2(np.hypot(n[0], n[1]), z))
     phi = float(np.arctan2(n[1], n[0]) if case.down else np.arctan2(n[0], -n[1]))

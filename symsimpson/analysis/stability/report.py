@@ -65,7 +65,7 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
 
 
 def stress_standard(scheme: str) -> Iterator[str]:
-    """Give the linear oscillator's limits and the passes of poles."""
+    """Return the linear oscillator's limits and the passes of poles."""
     yield f"{scheme}: where the linear oscillator turns unstable or stable again, h omega"
     for found, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
         yield f"  {found:.4f}, by theory {theory:.4f}"

@@ -22,7 +22,7 @@ FILES = (
 
 @cache
 def library_sources() -> dict[str, str]:
-    """Give the text of each function, by name."""
+    """Return the text of each function, by name."""
     found: dict[str, str] = {}
     for file in FILES:
         text = resources.files(__name__).joinpath(f"{file}.py").read_text("utf-8")

@@ -56,7 +56,7 @@ def factor_mass(W, lane):
 
 @compiled
 def momentum_to_solve(W, lane):
-    """Give p - a to the solve for the velocity."""
+    """Return p - a to the solve for the velocity."""
     for s in range(DIMENSION):
         W[NODE_VELOCITY + s, lane] = W[MOMENTUM + COORDINATE[s], lane] - W[NODE_L_V + s, lane]
 

@@ -35,7 +35,7 @@ RIM = 6
 
 
 def _points(phi: sp.Expr, theta: sp.Expr, psi: sp.Expr, l: sp.Expr) -> Positions:
-    """Give the centre of mass, and the rim of a disc that turns with the body."""
+    """Return the centre of mass, and the rim of a disc that turns with the body."""
     axis = sp.Matrix([sp.sin(theta) * sp.sin(phi), -sp.sin(theta) * sp.cos(phi), sp.cos(theta)])
     node = sp.Matrix([sp.cos(phi), sp.sin(phi), 0])
     third = sp.Matrix([-sp.cos(theta) * sp.sin(phi), sp.cos(theta) * sp.cos(phi), sp.sin(theta)])

@@ -53,7 +53,7 @@ def heavy_top() -> CatalogueSystem:
 
 
 def _body_rates(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> list[sp.Expr]:
-    """Give the angular velocity in the body, for rotations about z, x and z."""
+    """Return the angular velocity in the body, for rotations about z, x and z."""
     return [
         phi.diff() * sp.sin(theta) * sp.sin(psi) + theta.diff() * sp.cos(psi),
         phi.diff() * sp.sin(theta) * sp.cos(psi) - theta.diff() * sp.sin(psi),
@@ -62,7 +62,7 @@ def _body_rates(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> li
 
 
 def _to_space(phi: AppliedUndef, theta: AppliedUndef, psi: AppliedUndef) -> sp.Matrix:
-    """Give the matrix that turns components in the body into components in space."""
+    """Return the matrix that turns components in the body into components in space."""
 
     def about_z(angle: sp.Expr) -> sp.Matrix:
         c, s = sp.cos(angle), sp.sin(angle)

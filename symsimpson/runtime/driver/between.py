@@ -73,7 +73,7 @@ def take(kernels, h, t, W, at, count, q, p):
 def between(
     kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine
 ):  # fmt: skip
-    """Give the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
+    """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; where that and the whole
     steps go up, no step is taken twice. ``q_out`` and ``p_out`` have one row more than there are

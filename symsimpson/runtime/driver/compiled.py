@@ -38,7 +38,7 @@ def _without_own_imports(text: str) -> str:
 
 @cache
 def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
-    """Give a function of the driver for a number of lanes, compiled by itself."""
+    """Return a function of the driver for a number of lanes, compiled by itself."""
 
     def build(module: ModuleType) -> Callable[..., Any]:
         from numba import njit

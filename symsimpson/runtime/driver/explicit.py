@@ -54,7 +54,7 @@ AT_ONCE = 1 << 62
 
 @njit(**INLINE)
 def finite(W, first, last, lane):
-    """Tell whether rows of a lane are finite."""
+    """Return whether rows of a lane are finite."""
     total = 0.0
     for row in range(first, last):
         total += 0.0 * W[row, lane]  # 0 for finite numbers alone
@@ -132,7 +132,7 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
 
 @njit(**DRIVER_OPTIONS)
 def steady(energy, h, W, at, q, p, last, few, limit):
-    """Tell whether the energy at some states stays near that of the first.
+    """Return whether the energy at some states stays near that of the first.
 
     No change is more than ``limit`` times the kinetic energy of most of the states, nor more than
     that of some of the first ones. They are ``few`` and the first, spread over those up to the

@@ -159,7 +159,7 @@ def go_on(kernels, h, t, W, at, lane, steps):
 
 @njit(**DRIVER_OPTIONS)
 def resolved(kernels, h, t, W, at, lane):
-    """Tell whether a step, and what follows from it, is about what finer steps come to."""
+    """Return whether a step, and what follows from it, is about what finer steps come to."""
     first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
     after, coarse = np.empty((rows, lanes)), np.empty((n, lanes))
     keep_all(W, after)

@@ -81,7 +81,7 @@ class Task:
         return "v0" if self.velocities else "p0"
 
     def part(self, members: slice | NDArray[np.int64]) -> Task:
-        """Give the task of some of the members."""
+        """Return the task of some of the members."""
         return replace(
             self, q0=np.ascontiguousarray(self.q0[members]),
             other0=np.ascontiguousarray(self.other0[members]),
@@ -90,7 +90,7 @@ class Task:
 
 
 def lanes_for(header: Header) -> int:
-    """Give the number of lanes of a block.
+    """Return the number of lanes of a block.
 
     Where Newton's method is written out as straight lines, members side by side are two to four
     times as fast with it as one after the other with nodes as lanes; where it is not, the other way
@@ -101,7 +101,7 @@ def lanes_for(header: Header) -> int:
 
 @cache
 def lanes_of_machine() -> int:
-    """Give the number of lanes of a block: two vector registers where they are short."""
+    """Return the number of lanes of a block: two vector registers where they are short."""
     import llvmlite.binding as llvm
 
     return 8 if llvm.get_host_cpu_features().get("avx") else 4
@@ -120,7 +120,7 @@ class Results:
         self._task = task
 
     def columns(self) -> dict[str, Any]:
-        """Give the arrays as an ensemble has them."""
+        """Return the arrays as an ensemble has them."""
         task = self._task
         status, steps, iterations = (column.copy() for column in self.codes.T)
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
@@ -157,7 +157,7 @@ class _Queue:
         self.stopped = False
 
     def next(self) -> tuple[int, int] | None:
-        """Give the first and the last block of a chunk, None if there are none left."""
+        """Return the first and the last block of a chunk, None if there are none left."""
         with self._lock:
             left = self._last - self._first
             if left <= 0 or self.stopped:
@@ -220,7 +220,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
 
 
 def _aligned(rows: int, lanes: int) -> Floats:
-    """Give rows of zeros that begin with a line of the cache: no vector lies across two.
+    """Return rows of zeros that begin with a line of the cache: no vector lies across two.
 
     It is worth its microseconds for many trajectories, not for one.
     """
@@ -272,7 +272,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
 
 
 def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
-    """Tell which members have a real energy where they begin, and at all stored states."""
+    """Return which members have a real energy where they begin, and at all stored states."""
     # a momentum of zero where velocities were given: V has its value all the same
     first = 0 * task.other0 if task.velocities else task.other0
     q = np.concatenate([task.q0[:, None], results.q], axis=1)
@@ -282,7 +282,7 @@ def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
 
 
 def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
-    """Give what a task came to as an ensemble, with what it was asked for."""
+    """Return what a task came to as an ensemble, with what it was asked for."""
     return Ensemble(
         t=task.times, parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
         initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, **found,

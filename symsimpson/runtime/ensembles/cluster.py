@@ -95,7 +95,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
 
 
 def _result(future: Any, store: Store) -> int:
-    """Give the number of members that a task has done."""
+    """Return the number of members that a task has done."""
     try:
         return int(future.result())
     except SymsimpsonError:
@@ -108,7 +108,7 @@ def _result(future: Any, store: Store) -> int:
 
 
 def compute_chunk(path: str, module: str, chunk: int) -> int:
-    """Compute a chunk of a store, on a worker; gives the number of its members.
+    """Compute a chunk of a store, on a worker; returns the number of its members.
 
     Parameters
     ----------

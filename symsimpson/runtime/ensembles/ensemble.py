@@ -82,7 +82,7 @@ class Ensemble(Quantities):
     @overload
     def __getitem__(self, key: int) -> States: ...
     def __getitem__(self, key: Any) -> NDArray[Any] | States:
-        """Give a quantity of all members by its name, or the states of one member.
+        """Return a quantity of all members by its name, or the states of one member.
 
         Names are those of a run, of what ``reduce`` asked for, and of parameters.
 
@@ -131,7 +131,7 @@ class Ensemble(Quantities):
         return ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
 
     def to_xarray(self) -> Any:
-        """Give an ``xarray.Dataset`` with dimensions member, time and coord.
+        """Return an ``xarray.Dataset`` with dimensions member, time and coord.
 
         Parameters are coordinates of the members. Needs xarray (the extra ``data``). What is in
         a store stays there until it is asked for.
@@ -196,7 +196,7 @@ class Ensemble(Quantities):
 def names_in_dataset(
     reduced: Iterable[str], parameters: Iterable[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Give names under which quantities of a user's naming stand in a dataset.
+    """Return names under which quantities of a user's naming stand in a dataset.
 
     A name that is taken already gets a prefix; one that is no identifier, which might name a
     path, gives way to a number.

@@ -66,7 +66,7 @@ class Store:
         return -(-self.task.members // self.chunk)
 
     def members(self, chunk: int) -> slice:
-        """Give the members of a chunk."""
+        """Return the members of a chunk."""
         return members_of(chunk, self.chunk, self.task.members)
 
     def size(self, chunk: int) -> int:
@@ -75,7 +75,7 @@ class Store:
         return int(members.stop - members.start)
 
     def missing(self) -> Iterator[int]:
-        """Give the chunks that are not done, or whose statuses are damaged."""
+        """Return the chunks that are not done, or whose statuses are damaged."""
         for chunk in range(self.chunks):
             try:
                 status = self.group["status"][self.members(chunk)]
@@ -86,7 +86,7 @@ class Store:
                     yield chunk
 
     def ensemble(self) -> Ensemble:
-        """Give what is in the store; states stay on disk."""
+        """Return what is in the store; states stay on disk."""
         group, task, stepper = self.group, self.task, self.stepper
         reduced, _ = names_in_dataset([r.name for r in task.reductions], stepper.parameters)
         with said(self.path, "read"):
@@ -101,7 +101,7 @@ class Store:
 
 
 def members_of(chunk: int, size: int, members: int) -> slice:
-    """Give the members of a chunk of a certain size."""
+    """Return the members of a chunk of a certain size."""
     return slice(chunk * size, min((chunk + 1) * size, members))
 
 

@@ -44,7 +44,7 @@ _results: dict[str, object] = {}
 
 
 def cache_folder() -> Path:
-    """Give the folder of compiled code, made if need be and checked to be private.
+    """Return the folder of compiled code, made if need be and checked to be private.
 
     ``$SYMSIMPSON_CACHE_DIR``, else ``$XDG_CACHE_HOME/symsimpson``, else ``~/.cache/symsimpson``.
 
@@ -73,7 +73,7 @@ def cache_folder() -> Path:
 
 @cache
 def _temporary_folder(folder: Path, why: str) -> Path:
-    """Give a private folder for this process alone, where no other can be had; say so once."""
+    """Return a private folder for this process alone, where no other can be had; say so once."""
     warnings.warn(
         f"the cache folder {folder} cannot be used ({why}): each process compiles anew.\n"
         f"Name a folder of your own in ${_VARIABLE}.",

@@ -43,7 +43,7 @@ def _numbers(digits: int, arithmetic: str) -> Digits:
 
 
 def read_precision(precision: Any, arithmetic: Any) -> Digits:
-    """Give the numbers of so many decimal digits.
+    """Return the numbers of so many decimal digits.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class _Functions(KernelSets):
 
 
 def _revive(digits: int, arithmetic: str, number: Any) -> Any:
-    """Give a number as it was, at home in the context for so many digits."""
+    """Return a number as it was, at home in the context for so many digits."""
     return read_precision(digits, arithmetic).context.make_mpf(from_pickable(number))
 
 
@@ -127,7 +127,7 @@ class Digits(Numbers):
         return _revive, (self.digits, self.arithmetic, to_pickable(number._mpf_))
 
     def is_one(self, value: Any) -> bool:
-        """Tell whether a value needs no conversion: none is trusted to."""
+        """Return whether a value needs no conversion: none is trusted to."""
         return False
 
     def read(self, value: Any) -> NDArray[Any]:
@@ -152,24 +152,24 @@ class Digits(Numbers):
         return found
 
     def _inner(self, number: Any) -> Any:
-        """Give a number as the kernels take it."""
+        """Return a number as the kernels take it."""
         return number
 
     def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
-        """Give an array of zeros."""
+        """Return an array of zeros."""
         return np.full(shape, self._inner(self.context.zero), dtype=object)
 
     def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
-        """Tell which numbers are finite."""
+        """Return which numbers are finite."""
         finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
         return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
 
     def _outer(self, number: Any) -> Any:
-        """Give a number as a user gets it."""
+        """Return a number as a user gets it."""
         return number
 
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
-        """Give whole numbers to multiply with."""
+        """Return whole numbers to multiply with."""
         return np.array(range(first, stop, stride), dtype=object)
 
     def kernels(self, text: str, header: Header) -> _Functions:
@@ -177,7 +177,7 @@ class Digits(Numbers):
         return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
 
     def driver(self, name: str) -> Callable[..., Any]:
-        """Give a function of the driver, bound to these numbers."""
+        """Return a function of the driver, bound to these numbers."""
         return cast(Callable[..., Any], getattr(self._driver, name))
 
     @cached_property
@@ -229,11 +229,11 @@ class Arb(Digits):
         return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
 
     def single(self, number: Any) -> Any:
-        """Give a number of mpmath."""
+        """Return a number of mpmath."""
         return self._outer(number)
 
     def result(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Give numbers of mpmath."""
+        """Return numbers of mpmath."""
         return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
 
     def kernels(self, text: str, header: Header) -> _Functions:

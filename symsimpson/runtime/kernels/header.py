@@ -166,7 +166,7 @@ def _check_layout(layout: Mapping[str, int], where: str) -> None:
 
 
 def digest(text: str) -> str:
-    """Give the SHA-256 of a text, in hexadecimal digits."""
+    """Return the SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

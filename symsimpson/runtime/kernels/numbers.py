@@ -39,7 +39,7 @@ class Numbers:
         return "FLOAT64"  # there is one, by its name in this module
 
     def is_one(self, value: Any) -> bool:
-        """Tell whether a value needs no conversion."""
+        """Return whether a value needs no conversion."""
         return type(value) is float and math.isfinite(value)
 
     def read(self, value: Any) -> NDArray[Any]:
@@ -52,41 +52,41 @@ class Numbers:
         return array.astype(np.float64)
 
     def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
-        """Give an array of zeros."""
+        """Return an array of zeros."""
         return np.zeros(shape)
 
     def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
-        """Tell which numbers are finite."""
+        """Return which numbers are finite."""
         return np.isfinite(array)
 
     def all_finite(self, array: NDArray[Any]) -> bool:
-        """Tell whether all numbers are finite; quick where there are few."""
+        """Return whether all numbers are finite; quick where there are few."""
         if array.dtype == np.float64 and array.size <= FEW:
             return all(map(math.isfinite, array.ravel().tolist()))
         return bool(self.finite(array).all())
 
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
-        """Give whole numbers to multiply with."""
+        """Return whole numbers to multiply with."""
         return np.arange(first, stop, stride, dtype=np.float64)
 
     def single(self, number: Any) -> Any:
-        """Give one number as a user gets it."""
+        """Return one number as a user gets it."""
         return number
 
     def result(self, array: NDArray[Any]) -> NDArray[Any]:
-        """Give an array as a user gets it."""
+        """Return an array as a user gets it."""
         return array
 
     def kernels(self, text: str, header: Header) -> KernelSets:
-        """Give the kernels of a module."""
+        """Return the kernels of a module."""
         return Kernels(text, header)
 
     def driver(self, name: str) -> Callable[..., Any]:
-        """Give a function of the driver."""
+        """Return a function of the driver."""
         return driver(name)
 
     def working(self) -> AbstractContextManager[Any]:
-        """Give the context in which these numbers are computed with."""
+        """Return the context in which these numbers are computed with."""
         return NOTHING
 
     def undisturbed(self) -> AbstractContextManager[None]:

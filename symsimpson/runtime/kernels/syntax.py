@@ -144,7 +144,7 @@ def _literal(node: ast.expr) -> object:
 
 
 def _bound(tree: ast.Module) -> Iterator[str]:
-    """Give all names that a module binds."""
+    """Return all names that a module binds."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id

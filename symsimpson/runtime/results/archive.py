@@ -137,7 +137,7 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 
 def _digest(run: Trajectory) -> str:
-    """Give a digest of all that a trajectory is made of."""
+    """Return a digest of all that a trajectory is made of."""
     about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
     content = hashlib.sha256(repr(about).encode())
     for array in (run.t, run.q, run.p, run._values, run.newton_iterations):

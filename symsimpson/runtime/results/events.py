@@ -183,7 +183,7 @@ def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[
 
 
 def _with_end(run: Trajectory, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
-    """Give the stored states, and the last one of the run where that was not stored."""
+    """Return the stored states, and the last one of the run where that was not stored."""
     times, positions, momenta = run.t, run.q, run.p
     if run.every and run.steps % run.every:
         end = np.array([run.t[0] + run.h * run.steps])

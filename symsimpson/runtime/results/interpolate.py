@@ -69,12 +69,12 @@ class DenseOutput:
         self._nothing = NOTHING if digits is None else 10.0 ** (2 - digits)
 
     def __call__(self, t: ArrayLike) -> Reals:
-        """Give positions and momenta, shape (2 n,) for a number and (2 n, m) for m of them."""
+        """Return positions and momenta, shape (2 n,) for a number and (2 n, m) for m of them."""
         q, p = self.states(t)
         return np.concatenate([q, p], axis=-1).T
 
     def states(self, t: ArrayLike) -> tuple[Reals, Reals]:
-        """Give q and p, each of shape (n,) for a number and (m, n) for m of them.
+        """Return q and p, each of shape (n,) for a number and (m, n) for m of them.
 
         Raises
         ------
@@ -116,7 +116,7 @@ class DenseOutput:
     def after(
         self, start: NDArray[np.int64], later: Reals
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
-        """Give q, p and a status so much later than stored states, by their numbers."""
+        """Return q, p and a status so much later than stored states, by their numbers."""
         run, stepper = self._run, self._run._stepper
         numbers, header, kernels = stepper._numbers, stepper._header, stepper._kernels
         h = run.h

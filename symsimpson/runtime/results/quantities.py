@@ -23,7 +23,7 @@ class Quantities:
     _stepper: Stepper
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
-        """Give a block of rows at all states, shape (..., count)."""
+        """Return a block of rows at all states, shape (..., count)."""
         raise NotImplementedError
 
     @cached_property
@@ -51,14 +51,14 @@ class Quantities:
         return {name: found[..., i] for i, name in enumerate(names)}
 
     def _own(self, key: str) -> Any:
-        """Give a quantity of a name that only this kind of result knows; None if it is none."""
+        """Return a quantity of a name that only this kind of result knows; None if it is none."""
         return None
 
     def _own_names(self) -> list[str]:
         return []
 
     def _named(self, key: Any) -> NDArray[Any]:
-        """Give a quantity by its name, a user's names first.
+        """Return a quantity by its name, a user's names first.
 
         Raises
         ------

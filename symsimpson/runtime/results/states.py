@@ -67,7 +67,7 @@ class States(Quantities):
     @overload
     def __getitem__(self, key: int | slice | NDArray[Any] | list[int]) -> States: ...
     def __getitem__(self, key: Any) -> NDArray[Any] | States:
-        """Give a quantity by its name, shape (N,), or some of the states.
+        """Return a quantity by its name, shape (N,), or some of the states.
 
         Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
         "t" and "energy". A number gives one state, a slice or an array as numpy takes them more.
@@ -162,7 +162,7 @@ class States(Quantities):
         return plot_phase(self, x, y, connected=self._connected, ax=ax)
 
     def plot_path(self, *, ax: Any = None) -> Any:
-        """Draw the paths of the system's ``positions``, into ``ax`` if given; gives the axes.
+        """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class States(Quantities):
         return plot_path(self, ax=ax)
 
     def to_pandas(self) -> Any:
-        """Give a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
+        """Return a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
 
         Raises
         ------
@@ -203,7 +203,7 @@ class States(Quantities):
         return frame
 
     def to_xarray(self) -> Any:
-        """Give an ``xarray.Dataset`` with dimensions time and coord.
+        """Return an ``xarray.Dataset`` with dimensions time and coord.
 
         Raises
         ------

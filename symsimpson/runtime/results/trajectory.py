@@ -100,7 +100,7 @@ class Trajectory(States):
         return DenseOutput(self)
 
     def at(self, t: ArrayLike) -> States:
-        """Give the states at any times of the run, with the order of the scheme.
+        """Return the states at any times of the run, with the order of the scheme.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class Trajectory(States):
         return find_events(self, expression, direction, wrap)
 
     def plot_energy(self, *, ax: Any = None) -> Any:
-        """Draw the error of the energy over time, into ``ax`` if given; gives the axes.
+        """Draw the error of the energy over time, into ``ax`` if given; returns the axes.
 
         Raises
         ------

@@ -43,12 +43,12 @@ Content = TypeVar("Content")
 
 
 def buffered(every: int, stored: int, n: int) -> int:
-    """Give the number of states that a run keeps in memory."""
+    """Return the number of states that a run keeps in memory."""
     return min(stored, max(2, BUFFER // (8 * (2 * n + 1)))) if every else 1
 
 
 def question_of(stepper: Stepper, run: Run, count: int, values: Floats) -> dict[str, Any]:
-    """Give what a run was asked for, in values of JSON; floats are written with all digits."""
+    """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
         "source": stepper.source, "parameters": values.tolist(), "h": run.h, "t0": run.t0,
         "steps": count, "every": run.every,
@@ -119,7 +119,7 @@ class Checkpoint:
             raise
 
     def states(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Give q, p and iterations of the stored states, which stay on disk."""
+        """Return q, p and iterations of the stored states, which stay on disk."""
         n = self._run.header.n
         shape = (self._rows, 2 * n + 1)
         rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
@@ -144,7 +144,7 @@ class Checkpoint:
             ) from error
 
     def _since(self) -> Floats:
-        """Give the states stored since the last checkpoint, one row each."""
+        """Return the states stored since the last checkpoint, one row each."""
         run = self._run
         last = (run.step - run.first) // run.every if run.every else 0
         return self._rows_of(slice(1, last + 1))
@@ -205,7 +205,7 @@ class Checkpoint:
 
 
 def exists(path: Path) -> bool:
-    """Tell whether there is a checkpoint, or the one before it."""
+    """Return whether there is a checkpoint, or the one before it."""
     return path.exists() or path.with_name(f"{path.name}.previous").exists()
 
 
@@ -252,7 +252,7 @@ def read_record(path: Path) -> Record:
 
 
 def _first_whole(path: Path, read: Callable[[Path, Path], Content]) -> tuple[Content, list[str]]:
-    """Give what the first whole file says, and what is wrong with those before it."""
+    """Return what the first whole file says, and what is wrong with those before it."""
     problems: list[str] = []
     for place in (path, path.with_name(f"{path.name}.previous")):
         try:

@@ -170,7 +170,7 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
 
 
 def stored_by(run: Run) -> tuple[Reals, Reals, NDArray[np.int64]]:
-    """Give q, p and iterations of the states that a run has stored in memory."""
+    """Return q, p and iterations of the states that a run has stored in memory."""
     kept = (run.step - run.first) // run.every + 1 if run.every else 0
     return run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
 
@@ -258,7 +258,7 @@ def trajectory_of(
     every: int,
     keeper: Checkpoint | None = None,
 ) -> Trajectory:
-    """Give what a run of so many steps has come to: each so-many-th state, or the last for 0."""
+    """Return what a run of so many steps has come to: each so-many-th state, or the last for 0."""
     done = run.step
     q, p, iterations = stored
     if every:

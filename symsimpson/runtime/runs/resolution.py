@@ -40,7 +40,7 @@ Reals = NDArray[Any]
 
 
 def sampling_stride(stepper: Stepper, count: int) -> int:
-    """Give the steps between the states to keep of a run that stores none.
+    """Return the steps between the states to keep of a run that stores none.
 
     None, 0, are kept of a short one, unless its energy need not be real.
     """

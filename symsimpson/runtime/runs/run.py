@@ -93,12 +93,12 @@ class Run:
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
 
     def rows(self, block: str, count: int) -> NDArray[Any]:
-        """Give rows of the workspace."""
+        """Return rows of the workspace."""
         first = self.header.layout[block]
         return self._column[first : first + count]
 
     def value(self, block: str) -> Any:
-        """Give the number in a block of one row."""
+        """Return the number in a block of one row."""
         return self._column[self.header.layout[block]]
 
     @property
@@ -119,7 +119,7 @@ class Run:
         return status
 
     def _diverged(self) -> bool:
-        """Tell whether the increments became ten times what was predicted, and seen before."""
+        """Return whether the increments became ten times what was predicted, and seen before."""
         n, d = self.header.n, self.header.degree
         predicted = self.rows("PREDICTED", d * n).reshape(d, n)
         expected = max(
@@ -128,7 +128,7 @@ class Run:
         return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
 
     def _singular(self) -> bool:
-        """Tell whether elimination with pivoting, the last resort, met a pivot of zero."""
+        """Return whether elimination with pivoting, the last resort, met a pivot of zero."""
         if self._fallbacks[self._set] != "robust":
             return False
         at = self.header.layout
@@ -215,7 +215,7 @@ class Run:
                 return
 
     def forget(self) -> int:
-        """Keep only the last stored state in the arrays; gives the number of those forgotten."""
+        """Keep only the last stored state in the arrays; returns the number of those forgotten."""
         kept = self._progress.item(0) // self.every if self.every else 0
         if kept:
             self.first += kept * self.every
@@ -224,7 +224,7 @@ class Run:
         return kept
 
     def position(self) -> list[int]:
-        """Give what tells, beside the workspace, where the run is."""
+        """Return what tells, beside the workspace, where the run is."""
         return [self.first, self._progress.item(0), self._set, self._set_until]
 
     def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
