@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.codegen.pipeline import derive, source
 from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
+from symsimpson.runtime.evaluator import Tools
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -20,7 +21,26 @@ from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 
+if TYPE_CHECKING:
+    from symsimpson.analysis.certificate import Certificate
+
 __all__ = ["compile", "generate", "load", "resume"]
+
+
+def _certify(stepper: Stepper, *state: Any, **given: Any) -> Certificate:
+    from symsimpson.analysis.certify import certify  # when it is first asked for
+
+    return certify(stepper, *state, **given)
+
+
+def _check_step(*given: Any) -> None:
+    from symsimpson.analysis.stability.frequency import warn_of_step
+
+    warn_of_step(*given)
+
+
+#: What steppers are given of the layers above them.
+TOOLS = Tools(certify=_certify, check_step=_check_step)
 
 
 def compile(
@@ -95,6 +115,7 @@ def compile(
         reference_state=getattr(system, "reference_state", None),
         declared=system,
         derivation=derivation,
+        tools=TOOLS,
     )
 
 
@@ -103,6 +124,8 @@ def generate(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
     directory: str | os.PathLike[str] = "generated",
+    *,
+    exploit: str | Iterable[str] = "all",
 ) -> Path:
     """Write the module of a system and a scheme to ``<directory>/<name>__<scheme>.py``.
 
@@ -112,6 +135,8 @@ def generate(
     scheme : str or Scheme
     directory : path
         Made if need be.
+    exploit : "all" or iterable of str
+        As for :func:`compile`.
 
     Returns
     -------
@@ -132,7 +157,7 @@ def generate(
     _check_system(system)
     found = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{found.name}.py"
-    content = source(system, found).encode()
+    content = source(system, found, exploit).encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:
@@ -176,7 +201,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
-    return read_stepper(text, os.fspath(path))
+    return read_stepper(text, os.fspath(path), TOOLS)
 
 
 def resume(
@@ -221,7 +246,7 @@ def resume(
     True
     """
     asked = read_question(read_path("the checkpoint", path))
-    stepper = read_stepper(asked["source"], os.fspath(path))
+    stepper = read_stepper(asked["source"], os.fspath(path), TOOLS)
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(
         asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],

@@ -169,7 +169,7 @@ def _words(text: str) -> list[str]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from symsimpson.mechanics.catalogue import CATALOGUE, MODELS
+    from symsimpson.systems import CATALOGUE, MODELS
 
     for name, make in {**CATALOGUE, **MODELS}.items():
         system = make()
@@ -180,7 +180,7 @@ def _list(options: argparse.Namespace) -> int:
 
 def _generate(options: argparse.Namespace) -> int:
     from symsimpson.api import generate
-    from symsimpson.mechanics.catalogue import CATALOGUE
+    from symsimpson.systems import CATALOGUE
 
     for name in options.system or CATALOGUE:
         system = _find(name)
@@ -191,7 +191,7 @@ def _generate(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from symsimpson.codegen.pipeline import source
-    from symsimpson.mechanics.catalogue import CATALOGUE
+    from symsimpson.systems import CATALOGUE
 
     directory = Path(options.directory)
     expected = {}
@@ -346,8 +346,8 @@ def _bench(options: argparse.Namespace) -> int:
 
 def _find(name: str) -> MechanicalSystem:
     """Find a system by its name in the catalogue or by file and attribute."""
-    from symsimpson.mechanics.catalogue import CATALOGUE, MODELS
     from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.systems import CATALOGUE, MODELS
 
     known = {**CATALOGUE, **MODELS}
     if name in known:

@@ -111,7 +111,7 @@ class Certificate:
         return write_text(path, self.to_json(), "certificate")
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import certificate
+        from symsimpson.analysis.html import certificate
 
         return certificate(self)
 

@@ -68,7 +68,7 @@ class Choice:
     reason: str
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import choice
+        from symsimpson.analysis.html import choice
 
         return choice(self)
 

@@ -32,7 +32,10 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     banner = SIGNED.search(text)
     assert banner is not None
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
-    return Stepper(text, f"{stepper.system}, changed", reference_state=stepper.reference_state)
+    return Stepper(
+        text, f"{stepper.system}, changed", reference_state=stepper.reference_state,
+        tools=stepper._tools,
+    )  # fmt: skip
 
 
 def oversolved(stepper: Stepper) -> Stepper:

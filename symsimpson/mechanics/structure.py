@@ -100,12 +100,12 @@ class Structure:
     system: MechanicalSystem = field(compare=False)
 
     def __repr__(self) -> str:
-        from symsimpson.display.structure import as_text
+        from symsimpson.mechanics.table import as_text
 
         return as_text(self)
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.structure import as_html
+        from symsimpson.mechanics.table import as_html
 
         return as_html(self)
 

@@ -182,13 +182,19 @@ class MechanicalSystem:
 
     @classmethod
     def from_lagranges_method(
-        cls, name: str, lm: Any, parameters: Mapping[sp.Symbol, float] = NONE
+        cls,
+        name: str,
+        lm: Any,
+        parameters: Mapping[sp.Symbol, float] = NONE,
+        *,
+        positions: Positions | None = None,
+        invariants: Mapping[str, sp.Expr] | None = None,
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters
+        name, parameters, positions, invariants
             As for :class:`MechanicalSystem`.
         lm : sympy.physics.mechanics.LagrangesMethod
             Without forces and constraints: potential forces belong to its Lagrangian.
@@ -232,7 +238,9 @@ class MechanicalSystem:
                     "Put potential forces into the Lagrangian (RigidBody.potential_energy), choose "
                     "coordinates that satisfy the constraints, and drop the rest.",
                 )
-        return cls.from_lagrangian(name, lagrangian, coordinates, parameters)
+        return cls.from_lagrangian(
+            name, lagrangian, coordinates, parameters, positions=positions, invariants=invariants
+        )
 
     @property
     def n(self) -> int:
@@ -310,6 +318,6 @@ class MechanicalSystem:
         return f"MechanicalSystem({self.name!r}, coordinates=({names}))"
 
     def _repr_latex_(self) -> str:
-        from symsimpson.display.symbolic import system
+        from symsimpson.mechanics.latex import system
 
         return system(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,11 +19,27 @@ from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.runs.run import Run, workspace
 
-__all__ = ["Evaluator", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
+__all__ = ["Evaluator", "Tools", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
 Parameters = Mapping[Any, Any]
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What layers above do for a stepper; it gets them from whoever makes it.
+
+    Attributes
+    ----------
+    certify : callable
+        Measures whether a stepper is what it should be.
+    check_step : callable
+        Takes a stepper, its system, q0, parameters and h, and warns of steps that are too large.
+    """
+
+    certify: Callable[..., Any]
+    check_step: Callable[..., None]
 
 
 class Evaluator:
@@ -41,6 +58,7 @@ class Evaluator:
         reference_state: Mapping[str, Any] | None = None,
         declared: Any = None,
         derivation: Derivation | None = None,
+        tools: Tools | None = None,
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
@@ -51,6 +69,7 @@ class Evaluator:
         self.coordinates, self.parameters = header.coordinates, header.parameters
         self.invariants, self.reference_state = header.invariants, reference_state
         self._declared, self._derivation = declared, derivation
+        self._tools = tools
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
@@ -74,6 +93,7 @@ class Evaluator:
         given = {
             "defaults": self._given and dict(self._given), "declared": self._declared,
             "reference_state": state and dict(state), "numbers": self._numbers,
+            "tools": self._tools,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 
@@ -107,7 +127,7 @@ class Evaluator:
         --------
         >>> import symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
-        >>> q1, p1 = stepper.step([1.0], [0.0], h=0.01)
+        >>> q1, p1 = stepper.step([1.0], p=[0.0], h=0.01)
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """

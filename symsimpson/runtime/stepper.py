@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from numpy.typing import ArrayLike
 
 from symsimpson.derivation import Report
-from symsimpson.errors import Interrupted
+from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -42,6 +42,8 @@ class Stepper(Evaluator):
         What the module was generated from; by it steps that are too large are warned of.
     derivation : Derivation, optional
         What generating it took.
+    tools : Tools, optional
+        What certifies it, and checks steps.
 
     Attributes
     ----------
@@ -59,7 +61,7 @@ class Stepper(Evaluator):
     """
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import stepper
+        from symsimpson.runtime.results.html import stepper
 
         return stepper(self)
 
@@ -348,14 +350,33 @@ class Stepper(Evaluator):
         >>> certificate.passed, round(certificate["order"].measured, 1)
         (True, 4.0)
         """
-        from symsimpson.analysis.certify import certify
-
-        return certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
+        if self._tools is None:
+            raise InputError(
+                f"this stepper of {self.system} came with a stored result.\n"
+                "Certify one that symsimpson.compile or symsimpson.load made."
+            )
+        return self._tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
 
     def step(
-        self, q: ArrayLike, p: ArrayLike, h: float, parameters: Parameters | None = None
+        self,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        *,
+        p: ArrayLike | None = None,
+        h: float,
+        t: float = 0.0,
+        parameters: Parameters | None = None,
     ) -> tuple[Reals, Reals]:
-        """Take one step from (q, p).
+        """Take one step from (q, v), or from (q, p).
+
+        Parameters
+        ----------
+        q, v, p : array_like, shape (n,)
+            One of ``v`` and ``p`` is left out.
+        h : float
+        t : float
+            The time at the start.
+        parameters : mapping, optional
 
         Returns
         -------
@@ -370,9 +391,9 @@ class Stepper(Evaluator):
         --------
         >>> import symsimpson as ss
         >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
-        >>> q1, p1 = stepper.step([1.0], [0.0], h=0.01)
+        >>> q1, p1 = stepper.step([1.0], p=[0.0], h=0.01)
         >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
         (True, True)
         """
-        end = self.integrate(q, p0=p, h=h, steps=1, parameters=parameters, every=None)
+        end = self.integrate(q, v, p0=p, h=h, steps=1, t0=t, parameters=parameters, every=None)
         return end.q[0], end.p[0]

@@ -114,7 +114,7 @@ class Composition(Scheme):
         return matrix
 
     def _repr_latex_(self) -> str:
-        from symsimpson.display.symbolic import composition
+        from symsimpson.schemes.latex import composition
 
         return composition(self)
 

@@ -213,7 +213,7 @@ class Scheme:
         return tuple(_number(sp.diff(sp.expand(value), x).subs(x, c)) for value in basis)
 
     def _repr_latex_(self) -> str:
-        from symsimpson.display.symbolic import scheme
+        from symsimpson.schemes.latex import scheme
 
         return scheme(self)
 

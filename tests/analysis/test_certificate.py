@@ -14,6 +14,7 @@ from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import linear_symmetries
 from symsimpson.analysis.variants import rewritten
+from symsimpson.api import TOOLS
 from symsimpson.codegen import coupled
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower
@@ -130,7 +131,7 @@ def built(kind, scheme=ss.SIMPSON):
 
 
 def stepper_of(text):
-    return Stepper(text, "known to be bad", reference_state=PENDULUM.reference_state)
+    return Stepper(text, "known to be bad", reference_state=PENDULUM.reference_state, tools=TOOLS)
 
 
 def once():

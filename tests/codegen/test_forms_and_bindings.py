@@ -93,7 +93,7 @@ def test_arithmetics_agree(name):
         take_step(module, W, 0.01)
         results.append(np.array([complex(x).real for x in state(module, W)]))
     stepper = ss.compile(system)
-    results.append(np.concatenate(stepper.step(q, p, 0.01)))
+    results.append(np.concatenate(stepper.step(q, p=p, h=0.01)))
     for other in results[1:]:
         np.testing.assert_allclose(results[0], other, rtol=0, atol=1e-13)
 

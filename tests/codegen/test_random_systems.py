@@ -92,7 +92,7 @@ def test_compiled_step_agrees_with_plain_floats(seed):
     q, v = random_state(seed, system.n)
     scheme = SCHEMES[seed % 5]
     stepper = ss.compile(system, scheme, exploit=())
-    q1, p1 = stepper.step(q, v, H)
+    q1, p1 = stepper.step(q, p=v, h=H)
     module = bind_float(stepper.source)
     W = begin(module, q, v, system.parameters.values(), H)
     take_step(module, W, H)

@@ -146,3 +146,7 @@ def test_generate_load_and_compile_agree(tmp_path):
     runs = [stepper.integrate(**system.reference_state, h=0.01, steps=100)
             for stepper in (ss.load(path), ss.compile(system, "midpoint"))]  # fmt: skip
     assert (runs[0].q == runs[1].q).all()
+    kepler = ss.systems.kepler()
+    general = ss.generate(kepler, "midpoint", tmp_path, exploit=()).read_text()
+    assert general == ss.compile(kepler, "midpoint", exploit=()).source
+    assert general != ss.compile(kepler, "midpoint").source

@@ -59,7 +59,12 @@ def pendulum_bodies():
 def test_lagranges_method():
     theta, frame, body, _ = pendulum_bodies()
     lm = me.LagrangesMethod(me.Lagrangian(frame, body), [theta])
-    system = ss.MechanicalSystem.from_lagranges_method("swing", lm, {m: 1.0, l: 1.0, g: 9.81})
+    system = ss.MechanicalSystem.from_lagranges_method(
+        "swing", lm, {m: 1.0, l: 1.0, g: 9.81},
+        positions={"bob": (l * sp.sin(theta), -l * sp.cos(theta))}, invariants={"height": theta},
+    )  # fmt: skip
+    assert system.positions.keys() == {"bob"}
+    assert system.invariants.keys() == {"height"}
     assert sp.simplify(system.mass_matrix[0, 0] - m * l**2) == 0
     run = ss.compile(system).integrate([1.0], v0=[0.0], h=0.05, steps=100)
     same = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.05, steps=100)

@@ -61,7 +61,7 @@ def test_message(stepper, changes, message):
 
 def test_step_and_equations_check_too(stepper):
     with pytest.raises(ss.InputError, match="q0 has shape"):
-        stepper.step([1.0], [0.0, 0.0], 0.1)
+        stepper.step([1.0], [0.0, 0.0], h=0.1)
     with pytest.raises(ss.InputError, match="nodes has shape"):
         stepper.residual([0.5, 0.2], [0.0, 0.1], [0.5, 0.2], 0.1)
     with pytest.raises(ss.InputError, match=r"nodes is .* not real numbers"):
@@ -119,7 +119,10 @@ def test_velocities_and_momenta_agree(stepper):
     by_velocity = stepper.integrate([0.5, 0.2], v0=[1.0, -0.5], h=0.01, steps=20)
     by_momentum = stepper.integrate([0.5, 0.2], p0=by_velocity.p[0], h=0.01, steps=20)
     assert (by_velocity.q == by_momentum.q).all()
-    assert stepper.step([0.5, 0.2], by_velocity.p[0], 0.01)[0].tolist() == by_momentum.q[1].tolist()
+    stepped = stepper.step([0.5, 0.2], p=by_velocity.p[0], h=0.01)[0]
+    assert stepped.tolist() == by_momentum.q[1].tolist()
+    again = stepper.step([0.5, 0.2], [1.0, -0.5], h=0.01)[0]
+    assert again.tolist() == stepped.tolist()
 
 
 def test_energy_error_is_relative_to_its_scale():

@@ -150,7 +150,7 @@ def test_the_printed_formula_is_not_symplectic():
     stepper = ss.compile(PENDULUM)
 
     def derived(z0):
-        return np.concatenate(stepper.step(z0[:2], z0[2:], h))
+        return np.concatenate(stepper.step(z0[:2], p=z0[2:], h=h))
 
     z = np.array([np.pi / 4, np.pi / 3, 0.0, 0.0])
     defects = []

@@ -15,7 +15,7 @@ from workspace import sweep
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet
 from symsimpson.graph.evaluate import line_value
-from symsimpson.mechanics.catalogue.puma560 import LINKS
+from symsimpson.systems.puma560 import LINKS
 
 GRAVITY = (0, 0, -9.81)
 

@@ -187,8 +187,8 @@ def test_linear_systems_do_not_drift(scheme):
     """A step is q1 = a q + b p, p1 = c q + a p: p^2 - c q^2 / b stands still but for rounding."""
     stepper = ss.compile(ss.systems.harmonic_oscillator(), scheme)
     h, steps = 0.1, 8_000_000
-    c = stepper.step([1.0], [0.0], h)[1][0]
-    b = stepper.step([0.0], [1.0], h)[0][0]
+    c = stepper.step([1.0], p=[0.0], h=h)[1][0]
+    b = stepper.step([0.0], p=[1.0], h=h)[0][0]
     run = stepper.integrate([1.0], p0=[0.3], h=h, steps=steps, every=1000)
     assert run.newton_iterations.max() == 0
     invariant = run.p[:, 0] ** 2 - c / b * run.q[:, 0] ** 2

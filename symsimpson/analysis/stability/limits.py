@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.pilot import any_step
 from symsimpson.api import compile as compile_system
-from symsimpson.mechanics.catalogue import harmonic_oscillator
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.systems import harmonic_oscillator
 
 __all__ = ["energy_map", "linear_limits", "theory_limits"]
 

@@ -181,7 +181,7 @@ class Ensemble(Quantities):
         return self.status.size
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import ensemble
+        from symsimpson.runtime.results.html import ensemble
 
         return ensemble(self)
 

@@ -16,6 +16,7 @@ from symsimpson.binding import MATH
 from symsimpson.errors import StaleKernelError
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Tools
     from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["check_structure", "read_stepper"]
@@ -44,7 +45,7 @@ NODES = (
 TOP = (ast.ImportFrom, ast.Assign, ast.FunctionDef)
 
 
-def read_stepper(text: str, where: str) -> Stepper:
+def read_stepper(text: str, where: str, tools: Tools | None = None) -> Stepper:
     """Make a stepper of a module that comes from a file, once digest and structure are checked.
 
     Raises
@@ -54,7 +55,7 @@ def read_stepper(text: str, where: str) -> Stepper:
     """
     from symsimpson.runtime.stepper import Stepper
 
-    stepper = Stepper(text, where)  # compares the digest, executes nothing
+    stepper = Stepper(text, where, tools=tools)  # compares the digest, executes nothing
     check_structure(text, where)
     return stepper
 

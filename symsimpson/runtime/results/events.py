@@ -69,7 +69,7 @@ class Events(States):
     message: str
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import events
+        from symsimpson.runtime.results.html import events
 
         return events(self)
 

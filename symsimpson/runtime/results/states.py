@@ -251,7 +251,7 @@ class States(Quantities):
         return self.t.size
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import states
+        from symsimpson.runtime.results.html import states
 
         return states(self)
 

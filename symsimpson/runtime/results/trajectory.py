@@ -254,7 +254,7 @@ class Trajectory(States):
         }  # fmt: skip
 
     def _repr_html_(self) -> str:
-        from symsimpson.display.results import trajectory
+        from symsimpson.runtime.results.html import trajectory
 
         return trajectory(self)
 

@@ -241,11 +241,10 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
     key = (run.h, values.tobytes())
     plain = run.W.dtype == np.float64
-    if plain and stepper._declared is not None and key not in stepper._looked_at:
+    system, tools = stepper._declared, stepper._tools
+    if plain and system is not None and tools is not None and key not in stepper._looked_at:
         stepper._looked_at.add(key)
-        from symsimpson.analysis.stability.frequency import warn_of_step  # loads SymPy
-
-        warn_of_step(stepper, stepper._declared, run.rows("POSITION", stepper.n), values, run.h)
+        tools.check_step(stepper, system, run.rows("POSITION", stepper.n), values, run.h)
 
 
 def trajectory_of(

@@ -64,7 +64,7 @@ def test_results_keep_their_digits():
     assert run.t[3] * 10 - 3 < 1e-38
     assert float(run.energy_error[-1]) != 0
     assert repr(run).startswith("Trajectory(pendulum, simpson: 10 steps of h=0.1, 11 states")
-    q, p = stepper.step([run.q[-1, 0]], [run.p[-1, 0]], "0.1")
+    q, p = stepper.step([run.q[-1, 0]], p=[run.p[-1, 0]], h="0.1")
     longer = stepper.integrate(["0.1"], v0=["0"], h="0.1", steps=11, every=None)
     assert abs(q[0] - longer.q[0, 0]) < 1e-38
     assert abs(p[0] - longer.p[0, 0]) < 1e-38
@@ -74,7 +74,7 @@ def test_residual_vanishes_to_all_digits(arithmetic):
     system = ss.systems.double_pendulum()
     stepper = ss.compile(system, "midpoint", precision=50, arithmetic=arithmetic)
     q, p = [0.5, -0.25], [0.125, 0.5]
-    q1, _ = stepper.step(q, p, 0.0625)
+    q1, _ = stepper.step(q, p=p, h=0.0625)
     assert max(abs(r) for r in stepper.residual(q, p, [q1], 0.0625)) < 1e-47
     assert stepper.jacobian(q, p, [q1], 0.0625).shape == (2, 2)
 

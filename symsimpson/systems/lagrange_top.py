@@ -6,9 +6,9 @@ import math
 
 import sympy as sp
 
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem, State
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.mechanics.system import Positions
+from symsimpson.systems.entry import CatalogueSystem, State
 
 __all__ = ["lagrange_top", "lagrange_top_cusps"]
 

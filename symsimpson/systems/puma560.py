@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from symsimpson.mechanics.arms import Link, arm_energies
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["puma560"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -102,3 +103,14 @@ class _Frame:
 def _picture(content: str) -> Markup:
     size = f'width="{WIDTH:g}" height="{HEIGHT:g}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
     return Markup(f'<svg xmlns="http://www.w3.org/2000/svg" {size}>{content}</svg>')
+
+
+def in_text(name: str) -> str:
+    r"""Return a name for \text{...} in LaTeX, without what means something there."""
+    return re.sub(r"[^A-Za-z0-9 ,()]", r"\\_", name)
+
+
+def aligned(rows: Sequence[tuple[str, str]]) -> str:
+    """Return equations in LaTeX, one below the other; lines without a left side are text."""
+    text = r" \\ ".join(f"{left} &= {right}" if left else f"& {right}" for left, right in rows)
+    return rf"$\displaystyle \begin{{aligned}} {text} \end{{aligned}}$"

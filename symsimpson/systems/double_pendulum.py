@@ -6,8 +6,8 @@ import math
 
 import sympy as sp
 
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["double_pendulum"]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["henon_heiles"]
 

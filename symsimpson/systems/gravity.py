@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import sympy as sp
 
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem, State
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem, State
 
 __all__ = ["n_body", "outer_solar_system"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sympy as sp
 
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["ellipsoid_geodesic", "torus_geodesic"]
 

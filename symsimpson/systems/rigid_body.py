@@ -5,8 +5,8 @@ from __future__ import annotations
 import sympy as sp
 from sympy.core.function import AppliedUndef
 
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
 from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = ["heavy_top", "rigid_body"]
 

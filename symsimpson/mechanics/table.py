@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from symsimpson.codegen.counting import Cost, cost
-from symsimpson.codegen.kernels import unrolled
-from symsimpson.codegen.pipeline import source
-from symsimpson.discrete.equations import discretise
-from symsimpson.discrete.reductions import Linear, Part, Routh
-from symsimpson.display import markup
-from symsimpson.mechanics.structure import Structure
-from symsimpson.schemes.scheme import SIMPSON
+from symsimpson import markup
 
-__all__ = ["as_html", "as_text", "costs", "rows"]
+if TYPE_CHECKING:
+    from symsimpson.mechanics.structure import Structure
 
-#: Beyond so many coordinates operations are not counted for a report: that takes long.
-COUNTED = 8
-SCHEMES = ("simpson", "midpoint")
-#: What is removed by a finding that the loops for large systems make no use of.
-NOTHING = "nothing: loops take all coordinates together"
+__all__ = ["as_html", "as_text", "rows"]
+
 Row = tuple[str, str, str, str]
 HEAD: Row = ("finding", "here", "because", "removes")
 
@@ -28,12 +20,6 @@ HEAD: Row = ("finding", "here", "because", "removes")
 def rows(found: Structure) -> list[Row]:
     """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
     names = [user.func.__name__ for user in found.system.coordinates]
-    equations = discretise(found.system, SIMPSON)
-    straight = unrolled(equations)
-
-    def removed(what: str, kind: type[Part] | None = None) -> str:
-        used = kind is None or any(isinstance(part, kind) for part in equations.parts)
-        return what if straight and used else NOTHING
 
     mass = ", ".join(
         word for word, holds in (("constant", found.constant_mass),
@@ -61,7 +47,7 @@ def rows(found: Structure) -> list[Row]:
                 "linear",
                 "forces linear in q",
                 "second derivatives of V are constant",
-                removed("Newton's method: a step is a product of shears", Linear),
+                "Newton's method: a step is a product of shears",
             )
         )
     if found.cyclic:
@@ -70,13 +56,13 @@ def rows(found: Structure) -> list[Row]:
                 "cyclic",
                 _some(found.cyclic),
                 "L does not contain them",
-                removed("them from Newton's unknowns; their momenta are constants", Routh),
+                "them from Newton's unknowns; their momenta are constants",
             )
         )
     if len(found.subsystems) > 1:
         groups = (", ".join(names[i] for i in s.coordinates) for s in found.subsystems)
         table.append(("subsystems", _some([f"({g})" for g in groups]), "no term of L joins them",
-                      removed("their coupling: one small solve each")))  # fmt: skip
+                      "their coupling: one small solve each"))  # fmt: skip
     if found.periodic:
         table.append(("angles", _some(found.periodic),
                       "only in sines and cosines of whole multiples", ""))  # fmt: skip
@@ -89,20 +75,6 @@ def rows(found: Structure) -> list[Row]:
         why = "by less than 1e-12: floats are taken for the numbers that they are"
         table.append(("nearly not", question, why, "nothing"))
     return table
-
-
-def costs(found: Structure) -> list[tuple[str, Cost, Cost]] | None:
-    """Return the costs of a step on the general path and on this one, for each scheme of the paper.
-
-    None for systems so large that counting takes longer than a report should.
-    """
-    system = found.system
-    if system.n > COUNTED:
-        return None
-    return [
-        (scheme, cost(source(system, scheme, ())), cost(source(system, scheme)))
-        for scheme in SCHEMES
-    ]
 
 
 def as_text(found: Structure) -> str:
@@ -118,43 +90,14 @@ def as_text(found: Structure) -> str:
                 f"because {because}{removed}", 78, initial_indent=" " * width,
                 subsequent_indent=" " * width,
             )  # fmt: skip
-    counted = _counted(found)
-    return "\n".join([*lines, *(["", *_aligned(counted)] if counted else [])])
+    return "\n".join(lines)
 
 
 def as_html(found: Structure) -> str:
     """Write the tables for a notebook."""
-    counted = _counted(found)
-    return markup.table([HEAD, *rows(found)]) + (markup.table(counted) if counted else "")
-
-
-def _counted(found: Structure) -> list[tuple[str, ...]]:
-    measured = costs(found)
-    if measured is None:
-        return []
-    head = ("a step, general > here", "unknowns", "operations an iteration", "at its end")
-    return [
-        head,
-        *(
-            (
-                scheme,
-                f"{before.unknowns} > {after.unknowns}",
-                f"{before.iteration} > {after.iteration}",
-                f"{before.closing} > {after.closing}",
-            )
-            for scheme, before, after in measured
-        ),
-    ]
+    return markup.table([HEAD, *rows(found)])
 
 
 def _some(names: Sequence[str]) -> str:
     shown = ", ".join(names[:6])
     return shown if len(names) <= 6 else f"{shown}, ... ({len(names)})"
-
-
-def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    return [
-        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in table
-    ]

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from symsimpson.mechanics.catalogue.argon import argon, argon_cluster
-from symsimpson.mechanics.catalogue.cart_pole import cart_pole
-from symsimpson.mechanics.catalogue.cloth import cloth
-from symsimpson.mechanics.catalogue.double_pendulum import double_pendulum
-from symsimpson.mechanics.catalogue.elastic_pendulum import elastic_pendulum
-from symsimpson.mechanics.catalogue.entry import CatalogueSystem
-from symsimpson.mechanics.catalogue.fermi_pasta_ulam import fermi_pasta_ulam
-from symsimpson.mechanics.catalogue.geodesics import ellipsoid_geodesic, torus_geodesic
-from symsimpson.mechanics.catalogue.gravity import n_body, outer_solar_system
-from symsimpson.mechanics.catalogue.harmonic_oscillator import harmonic_oscillator
-from symsimpson.mechanics.catalogue.henon_heiles import henon_heiles
-from symsimpson.mechanics.catalogue.kepler import kepler
-from symsimpson.mechanics.catalogue.lagrange_top import lagrange_top, lagrange_top_cusps
-from symsimpson.mechanics.catalogue.n_pendulum import n_pendulum
-from symsimpson.mechanics.catalogue.pendulum import pendulum
-from symsimpson.mechanics.catalogue.puma560 import puma560
-from symsimpson.mechanics.catalogue.rigid_body import heavy_top, rigid_body
-from symsimpson.mechanics.catalogue.spherical_pendulum import spherical_pendulum
-from symsimpson.mechanics.catalogue.water import water
+from symsimpson.systems.argon import argon, argon_cluster
+from symsimpson.systems.cart_pole import cart_pole
+from symsimpson.systems.cloth import cloth
+from symsimpson.systems.double_pendulum import double_pendulum
+from symsimpson.systems.elastic_pendulum import elastic_pendulum
+from symsimpson.systems.entry import CatalogueSystem
+from symsimpson.systems.fermi_pasta_ulam import fermi_pasta_ulam
+from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
+from symsimpson.systems.gravity import n_body, outer_solar_system
+from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
+from symsimpson.systems.henon_heiles import henon_heiles
+from symsimpson.systems.kepler import kepler
+from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
+from symsimpson.systems.n_pendulum import n_pendulum
+from symsimpson.systems.pendulum import pendulum
+from symsimpson.systems.puma560 import puma560
+from symsimpson.systems.rigid_body import heavy_top, rigid_body
+from symsimpson.systems.spherical_pendulum import spherical_pendulum
+from symsimpson.systems.water import water
 
 _MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
     pendulum,

@@ -6,19 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.display.markup import Markup, box, curves, facts, scatter, table
+from symsimpson.markup import Markup, box, curves, facts, scatter
 from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:
-    from symsimpson.analysis.certificate import Certificate
-    from symsimpson.analysis.choose import Choice
     from symsimpson.runtime.ensembles.ensemble import Ensemble
     from symsimpson.runtime.results.events import Events
     from symsimpson.runtime.results.states import States
     from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["certificate", "choice", "ensemble", "events", "states", "stepper", "trajectory"]
+__all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
 
 #: More coordinates than this are no picture each.
 DRAWN = 6
@@ -26,17 +24,11 @@ GOOD, BAD = "#3a9e6b", "#d1495b"
 
 
 def stepper(one: Stepper) -> str:
-    """Show what was generated, and what a step costs."""
-    from symsimpson.codegen.counting import cost
-
-    found = cost(one.source)
-    if found.unknowns:
-        counted = f"{found.iteration} in Newton's iteration, {found.closing} to close the step"
-    else:
-        counted = f"{found.closing}; nothing is iterated"
+    """Show what was generated, and how a step is solved."""
     values = ", ".join(f"{k} = {float(v):g}" for k, v in one._named_values().items())
     solved = "explicit, or one matrix for all"
-    if found.unknowns:
+    unknowns = one._header.newton_unknowns
+    if unknowns:
         solved = "Newton's method with the exact Jacobian"
         if one._header.by_stages:
             solved = f"iterated over {one._header.layout['NODES']} stages; else {solved}"
@@ -49,8 +41,7 @@ def stepper(one: Stepper) -> str:
             ("parameters", values or "none"),
             ("invariants", ", ".join(one.invariants) or "none declared"),
             ("a step", solved),
-            ("Newton unknowns", found.unknowns or "none"),
-            ("operations", counted),
+            ("Newton unknowns", unknowns or "none"),
             ("module", f"{lines} lines; print(stepper.source) shows them"),
             ("compiled code", one._kernels.location),
         ]),
@@ -66,7 +57,7 @@ def events(found: Events) -> str:
     """Show the states in which something happens."""
     rows: list[tuple[str, Any]] = [("zeros of", found.expression)]
     if found.status is not Status.SUCCESS:
-        rows.append(("the run", _verdict(found.message, False)))
+        rows.append(("the run", verdict(found.message, False)))
     if len(found) > 1:
         rows += [(f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
                  for q in found._stepper.coordinates[:DRAWN]]  # fmt: skip
@@ -78,7 +69,7 @@ def trajectory(run: Trajectory) -> str:
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{run._stepper.scheme}, order {run._stepper.order}"),
         ("steps", f"{run.steps} of h = {float(run.h):g}, {len(run)} states stored"),
-        ("status", _verdict(run.status.name, run.success)),
+        ("status", verdict(run.status.name, run.success)),
     ]
     if not run.success:
         rows.append(("message", run.message))
@@ -110,7 +101,7 @@ def ensemble(found: Ensemble) -> str:
         ("scheme", f"{found._stepper.scheme}, order {found._stepper.order}"),
         ("members", len(found)),
         ("to t", f"{float(found.t[-1]):g}, {found.t.size} states of each stored"),
-        ("status", _verdict(found.message, good)),
+        ("status", verdict(found.message, good)),
     ]
     if found.store is not None:
         rows.append(("store", found.store))
@@ -124,38 +115,8 @@ def ensemble(found: Ensemble) -> str:
     return box(f"Ensemble of {found._stepper.system}", facts(rows))
 
 
-def certificate(one: Certificate) -> str:
-    """Show what was measured, row by row."""
-    rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
-    for check in one.checks:
-        sign = ">=" if check.bound == "at least" else "<="
-        nothing = check.measured != check.measured
-        rows.append((
-            _verdict("passed" if check.passed else "FAILED", check.passed),
-            check.name,
-            "-" if nothing else f"{check.measured:.3g}",
-            "" if check.exempt else f"{sign} {check.threshold:.2g}",
-            check.failure or check.what,
-            check.reason,
-        ))  # fmt: skip
-    numbers = (", ".join(f"{x:.6g}" for x in state) for state in (one.q0, one.p0))
-    verdict = "passed" if one.passed else "NOT passed"
-    where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, one.h, one.seconds)
-    title = f"Certificate of {one.system}, {one.scheme} (order {one.order}): {verdict}"
-    return box(title, f"<div>{where}</div>", table(rows))
-
-
-def choice(one: Choice) -> str:
-    """Show a scheme and a step, and why."""
-    rows: list[tuple[str, object]] = [
-        ("scheme", f"{one.stepper.scheme}, order {one.stepper.order}"),
-        ("h", f"{one.h:.6g}"),
-        ("why", one.reason),
-    ]
-    return box(f"Choice for {one.stepper.system}", facts(rows))
-
-
-def _verdict(text: str, good: bool) -> Markup:
+def verdict(text: str, good: bool) -> Markup:
+    """Return a text in green or red."""
     import html
 
     return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

@@ -1,4 +1,4 @@
-"""Systems and schemes in LaTeX. Names of symbols are untrusted: odd ones are replaced."""
+"""Systems in LaTeX. Names of symbols are untrusted: odd ones are replaced."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 from sympy.physics.vector import vlatex
 
+from symsimpson.markup import aligned, in_text
+
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
-    from symsimpson.schemes.composition import Composition
-    from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["composition", "scheme", "system"]
+__all__ = ["system"]
 
 #: Names that SymPy may typeset as they are.
 PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 #: Equations of motion are shown for so many coordinates, with so many operations.
 SHOWN, MOST_OPERATIONS = 4, 300
-#: Tables of more numbers than this are not shown.
-MOST_NUMBERS = 42
 
 
 def system(one: MechanicalSystem) -> str:
@@ -33,7 +31,7 @@ def system(one: MechanicalSystem) -> str:
 
 
 def _too_long(one: MechanicalSystem) -> str:
-    text = rf"{_plain(one.name)}: {one.n} coordinates, T and V too long to be shown"
+    text = rf"{in_text(one.name)}: {one.n} coordinates, T and V too long to be shown"
     return rf"$\text{{{text}}}$"
 
 
@@ -56,8 +54,7 @@ def _equations(one: MechanicalSystem) -> str:
             label = vlatex(name)
             lines.append((f"p_{{{label}}}", moment))
             lines.append((rf"\dot{{p}}_{{{label}}}", force))
-    rows = r" \\ ".join(rf"{left} &= {vlatex(right)}" for left, right in lines)
-    return rf"$\displaystyle \begin{{aligned}} {rows} \end{{aligned}}$"
+    return aligned([(left, vlatex(right)) for left, right in lines])
 
 
 def _safe(one: MechanicalSystem) -> dict[Any, Any]:
@@ -71,42 +68,3 @@ def _safe(one: MechanicalSystem) -> dict[Any, Any]:
             plain = sp.Function(f"q_{i}")(t)
             replace |= {q: plain, q.diff(t): plain.diff(t)}
     return replace
-
-
-def scheme(one: Scheme) -> str:
-    """Return order, nodes, weights and the tables A and B, where they are exact and few."""
-    rows = [
-        ("", rf"\text{{{_plain(one.name)}: {one.quadrature.kind} quadrature, order {one.order}}}"),
-        ("d", str(one.degree)),
-    ]
-    if one.exact and one.stages * (one.degree + 1) <= MOST_NUMBERS:
-        rows += [
-            ("c_i", sp.latex(sp.Matrix([one.quadrature.nodes]))),
-            ("b_i", sp.latex(sp.Matrix([one.quadrature.weights]))),
-            ("A_{ik}", sp.latex(sp.Matrix(one.A))),
-            ("B_{ik}", sp.latex(sp.Matrix(one.B))),
-        ]
-    else:
-        rows += [
-            ("c_i", sp.latex(sp.Matrix([one.quadrature.nodes]).evalf(6))),
-            ("b_i", sp.latex(sp.Matrix([one.quadrature.weights]).evalf(6))),
-        ]
-    return _aligned(rows)
-
-
-def composition(one: Composition) -> str:
-    """Return order, kicks and drifts."""
-    return _aligned([
-        ("", rf"\text{{{_plain(one.name)}: {len(one.drifts)} drifts, order {one.order}}}"),
-        ("b_k", sp.latex(sp.Matrix([one.kicks]).evalf(6))),
-        ("a_k", sp.latex(sp.Matrix([one.drifts]).evalf(6))),
-    ])  # fmt: skip
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9 ,()]", r"\\_", name)
-
-
-def _aligned(rows: list[tuple[str, str]]) -> str:
-    text = r" \\ ".join(f"{left} &= {right}" if left else f"& {right}" for left, right in rows)
-    return rf"$\displaystyle \begin{{aligned}} {text} \end{{aligned}}$"

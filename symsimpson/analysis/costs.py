@@ -1,0 +1,77 @@
+"""What a step costs, counted in the text of the modules that are generated for a system."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from symsimpson import markup
+from symsimpson.codegen.counting import Cost, cost
+from symsimpson.codegen.pipeline import source
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["StepCosts", "step_costs"]
+
+HEAD = ("a step, general > here", "unknowns", "operations an iteration", "at its end")
+
+
+@dataclass(frozen=True)
+class StepCosts:
+    """Unknowns and operations of a step, without and with what was found about a system.
+
+    Attributes
+    ----------
+    general, here : dict
+        For each scheme the cost on the path for any system, and on that for this one: its
+        ``unknowns``, operations an ``iteration`` and when ``closing`` the step.
+    """
+
+    general: dict[str, Cost]
+    here: dict[str, Cost]
+
+    def __repr__(self) -> str:
+        table = [HEAD, *self._rows()]
+        widths = [max(len(row[k]) for row in table) for k in range(len(HEAD))]
+        return "\n".join(
+            "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in table
+        )
+
+    def _repr_html_(self) -> str:
+        return markup.table([HEAD, *self._rows()])
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        return [
+            (scheme, *(f"{getattr(self.general[scheme], part)} > {getattr(here, part)}"
+                       for part in ("unknowns", "iteration", "closing")))
+            for scheme, here in self.here.items()
+        ]  # fmt: skip
+
+
+def step_costs(
+    system: MechanicalSystem, schemes: Iterable[str] = ("simpson", "midpoint")
+) -> StepCosts:
+    """Generate modules with and without the findings of a system, and count what a step does.
+
+    It takes seconds for small systems, and longer for large ones: what is general is long.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    schemes : iterable of str
+
+    Returns
+    -------
+    StepCosts
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.step_costs(ss.systems.kepler(), ["simpson"]).here["simpson"].unknowns
+    2
+    """
+    names = list(schemes)
+    return StepCosts(
+        {name: cost(source(system, name, ())) for name in names},
+        {name: cost(source(system, name)) for name in names},
+    )

@@ -1,0 +1,45 @@
+"""Certificates and choices in HTML."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from symsimpson.markup import box, facts, table
+from symsimpson.runtime.results.html import verdict as coloured
+
+if TYPE_CHECKING:
+    from symsimpson.analysis.certificate import Certificate
+    from symsimpson.analysis.choose import Choice
+
+__all__ = ["certificate", "choice"]
+
+
+def certificate(one: Certificate) -> str:
+    """Show what was measured, row by row."""
+    rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
+    for check in one.checks:
+        sign = ">=" if check.bound == "at least" else "<="
+        nothing = check.measured != check.measured
+        rows.append((
+            coloured("passed" if check.passed else "FAILED", check.passed),
+            check.name,
+            "-" if nothing else f"{check.measured:.3g}",
+            "" if check.exempt else f"{sign} {check.threshold:.2g}",
+            check.failure or check.what,
+            check.reason,
+        ))  # fmt: skip
+    numbers = (", ".join(f"{x:.6g}" for x in state) for state in (one.q0, one.p0))
+    verdict = "passed" if one.passed else "NOT passed"
+    where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, one.h, one.seconds)
+    title = f"Certificate of {one.system}, {one.scheme} (order {one.order}): {verdict}"
+    return box(title, f"<div>{where}</div>", table(rows))
+
+
+def choice(one: Choice) -> str:
+    """Show a scheme and a step, and why."""
+    rows: list[tuple[str, object]] = [
+        ("scheme", f"{one.stepper.scheme}, order {one.stepper.order}"),
+        ("h", f"{one.h:.6g}"),
+        ("why", one.reason),
+    ]
+    return box(f"Choice for {one.stepper.system}", facts(rows))
