@@ -16,7 +16,7 @@ from symsimpson.runtime.evaluator import Tools
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.checkpoint import read_question
+from symsimpson.runtime.runs.checkpoint import read_asked
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
@@ -245,7 +245,7 @@ def resume(
     >>> bool((again.q == run.q).all())
     True
     """
-    asked = read_question(read_path("the checkpoint", path))
+    asked = read_asked(read_path("the checkpoint", path))
     stepper = read_stepper(asked["source"], os.fspath(path), TOOLS)
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(

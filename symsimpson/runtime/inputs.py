@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -203,7 +203,7 @@ def _short(value: object) -> str:
 
 def read_given(
     who: str, how: str, v0: ArrayLike | None, p0: ArrayLike | None
-) -> tuple[str, ArrayLike]:
+) -> tuple[Literal["v0", "p0"], ArrayLike]:
     """Return the one of v0 and p0 that is there, with its name."""
     if v0 is not None and p0 is None:
         return "v0", v0

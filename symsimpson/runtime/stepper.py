@@ -14,6 +14,7 @@ from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import integrate
+from symsimpson.runtime.runs.spec import read_run
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
@@ -165,10 +166,8 @@ class Stepper(Evaluator):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        return integrate(
-            self, q0, v0, p0, (h, t_end, steps, t0), parameters, every, checkpoint,
-            checkpoint_every, progress, on_failure,
-        )  # fmt: skip
+        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, every)
+        return integrate(self, spec, checkpoint, checkpoint_every, progress, on_failure)
 
     def ensemble(
         self,
@@ -305,10 +304,8 @@ class Stepper(Evaluator):
         """
         from symsimpson.runtime.runs.section import poincare
 
-        return poincare(
-            self, expression, (q0, v0, p0), (h, t_end, steps, t0), direction, wrap, parameters,
-            progress, on_failure,
-        )  # fmt: skip
+        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None)
+        return poincare(self, expression, spec, direction, wrap, progress, on_failure)
 
     def certify(
         self,

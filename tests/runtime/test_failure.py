@@ -11,6 +11,7 @@ from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.runs.integrate import begin_run, new_run
 from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.spec import read_run
 
 PENDULUM = ss.systems.double_pendulum()
 SHORT = {"l1": 0.25, "l2": 0.25}
@@ -197,13 +198,15 @@ BLOCKS = ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "
 def test_injected_nan_and_infinity(scheme):
     """210 of them, into what a run has computed: it fails, or goes on as before."""
     stepper = ss.compile(PENDULUM, scheme)
-    values, start = stepper._values(None), PENDULUM.reference_state
+    start = PENDULUM.reference_state
+    state = (start["q0"], start.get("v0"), start.get("p0"))
+    spec = read_run(stepper, state, (0.01, None, 60, 0.0), None, None)
     whole = stepper.integrate(**start, h=0.01, steps=60, every=None)
     random = np.random.default_rng(7)
     failed = 0
     for trial in range(70):
-        run = new_run(stepper, values, 0.01, 0.0, 0, 1)
-        begin_run(stepper, run, **{"v0": None, "p0": None} | start)
+        run = new_run(stepper, spec, 0, 1)
+        begin_run(stepper, run, spec)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
         if block not in stepper._header.layout:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kernel, reduce_values
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -42,17 +43,9 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Task:
-    """What an ensemble is asked to compute, checked."""
+class Task(RunSpec):
+    """What an ensemble is asked to compute, checked; arrays have a row for each member."""
 
-    q0: Floats
-    other0: Floats
-    velocities: bool
-    parameters: Floats
-    h: float
-    t0: float
-    steps: int
-    every: int
     reductions: tuple[Reduction, ...]
     threads: int
     progress: bool | None
@@ -64,21 +57,11 @@ class Task:
         return len(self.q0)
 
     @property
-    def stored(self) -> int:
-        """Number of stored states."""
-        return self.steps // self.every + 1 if self.every else 1
-
-    @property
     def times(self) -> Floats:
         """Times of the stored states."""
         stride, first = (self.every, 0) if self.every else (self.steps, 1)
         count = np.arange(first, self.stored + first, dtype=np.float64)
         return self.t0 + self.h * count * stride
-
-    @property
-    def given(self) -> Literal["v0", "p0"]:
-        """Whether initial velocities or momenta are given."""
-        return "v0" if self.velocities else "p0"
 
     def part(self, members: slice | NDArray[np.int64]) -> Task:
         """Return the task of some of the members."""

@@ -127,24 +127,24 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     with said(path, "read"):
         group: Any = zarr.open_group(path, mode="r+")
         about: dict[str, Any] = dict(group.attrs)
-        source, question, size = about["source"], about["question"], about["chunk"]
+        source, asked, size = about["source"], about["asked"], about["chunk"]
     if digest(source) != module:
         raise StorageError(
             f"{path}: the module in the store is not the one that was asked for.\n"
             "It was changed or damaged. Begin a new store."
         )
     stepper = _stepper(source)
-    reduce = {name: (kind, text) for name, kind, text in json.loads(question["reduce"])}
+    reduce = {name: (kind, text) for name, kind, text in json.loads(asked["reduce"])}
     reductions = read_reductions(stepper, reduce)
     _, names = names_in_dataset(reduce, stepper.parameters)
-    members = members_of(chunk, size, question["members"])
+    members = members_of(chunk, size, asked["members"])
     with said(path, "read"):
-        q0, other0 = (group[name][members] for name in ("q0", question["given"]))
+        q0, other0 = (group[name][members] for name in ("q0", asked["given"]))
         columns = [group[names[name]][members] for name in stepper.parameters]
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
     task = Task(
-        q0, other0, question["given"] == "v0", parameters, question["h"], question["t0"],
-        question["steps"], question["every"], reductions, threads=1, progress=False,
+        q0, other0, asked["given"], parameters, asked["h"], asked["t0"],
+        asked["steps"], asked["every"], reductions, threads=1, progress=False,
         lanes=lanes_for(stepper._header),
     )  # fmt: skip
     found, _ = run_blocks(stepper, task, lambda done: None)

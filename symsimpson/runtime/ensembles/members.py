@@ -92,7 +92,7 @@ def read_task(
     for k, name in enumerate(stepper.parameters):
         values[:, k] = columns[name]
     return Task(
-        q, other, second == "v0", values, h, t0, count, stride, reductions, workers, progress, lanes
+        q, other, second, values, h, t0, count, stride, reductions, workers, progress, lanes
     )  # fmt: skip
 
 

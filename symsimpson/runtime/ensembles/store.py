@@ -1,4 +1,4 @@
-"""Ensembles on disk: a Zarr store holds the question, and the answer chunk by chunk.
+"""Ensembles on disk: a Zarr store holds what was asked for, and what was found chunk by chunk.
 
 The store is made up front and says all that is to be computed: initial states, parameters, times
 and the generated module. A chunk of members is written when it is done, its statuses last; until
@@ -122,7 +122,7 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
     if "://" not in place:
         check_folder(Path(place), "store", "opened")
         place = os.path.abspath(place)
-    question = _question(stepper, task)
+    asked = _asked(stepper, task)
     with said(place, "opened"):
         try:
             group = zarr.open_group(place, mode="r")
@@ -131,13 +131,13 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
                 os.path.isfile(place) or os.listdir(place)
             ):  # fmt: skip
                 raise _other(place, "holds something that is no ensemble") from None
-            return _create(place, stepper, task, question)
+            return _create(place, stepper, task, asked)
         found: dict[str, Any] = dict(group.attrs)
         if found.get("begun_by") != "symsimpson":
             raise _other(place, "holds a dataset that is no ensemble of symsimpson")
-        if "question" not in found:  # broken off while it was made: nothing is lost
-            return _create(place, stepper, task, question)
-        differing = [key for key in question if found["question"].get(key) != question[key]]
+        if "asked" not in found:  # broken off while it was made: nothing is lost
+            return _create(place, stepper, task, asked)
+        differing = [key for key in asked if found["asked"].get(key) != asked[key]]
         if differing:
             raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
         return Store(place, zarr.open_group(place, mode="r+"), stepper, task, found["chunk"])
@@ -150,20 +150,19 @@ def _other(place: str, what: str) -> InputError:
     )
 
 
-def _question(stepper: Stepper, task: Task) -> dict[str, Any]:
-    """Say what is to be computed, such that equal questions have equal answers."""
+def _asked(stepper: Stepper, task: Task) -> dict[str, Any]:
+    """Say what is to be computed, such that what is equal here has equal results."""
     return {
         "module": digest(stepper.source),
-        "h": task.h, "t0": task.t0, "steps": task.steps, "every": task.every,
-        "given": task.given, "members": task.members,
+        **task.said(), "given": task.given, "members": task.members,
         "reduce": json.dumps([[r.name, r.kind, r.expression] for r in task.reductions]),
         "initial states": hashlib.sha256(task.q0.tobytes() + task.other0.tobytes()).hexdigest(),
         "parameters": hashlib.sha256(task.parameters.tobytes()).hexdigest(),
     }  # fmt: skip
 
 
-def _create(place: str, stepper: Stepper, task: Task, question: dict[str, Any]) -> Store:
-    """Lay out a store; the question is written last, when all else stands."""
+def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> Store:
+    """Lay out a store; what was asked for is written last, when all else stands."""
     import zarr
     from zarr.codecs import ZstdCodec
 
@@ -189,7 +188,7 @@ def _create(place: str, stepper: Stepper, task: Task, question: dict[str, Any]) 
         )  # fmt: skip
         if name in given or variable.dims[0] != "member":
             array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
-    group.attrs.update({"source": stepper.source, "question": question})
+    group.attrs.update({"source": stepper.source, "asked": asked})
     return Store(place, group, stepper, task, chunk)
 
 

@@ -20,10 +20,10 @@ from symsimpson.runtime.results.trajectory import Trajectory
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Events", "find_events", "gather", "read_question", "zeros"]
+__all__ = ["Events", "find_events", "gather", "read_zeros", "zeros"]
 
 Floats = NDArray[np.float64]
-Question = tuple[Observed, int]
+Zeros = tuple[Observed, int]
 #: Angles that differ by this are one.
 TURN = 2 * np.pi
 #: Zeros are located to so much of the time between two states: rounding.
@@ -80,7 +80,7 @@ class Events(States):
         return super()._about() | {"zeros of": self.expression, "message": self.message}
 
 
-def read_question(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> Question:
+def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> Zeros:
     """Read which zeros are wanted.
 
     Raises
@@ -108,26 +108,26 @@ def read_question(stepper: Stepper, expression: Any, direction: int, wrap: Any) 
 
 def find_events(run: Trajectory, expression: Any, direction: int, wrap: Any) -> Events:
     """Find the zeros of an expression between the stored states of a run."""
-    question = read_question(run._stepper, expression, direction, wrap)
-    return gather(run, question, [zeros(run, question)])
+    wanted = read_zeros(run._stepper, expression, direction, wrap)
+    return gather(run, wanted, [zeros(run, wanted)])
 
 
-def gather(run: Trajectory, question: Question, found: Sequence[tuple[Floats, ...]]) -> Events:
+def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> Events:
     """Put zeros together that were found one after the other."""
     n = run._stepper.n
     none = np.zeros(0), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0)
     t, q, p, direction = (np.concatenate(parts) for parts in zip(none, *found, strict=True))
-    for a in question[0].wrapped:
+    for a in wanted[0].wrapped:
         q[:, a] -= TURN * np.floor(q[:, a] / TURN + 0.5)
     return Events(
-        t=t, q=q, p=p, direction=direction.astype(np.int64), expression=question[0].expression,
+        t=t, q=q, p=p, direction=direction.astype(np.int64), expression=wanted[0].expression,
         status=run.status, message=run.message, _stepper=run._stepper, _values=run._values,
     )  # fmt: skip
 
 
-def zeros(run: Trajectory, question: Question, *, begins: bool = True) -> tuple[Floats, ...]:
+def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
     """Find times, positions, momenta and directions of the zeros between stored states."""
-    wanted, direction = question
+    wanted, direction = sought
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
     times, positions, momenta = _with_end(run, dense)
     watched = watching(run._stepper, [wanted], run._values)

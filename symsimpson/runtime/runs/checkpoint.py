@@ -1,8 +1,8 @@
 """A run on disk: what it is, where it stands, and all states stored so far.
 
-``run.ckpt`` holds the question and the workspace, ``run.ckpt.states`` the states, which are only
-ever appended to, and ``run.ckpt.previous`` the file before. Each checkpoint knows the digests of
-itself and of the states that it counts; it appears under its name when it is complete.
+``run.ckpt`` holds what was asked for and the workspace, ``run.ckpt.states`` the states, which
+are only ever appended to, and ``run.ckpt.previous`` the file before. Each checkpoint knows the
+digests of itself and of the states that it counts; it appears under its name when it is complete.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ from symsimpson.runtime.signals import undisturbed
 
 if TYPE_CHECKING:
     from symsimpson.runtime.runs.run import Run
+    from symsimpson.runtime.runs.spec import RunSpec
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Checkpoint", "buffered", "question_of", "read_question"]
+__all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
 
 #: The first line of a file: what it is, its version and the digest of what follows.
-MAGIC, VERSION = "symsimpson checkpoint", 1
+MAGIC, VERSION = "symsimpson checkpoint", 2
 #: A checkpoint is written after about so many seconds where no number of steps is given.
 SECONDS = 10.0
 #: So many bytes of states at most are kept in memory.
@@ -47,11 +48,10 @@ def buffered(every: int, stored: int, n: int) -> int:
     return min(stored, max(2, BUFFER // (8 * (2 * n + 1)))) if every else 1
 
 
-def question_of(stepper: Stepper, run: Run, count: int, values: Floats) -> dict[str, Any]:
+def asked(stepper: Stepper, run: Run, spec: RunSpec) -> dict[str, Any]:
     """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
-        "source": stepper.source, "parameters": values.tolist(), "h": run.h, "t0": run.t0,
-        "steps": count, "every": run.every,
+        "source": stepper.source, "parameters": spec.parameters.tolist(), **spec.said(),
         "q0": run.rows("POSITION", stepper.n).tolist(),
         "p0": run.rows("MOMENTUM", stepper.n).tolist(),
     }  # fmt: skip
@@ -61,7 +61,7 @@ def question_of(stepper: Stepper, run: Run, count: int, values: Floats) -> dict[
 class Record:
     """What a checkpoint says, the digest of its states so far, and the last of them."""
 
-    question: dict[str, Any]
+    asked: dict[str, Any]
     position: list[int]
     workspace: Floats
     stored: int
@@ -75,7 +75,8 @@ class Checkpoint:
     Parameters
     ----------
     path : path
-    question : dict
+    asked : dict
+        What the run was asked for.
     run : Run
         At its beginning; it goes on where the file says, if there is one.
     every : int, optional
@@ -83,9 +84,9 @@ class Checkpoint:
     """
 
     def __init__(
-        self, path: Any, question: dict[str, Any], run: Run, every: int | None = None
+        self, path: Any, asked: dict[str, Any], run: Run, every: int | None = None
     ) -> None:
-        self.path, self._question, self._run, self._every = Path(path), question, run, every
+        self.path, self._asked, self._run, self._every = Path(path), asked, run, every
         self._rows, self._digest = 0, hashlib.sha256()
         try:
             if exists(self.path):
@@ -173,7 +174,7 @@ class Checkpoint:
         run = self._run
         body = json.dumps(
             {
-                "question": self._question, "position": run.position(), "stored": self._rows,
+                "asked": self._asked, "position": run.position(), "stored": self._rows,
                 "states": self._digest.hexdigest(),
                 "workspace": base64.b64encode(run.W.astype("<f8").tobytes()).decode(),
             }
@@ -189,9 +190,9 @@ class Checkpoint:
         _sync(self.path.parent)
 
     def _go_on(self) -> None:
-        """Put the run where the file says, if it is of the same question."""
+        """Put the run where the file says, if it is asked for the same."""
         record = read_record(self.path)
-        if record.question != self._question:
+        if record.asked != self._asked:
             raise InputError(
                 f"{self.path} holds another run.\nGo on with that one by symsimpson.resume, delete "
                 "its files, or choose another file."
@@ -221,7 +222,7 @@ def _digest_of(file: Any, size: int) -> Any:
     return found
 
 
-def read_question(path: Path) -> dict[str, Any]:
+def read_asked(path: Path) -> dict[str, Any]:
     """Read what a run was asked for; its states are not looked at.
 
     Raises
@@ -229,8 +230,8 @@ def read_question(path: Path) -> dict[str, Any]:
     StorageError
         If there is no whole file.
     """
-    question: dict[str, Any] = _first_whole(path, _said)[0]["question"]
-    return question
+    found: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
+    return found
 
 
 def read_record(path: Path) -> Record:
@@ -282,7 +283,7 @@ def _read(path: Path, states: Path) -> Record:
     """Read one file and the states that it counts."""
     said = _said(path, states)
     workspace = np.frombuffer(base64.b64decode(said["workspace"]), dtype="<f8")
-    width = 8 * (2 * len(said["question"]["q0"]) + 1)
+    width = 8 * (2 * len(said["asked"]["q0"]) + 1)
     size = said["stored"] * width
     with open(states, "rb") as file:
         found = _digest_of(file, size)
@@ -291,7 +292,7 @@ def _read(path: Path, states: Path) -> Record:
         last = np.frombuffer(file.read(width), dtype="<f8")
     if not whole or found.hexdigest() != said["states"]:
         raise ValueError("the states beside it are damaged")
-    return Record(said["question"], said["position"], workspace, said["stored"], found, last)
+    return Record(said["asked"], said["position"], workspace, said["stored"], found, last)
 
 
 def _sync(folder: Path) -> None:

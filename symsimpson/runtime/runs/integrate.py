@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from symsimpson.errors import (
     ConvergenceError,
@@ -21,19 +20,16 @@ from symsimpson.files import check_folder, read_path
 from symsimpson.progress import Watcher, silence
 from symsimpson.runtime.inputs import (
     read_count,
-    read_every,
     read_failure,
-    read_given,
-    read_steps,
-    read_vector,
     refused_start,
 )
 from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.checkpoint import Checkpoint, buffered, question_of
+from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
 from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.events import Events
@@ -49,36 +45,28 @@ BRIEF = 10_000
 
 def integrate(
     stepper: Stepper,
-    q0: ArrayLike,
-    v0: ArrayLike | None,
-    p0: ArrayLike | None,
-    times: tuple[Any, Any, Any, Any],
-    parameters: Mapping[Any, Any] | None,
-    every: int | None,
+    spec: RunSpec,
     checkpoint: str | os.PathLike[str] | None,
     checkpoint_every: int | None,
     progress: bool | None,
     on_failure: str,
 ) -> Trajectory:
-    """Check what is asked for, run, and give what it has come to; ``times`` is h, t_end, steps, t0.
+    """Run, and return what it has come to.
 
     Raises
     ------
     InputError, StorageError, ConvergenceError, Interrupted
     """
     read_failure(on_failure)
-    numbers = stepper._numbers
-    with numbers.working(), silence() if progress is False else NOTHING:
-        values = stepper._values(parameters)
-        h, count, t0 = read_steps(*times, numbers)
+    count, values = spec.steps, spec.parameters
+    with stepper._numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
-        wanted = read_every(every)
-        stride = wanted or sampling_stride(stepper, count)
+        stride = spec.every or sampling_stride(stepper, count)
         stored = count // stride + 1 if stride else 1
         if checkpoint is not None:
             stored = buffered(stride, stored, stepper.n)
-        run = new_run(stepper, values, h, t0, stride, stored)
-        begin_run(stepper, run, q0, v0, p0)
+        run = new_run(stepper, spec, stride, stored)
+        begin_run(stepper, run, spec)
         check_start(
             stepper, run.rows("POSITION", stepper.n), run.rows("MOMENTUM", stepper.n), values
         )
@@ -88,8 +76,7 @@ def integrate(
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)
             check_folder(checkpoint, "checkpoint")
-            question = question_of(stepper, run, count, values) | {"every": wanted}
-            keeper = _checkpoint(checkpoint, checkpoint_every, question, run)
+            keeper = _checkpoint(checkpoint, checkpoint_every, asked(stepper, run, spec), run)
         if progress or (progress is None and count > BRIEF):
             run.listener = Watcher(count, progress)
         ended, problem = None, None
@@ -105,7 +92,7 @@ def integrate(
         status = run.status if ended is None else ended
         stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
         trajectory = trajectory_of(
-            stepper, run, count, status, values, stored_states, wanted, keeper
+            stepper, run, count, status, values, stored_states, spec.every, keeper
         )
         if count and status is not Status.INTERRUPTED and problem is None:
             trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
@@ -178,7 +165,7 @@ def stored_by(run: Run) -> tuple[Reals, Reals, NDArray[np.int64]]:
 def _checkpoint(
     path: str | os.PathLike[str],
     every: int | None,
-    question: dict[str, Any],
+    what: dict[str, Any],
     run: Run,
 ) -> Checkpoint:
     if run.W.dtype != np.float64:
@@ -187,10 +174,10 @@ def _checkpoint(
             "Leave checkpoint out, or compile without precision."
         )
     steps = None if every is None else read_count("checkpoint_every", every, least=1)
-    return Checkpoint(path, question, run, steps)
+    return Checkpoint(path, what, run, steps)
 
 
-def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, stored: int) -> Run:
+def new_run(stepper: Stepper, spec: RunSpec, stride: int, stored: int) -> Run:
     """Make a run that has room for so many states.
 
     Raises
@@ -200,8 +187,9 @@ def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, store
     """
     try:
         return Run(
-            stepper._header, stepper._kernels, stepper._numbers, values, h, t0, stride, stored
-        )
+            stepper._header, stepper._kernels, stepper._numbers, spec.parameters, spec.h, spec.t0,
+            stride, stored,
+        )  # fmt: skip
     except (MemoryError, ValueError):
         raise InputError(
             f"{stored} stored states of {2 * stepper.n} numbers do not fit into memory.\n"
@@ -210,25 +198,19 @@ def new_run(stepper: Stepper, values: Reals, h: Any, t0: Any, stride: int, store
         ) from None
 
 
-def begin_run(
-    stepper: Stepper, run: Run, q0: ArrayLike, v0: ArrayLike | None, p0: ArrayLike | None
-) -> None:
+def begin_run(stepper: Stepper, run: Run, spec: RunSpec) -> None:
     """Put the initial state into a run.
 
     Raises
     ------
     InputError
-        If it makes no sense, or M(q0) is not positive definite.
+        If M(q0) is not positive definite.
     """
-    how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
-    name, given = read_given("a run", how, v0, p0)
-    numbers = stepper._numbers
-    q = read_vector("q0", q0, stepper.coordinates, numbers)
-    other = read_vector(name, given, stepper.coordinates, numbers)
-    run.begin(q, other, velocity=name == "v0")
+    numbers, q = stepper._numbers, spec.q0
+    run.begin(q, spec.other0, velocity=spec.velocities)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
     if stepper._header.fast_sines and not numbers.all_finite(velocities):
-        run.begin(q, other, velocity=name == "v0", any_angle=True)
+        run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from symsimpson.progress import Watcher
-from symsimpson.runtime.inputs import read_failure, read_steps
-from symsimpson.runtime.results.events import Events, Question, gather, read_question, zeros
+from symsimpson.runtime.inputs import read_failure
+from symsimpson.runtime.results.events import Events, Zeros, gather, read_zeros, zeros
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import (
@@ -23,6 +21,7 @@ from symsimpson.runtime.runs.integrate import (
 )
 from symsimpson.runtime.runs.resolution import check_start, sampling_stride
 from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -36,26 +35,23 @@ PIECE = 8192
 def poincare(
     stepper: Stepper,
     expression: Any,
-    start: tuple[ArrayLike, ArrayLike | None, ArrayLike | None],
-    times: tuple[Any, Any, Any, Any],
+    spec: RunSpec,
     direction: int,
     wrap: Any,
-    parameters: Mapping[Any, Any] | None,
     progress: bool | None,
     on_failure: str,
 ) -> Events:
-    """Run from q0, and v0 or p0, and keep the zeros; ``times`` is h, t_end, steps, t0.
+    """Run, and keep the zeros of an expression.
 
     Raises
     ------
     InputError, ConvergenceError, Interrupted
     """
     read_failure(on_failure)
-    question = read_question(stepper, expression, direction, wrap)
-    values = stepper._values(parameters)
-    h, count, t0 = read_steps(*times, stepper._numbers)
-    run = new_run(stepper, values, h, t0, 1, PIECE + 1)
-    begin_run(stepper, run, *start)
+    wanted = read_zeros(stepper, expression, direction, wrap)
+    values, count, h = spec.parameters, spec.steps, spec.h
+    run = new_run(stepper, spec, 1, PIECE + 1)
+    begin_run(stepper, run, spec)
     look_at_step(stepper, run, values)
     run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
@@ -65,7 +61,7 @@ def poincare(
     try:
         while run.step < count and run.alive:
             run.advance(min(run.step + PIECE, count))
-            found.append(_zeros(stepper, run, values, question))
+            found.append(_zeros(stepper, run, values, wanted))
             if stride:  # states to look at, behind those of the piece before
                 first = stride - run.first % stride
                 here = slice(first, run.step - run.first + 1, stride)
@@ -84,17 +80,17 @@ def poincare(
         last = looked_at(stepper, run, last, q, p)
         sign = 1 if h > 0 else -1
         found = [tuple(x[sign * (part[0] - last.t[-1]) <= 0] for x in part) for part in found]
-    events = gather(last, question, found)
+    events = gather(last, wanted, found)
     if not last.success and on_failure == "raise":
         raise_failure(run, last, events)
     return events
 
 
-def _zeros(stepper: Stepper, run: Run, values: Any, question: Question) -> tuple[Any, ...]:
+def _zeros(stepper: Stepper, run: Run, values: Any, wanted: Zeros) -> tuple[Any, ...]:
     kept = run.step - run.first + 1
     piece = Trajectory(
         t=run.t0 + np.arange(run.first, run.step + 1) * run.h, q=run.q[:kept, :, 0],
         p=run.p[:kept, :, 0], newton_iterations=run.iterations[:kept, 0], h=run.h, steps=kept - 1,
         every=1, status=Status.SUCCESS, message="", _stepper=stepper, _values=values,
     )  # fmt: skip
-    return zeros(piece, question, begins=run.first == 0)
+    return zeros(piece, wanted, begins=run.first == 0)

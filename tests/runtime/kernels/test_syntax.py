@@ -91,7 +91,7 @@ def test_a_checkpoint_is_looked_at_too(tmp_path, monkeypatch):
     path = tmp_path / "run.ckpt"
     head, _, body = path.read_text().partition("\n")
     said = json.loads(body)
-    said["question"]["source"] = signed(said["question"]["source"] + f"\nX = {TOUCH}\n")
+    said["asked"]["source"] = signed(said["asked"]["source"] + f"\nX = {TOUCH}\n")
     body = json.dumps(said)
     path.write_text(f"{head.rpartition(' ')[0]} {digest(body)}\n{body}")
     with pytest.raises(ss.StaleKernelError, match="not executed"):

@@ -1,0 +1,97 @@
+"""What a run is asked to compute, read and checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.runtime.inputs import read_every, read_given, read_steps, read_vector
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["RunSpec", "read_run"]
+
+Reals = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class RunSpec:
+    """Where a run begins, and how far it goes; for an ensemble with one row for each member.
+
+    Attributes
+    ----------
+    q0, other0 : ndarray, shape (n,) or (K, n)
+        Positions; velocities or momenta.
+    given : {"v0", "p0"}
+        Which of them ``other0`` are.
+    parameters : ndarray, shape (m,) or (K, m)
+    h, t0 : number
+    steps : int
+    every : int
+        Each so-many-th state is stored; 0 for the last one alone.
+    """
+
+    q0: Reals
+    other0: Reals
+    given: Literal["v0", "p0"]
+    parameters: Reals
+    h: Any
+    t0: Any
+    steps: int
+    every: int
+
+    @property
+    def velocities(self) -> bool:
+        """Whether the run begins with velocities."""
+        return self.given == "v0"
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states."""
+        return self.steps // self.every + 1 if self.every else 1
+
+    def said(self) -> dict[str, Any]:
+        """Return the numbers that are the same for all members, for files."""
+        return {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+
+
+def read_run(
+    stepper: Stepper,
+    start: tuple[ArrayLike, ArrayLike | None, ArrayLike | None],
+    times: tuple[Any, Any, Any, Any],
+    parameters: Mapping[Any, Any] | None,
+    every: int | None,
+) -> RunSpec:
+    """Read what a single run is asked for.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    start : tuple
+        q0, v0 and p0; one of the last two is None.
+    times : tuple
+        h, t_end, steps and t0; one of ``t_end`` and ``steps`` is None.
+    parameters : mapping or None
+    every : int or None
+
+    Raises
+    ------
+    InputError
+        If it makes no sense.
+    """
+    numbers, names = stepper._numbers, stepper.coordinates
+    with numbers.working():
+        values = stepper._values(parameters)
+        h, steps, t0 = read_steps(*times, numbers)
+        stride = read_every(every)
+        q0, v0, p0 = start
+        how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
+        given, other = read_given("a run", how, v0, p0)
+        q = read_vector("q0", q0, names, numbers)
+        return RunSpec(
+            q, read_vector(given, other, names, numbers), given, values, h, t0, steps, stride
+        )
