@@ -20,14 +20,14 @@ class Derivation:
     operations : int or None
         Of the jet at a node: forces, momenta and their derivatives; None if terms are summed up in
         loops over families.
-    straight : bool
-        Whether the kernels are straight lines, else loops.
+    unrolled : bool
+        Whether the kernels are written out, else loops.
     """
 
     text: str
     seconds: Mapping[str, float]
     operations: int | None
-    straight: bool
+    unrolled: bool
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,7 +43,7 @@ class Report:
     operations : int or None
         Of the jet at a node; None if terms are summed up in loops, or nothing was derived here.
     form : str
-        "straight lines", "loops", or "" if nothing was derived here.
+        "unrolled", "loops", or "" if nothing was derived here.
     """
 
     seconds: Mapping[str, float]

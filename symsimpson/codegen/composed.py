@@ -1,4 +1,4 @@
-"""Explicit schemes: kicks and drifts as straight lines."""
+"""Explicit schemes: kicks and drifts, written out."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ class ComposedSolver(Explicit):
         self._kick(self._kicks[-1], end, "last kick", "dp_{}_end")
         return {a: value - self._low.p_low[a] for a, value in self._impulse.items()}
 
-    def _kick(self, share: sp.Expr, point: Point, section: str, wish: str) -> None:
+    def _kick(self, share: sp.Expr, point: Point, section: str, hint: str) -> None:
         low = self._low
         for a in self._forced:
             force = low.template.entry(point, section, "F", a)
             value = self._impulse[a] + share * force
-            name = wish.format(low.names.coordinates[a])
+            name = hint.format(low.names.coordinates[a])
             self._impulse[a] = low.graph.define(name, value, section)

@@ -74,13 +74,13 @@ class Explicit:
 
 
 def constant_mass_velocity(
-    low: Lowering, group: Sequence[int], momentum: Sequence[sp.Expr], wish: str, section: str
+    low: Lowering, group: Sequence[int], momentum: Sequence[sp.Expr], hint: str, section: str
 ) -> list[sp.Expr]:
-    """Solve M v = p for coordinates whose M is constant; velocities are named after the wish."""
+    """Solve M v = p for coordinates whose M is constant; velocities are named after the hint."""
     start = low.start_point()
     mass = [[low.template.entry(start, "mass", "M", a, b) for b in group] for a in group]
-    wishes = [f"{wish}_{low.names.coordinates[a]}" for a in group]
-    return solve_symmetric(low.graph, mass, momentum, wishes, section)[0]
+    hints = [f"{hint}_{low.names.coordinates[a]}" for a in group]
+    return solve_symmetric(low.graph, mass, momentum, hints, section)[0]
 
 
 def node_point(

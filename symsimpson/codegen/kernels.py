@@ -18,9 +18,9 @@ from symsimpson.codegen.looped import (
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.straight import STATE, lanes, straight_kernels, velocity
 from symsimpson.codegen.template import Point
-from symsimpson.codegen.terms_of_l import family_functions, straight_functions
+from symsimpson.codegen.terms_of_l import family_functions, unrolled_functions
+from symsimpson.codegen.unrolled import STATE, lanes, unrolled_kernels, velocity
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import families, neighbours, ordering
 from symsimpson.discrete.reductions import Composed, Linear, Part, Routh, Separable
@@ -52,11 +52,11 @@ def lower(equations: DiscreteEquations) -> Module:
     Module
         Kernels, constants, layout of the workspace and the library functions they call.
     """
-    return _straight(equations) if unrolled(equations) else _looped(equations)
+    return _unrolled(equations) if unrolled(equations) else _looped(equations)
 
 
 def unrolled(equations: DiscreteEquations) -> bool:
-    """Return whether the parts are emitted one by one as straight lines, or all as loops."""
+    """Return whether the parts are written out one by one, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
 
@@ -74,10 +74,10 @@ def _lines(equations: DiscreteEquations) -> float:
     return (2 * stages + 1.5) * operations + 2 * elimination
 
 
-def _straight(equations: DiscreteEquations) -> Module:
+def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, degree = Storage.dense(low.n), equations.scheme.degree
-    kernels = [*straight_kernels(low), _energy(low)]
+    kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
     if equations.rows:
@@ -89,7 +89,7 @@ def _straight(equations: DiscreteEquations) -> Module:
         **{f"SOLVE_{name}": value for name, value in (
             ("STRIDE", unknowns), ("OFFSET", 0), ("LOWER", unknowns), ("UPPER", unknowns))},
     }  # fmt: skip
-    functions = straight_functions(low, ("jet",)) if equations.rows else []
+    functions = unrolled_functions(low, ("jet",)) if equations.rows else []
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
 
 
@@ -117,7 +117,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         functions, own = family_functions(low, found, places, names)
         tables |= own
     else:
-        functions = straight_functions(low, names)
+        functions = unrolled_functions(low, names)
     kernels = (
         composed_kernels() if isinstance(part, Composed) else looped_kernels(part, storage, degree)
     )

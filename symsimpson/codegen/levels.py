@@ -70,19 +70,19 @@ class Graph:
         self.levels[symbol] = level
         return symbol
 
-    def define(self, wish: str, expression: sp.Expr, section: str) -> sp.Expr:
+    def define(self, hint: str, expression: sp.Expr, section: str) -> sp.Expr:
         """Define an expression under a name; numbers and symbols stand for themselves."""
         value, _ = self.split(expression, section)
         if self._trivial(value):
             return value
-        return self._name(value, wish, section)
+        return self._name(value, hint, section)
 
-    def define_sincos(self, wish: str, angle: sp.Expr, section: str) -> tuple[sp.Symbol, sp.Symbol]:
+    def define_sincos(self, hint: str, angle: sp.Expr, section: str) -> tuple[sp.Symbol, sp.Symbol]:
         """Define the sine and the cosine of an angle."""
-        value = self.define(wish if wish.startswith("angle") else f"angle_{wish}", angle, section)
+        value = self.define(hint if hint.startswith("angle") else f"angle_{hint}", angle, section)
         key = sp.sin(value, evaluate=False)
         if key not in self._known:
-            sine, cosine = self.names.fresh(f"sin_{wish}"), self.names.fresh(f"cos_{wish}")
+            sine, cosine = self.names.fresh(f"sin_{hint}"), self.names.fresh(f"cos_{hint}")
             definition = Definition((sine, cosine), value, self.level(value), section)
             for target in (sine, cosine):
                 self.definitions[target] = definition
@@ -136,7 +136,7 @@ class Graph:
             value = self._name(value, _PREFIX[known], section)
         return func(sign, value, *late) if func is sp.Mul else func(value, *late)
 
-    def _name(self, value: sp.Expr, wish: str, section: str) -> sp.Expr:
+    def _name(self, value: sp.Expr, hint: str, section: str) -> sp.Expr:
         """Return the symbol that stands for a value already split; signs are pulled out."""
         if value.could_extract_minus_sign() and -value in self._known:
             return -self._known[-value]
@@ -144,7 +144,7 @@ class Graph:
         if level == Level.CONSTANT:
             return self._number(value.xreplace(self.constants))
         if value not in self._known:
-            symbol = self.names.fresh(wish)
+            symbol = self.names.fresh(hint)
             self.definitions[symbol] = Definition((symbol,), value, level, section)
             self.levels[symbol] = level
             self._known[value] = symbol
@@ -160,8 +160,8 @@ class Graph:
         if number.could_extract_minus_sign():
             return -self._number(-number)
         if number not in self._constant_of:
-            wish = f"C_{number.p}_{number.q}" if number.is_Rational else "C"
-            symbol = self.names.fresh(wish)
+            hint = f"C_{number.p}_{number.q}" if number.is_Rational else "C"
+            symbol = self.names.fresh(hint)
             self.constants[symbol] = number
             self.levels[symbol] = Level.CONSTANT
             self._constant_of[number] = symbol

@@ -74,20 +74,20 @@ class LinearSolver(Explicit):
         self._add(self._impulse, last, f"kick_{number}")
         return self._impulse
 
-    def _add(self, total: Vector, change: Vector, wish: str) -> None:
+    def _add(self, total: Vector, change: Vector, hint: str) -> None:
         for a in self.coordinates:
-            named = self._define(f"{wish}_{self._low.names.coordinates[a]}", change[a])
+            named = self._define(f"{hint}_{self._low.names.coordinates[a]}", change[a])
             total[a] = total[a] + named
 
     def _moved(
-        self, old: Sequence[sp.Symbol], rest: Sequence[sp.Symbol], change: Vector, wish: str
+        self, old: Sequence[sp.Symbol], rest: Sequence[sp.Symbol], change: Vector, hint: str
     ) -> Vector:
         """Round the exact value: a shear by a function of that is symplectic, rounded or not."""
-        small = {a: self._define(f"{wish}_{a}_step", rest[a] + change[a]) for a in self.coordinates}
-        return {a: self._define(f"{wish}_{a}", old[a] + small[a]) for a in self.coordinates}
+        small = {a: self._define(f"{hint}_{a}_step", rest[a] + change[a]) for a in self.coordinates}
+        return {a: self._define(f"{hint}_{a}", old[a] + small[a]) for a in self.coordinates}
 
-    def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
-        return self._low.graph.define(wish, value, "shears")
+    def _define(self, hint: str, value: sp.Expr) -> sp.Expr:
+        return self._low.graph.define(hint, value, "shears")
 
     def _kick(self, number: int, c: tuple[sp.Expr, sp.Expr], q: Vector) -> Vector:
         """Apply (1/h) M (c1 z + c2 z^2) q with z q = -h^2 M^-1 (f - K q)."""
@@ -128,12 +128,12 @@ class LinearSolver(Explicit):
         return {a: sp.Add(*(inverse[a, b] * p[b] for b in group)) for a in group}
 
     def _solve(
-        self, matrix: Mapping[tuple[int, int], sp.Expr], right: list[sp.Expr], wish: str
+        self, matrix: Mapping[tuple[int, int], sp.Expr], right: list[sp.Expr], hint: str
     ) -> list[sp.Expr]:
         group = self.coordinates
         rows = [[matrix[a, b] for b in group] for a in group]
-        wishes = [f"{wish}_{a}" for a in group]
-        return solve_symmetric(self._low.graph, rows, right, wishes, "shears")[0]
+        hints = [f"{hint}_{a}" for a in group]
+        return solve_symmetric(self._low.graph, rows, right, hints, "shears")[0]
 
 
 def _somewhere(

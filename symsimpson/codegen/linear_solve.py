@@ -1,4 +1,4 @@
-"""Elimination written out: small dense systems as straight lines, structural zeros skipped."""
+"""Elimination written out: small dense systems line by line, structural zeros skipped."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def solve_blocks(
     matrix: Matrix,
     right: Sequence[sp.Expr],
     size: int,
-    wishes: Sequence[str],
+    hints: Sequence[str],
     section: str,
 ) -> list[sp.Expr]:
     """Solve by block elimination in the given order, blocks of ``size`` inverted by adjugates.
@@ -33,16 +33,16 @@ def solve_blocks(
     if size < len(right) <= CLOSED_FORM:
         size = len(right)
     if size > CLOSED_FORM:
-        return solve_unpivoted(graph, matrix, right, wishes, section)
+        return solve_unpivoted(graph, matrix, right, hints, section)
     count = len(right) // size
 
     def block(i: int, j: int) -> sp.Matrix:
         return sp.Matrix(size, size, lambda a, b: matrix[i * size + a][j * size + b])
 
-    def named(wish: str, value: sp.Matrix) -> sp.Matrix:
+    def named(hint: str, value: sp.Matrix) -> sp.Matrix:
         rows, columns = value.shape
         return sp.Matrix(
-            rows, columns, lambda a, b: graph.define(f"{wish}_{a}_{b}", value[a, b], section)
+            rows, columns, lambda a, b: graph.define(f"{hint}_{a}_{b}", value[a, b], section)
         )
 
     upper: dict[tuple[int, int], sp.Matrix] = {}
@@ -72,18 +72,18 @@ def solve_blocks(
             rest -= upper[i, j] * unknowns[j]
         value = inverse[i] * named(f"z_{i}", rest)
         unknowns[i] = sp.Matrix(
-            [graph.define(wishes[i * size + a], value[a], section) for a in range(size)]
+            [graph.define(hints[i * size + a], value[a], section) for a in range(size)]
         )
     return [unknowns[i][a] for i in range(count) for a in range(size)]
 
 
 def solve_unpivoted(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], wishes: Sequence[str], section: str
+    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
 ) -> list[sp.Expr]:
     """Solve by LU factors (Doolittle) in the given order, without pivoting.
 
     Entries that are zero for all values stay out of the code, so the fill pattern is fixed here.
-    Returns the unknowns, defined under ``wishes``.
+    Returns the unknowns, defined under ``hints``.
     """
     size = len(right)
     upper: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
@@ -100,11 +100,11 @@ def solve_unpivoted(
         inverse.append(graph.define(f"pivot_{i}", 1 / upper[i][i], section))
         rest = _minus(right[i], [(lower[i][k], forward[k]) for k in range(i)])
         forward.append(graph.define(f"y_{i}", rest, section))
-    return _back(graph, upper, forward, inverse, wishes, section)
+    return _back(graph, upper, forward, inverse, hints, section)
 
 
 def solve_symmetric(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], wishes: Sequence[str], section: str
+    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
 ) -> tuple[list[sp.Expr], list[sp.Expr]]:
     """Solve with a symmetric positive definite matrix by L D L^T, without roots.
 
@@ -112,7 +112,7 @@ def solve_symmetric(
     """
     size = len(right)
     if size == CLOSED_FORM:
-        return _solve_two(graph, matrix, right, wishes, section)
+        return _solve_two(graph, matrix, right, hints, section)
     scaled: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
     lower: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
     pivots: list[sp.Expr] = []
@@ -133,20 +133,20 @@ def solve_symmetric(
         rest = _minus(
             forward[i] * inverse[i], [(lower[k][i], unknowns[k]) for k in range(i + 1, size)]
         )
-        unknowns[i] = graph.define(wishes[i], rest, section)
+        unknowns[i] = graph.define(hints[i], rest, section)
     return unknowns, pivots
 
 
 def _solve_two(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], wishes: Sequence[str], section: str
+    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
 ) -> tuple[list[sp.Expr], list[sp.Expr]]:
     """Solve a symmetric 2 x 2 system with one division; the pivots' signs are those of minors."""
     (a, b), (_, d) = matrix
     determinant = graph.define("det", a * d - b**2, section)
     scale = graph.define("inv_det", 1 / determinant, section)
     x, y = right
-    first = graph.define(wishes[0], (d * x - b * y) * scale, section)
-    second = graph.define(wishes[1], (a * y - b * x) * scale, section)
+    first = graph.define(hints[0], (d * x - b * y) * scale, section)
+    second = graph.define(hints[1], (a * y - b * x) * scale, section)
     return [first, second], [a, determinant]
 
 
@@ -155,14 +155,14 @@ def _back(
     upper: Matrix,
     forward: Sequence[sp.Expr],
     inverse: Sequence[sp.Expr],
-    wishes: Sequence[str],
+    hints: Sequence[str],
     section: str,
 ) -> list[sp.Expr]:
     size = len(forward)
     unknowns: list[sp.Expr] = [sp.S.Zero] * size
     for i in reversed(range(size)):
         rest = _minus(forward[i], [(upper[i][j], unknowns[j]) for j in range(i + 1, size)])
-        unknowns[i] = graph.define(wishes[i], rest * inverse[i], section)
+        unknowns[i] = graph.define(hints[i], rest * inverse[i], section)
     return unknowns
 
 

@@ -6,7 +6,7 @@ import sympy as sp
 
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.straight import JUDGE, QUESTION, lanes
+from symsimpson.codegen.unrolled import ACCEPTANCE, CONVERGENCE, lanes
 from symsimpson.discrete.reductions import Coupled, Separable
 from symsimpson.schemes.scheme import Scheme
 
@@ -52,7 +52,7 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
     first = (_call("keep_mass"),) if constant else ()
     begin = (
         _call("path_start"), _call("mass"), *first, _call("factor_mass"), *again,
-        _call("straight", "W", "h", "lane"),
+        _call("straight_path", "W", "h", "lane"),
     )  # fmt: skip
     rows: tuple[Statement, ...]
     if constant:
@@ -70,9 +70,9 @@ def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> 
         *rows,
         _call("solve_pivoted"),
         _call("update_increments"),
-        JUDGE,
+        CONVERGENCE,
     )
-    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), QUESTION)
+    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), ACCEPTANCE)
     closing: tuple[Statement, ...] = ()
     if isinstance(part, Separable) and part.last is not None:
         closing = _end_of_path()

@@ -94,12 +94,12 @@ class Lowering:
         return len(self.names.coordinates)
 
     def _base(
-        self, wishes: Sequence[str], block: str, level: Level, first: int = 0
+        self, hints: Sequence[str], block: str, level: Level, first: int = 0
     ) -> tuple[sp.Symbol, ...]:
         symbols = []
-        for i, wish in enumerate(wishes):
+        for i, hint in enumerate(hints):
             known = block in ("POSITION", "ACTIVE")  # these names are already given out
-            symbol = sp.Symbol(wish, real=True) if known else self.names.fresh(wish)
+            symbol = sp.Symbol(hint, real=True) if known else self.names.fresh(hint)
             self.rows[symbol] = Row(block, first + i)
             symbols.append(self.graph.declare(symbol, level))
         return tuple(symbols)
@@ -185,8 +185,8 @@ class Lowering:
         replaced = {s: self.moved(s, to) for s in before}
         value = definition.value.xreplace(replaced)
         if definition.is_sincos:
-            wish = value.name if value.is_Symbol else f"angle_{symbol.name}_next"
-            pair = self.graph.define_sincos(wish, value, "the next left node")
+            hint = value.name if value.is_Symbol else f"angle_{symbol.name}_next"
+            pair = self.graph.define_sincos(hint, value, "the next left node")
             return pair[definition.targets.index(symbol)]
         return self.graph.define(f"{symbol.name}_next", value, "the next left node")
 

@@ -179,11 +179,11 @@ class NameTable:
             plain = substitute
         return self.fresh(plain).name
 
-    def fresh(self, wish: str) -> sp.Symbol:
-        """Return a symbol with the wished name, or the wished name and a number."""
-        name, count = wish, 1
+    def fresh(self, hint: str) -> sp.Symbol:
+        """Return a symbol with the name that is hinted at, or that and a number."""
+        name, count = hint, 1
         while name in self._taken or name in RESERVED or name in library_names():
             count += 1
-            name = f"{wish}_{count}"
+            name = f"{hint}_{count}"
         self._taken.add(name)
         return sp.Symbol(name, real=True)

@@ -70,6 +70,6 @@ def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -
             text = emit(equations, module)
     jet = seconds.get("jet", 0.0)
     stages = {**system.seconds, "jet": jet, "text": seconds["text"] - jet}
-    straight = unrolled(equations)
-    operations = equations.jet.operations if straight else None
-    return Derivation(text, stages, operations, straight)
+    written_out = unrolled(equations)
+    operations = equations.jet.operations if written_out else None
+    return Derivation(text, stages, operations, written_out)

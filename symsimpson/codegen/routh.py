@@ -165,7 +165,7 @@ class RouthSolver:
         left = [low.template.entry(point, section, "P", a) - low.p[a] for a in part.cyclic]
         return self.forward(end, left, "left")
 
-    def solve(self, nodes: list[_Node], right: Vector, wish: str) -> Vector:
+    def solve(self, nodes: list[_Node], right: Vector, hint: str) -> Vector:
         """Solve for multipliers: sum_i C_ri C_si / b_i T^T D^-1 T."""
         C, b, S = self._part.annihilator, self._weights, self._multipliers
 
@@ -184,15 +184,15 @@ class RouthSolver:
             [define(f"S_{r}{c}_{s}{e}", entry(r, c, s, e), "multipliers") for s, e in S]
             for r, c in S
         ]
-        wishes = [f"{wish}_{r}_{c}" for r, c in S]
-        return solve_symmetric(self._low.graph, matrix, right, wishes, "multipliers")[0]
+        hints = [f"{hint}_{r}_{c}" for r, c in S]
+        return solve_symmetric(self._low.graph, matrix, right, hints, "multipliers")[0]
 
-    def project(self, nodes: list[_Node], vectors: list[Vector], wish: str) -> Vector:
+    def project(self, nodes: list[_Node], vectors: list[Vector], hint: str) -> Vector:
         """Return sum_i C_ri T_i^T D_i^-1 x_i for each multiplier."""
         C, define = self._part.annihilator, self._low.graph.define
         return [
             define(
-                f"{wish}_{r}_{c}",
+                f"{hint}_{r}_{c}",
                 sp.Add(
                     *(
                         C[r][n.number] * n.T[k][c] * n.D_inverse[k] * vectors[n.number][k]
@@ -205,18 +205,18 @@ class RouthSolver:
             for r, c in self._multipliers
         ]
 
-    def forward(self, node: _Node, vector: Vector, wish: str) -> Vector:
+    def forward(self, node: _Node, vector: Vector, hint: str) -> Vector:
         """Solve L x = vector."""
         found: Vector = []
         for r in self._size:
             rest = sp.Add(vector[r], *(sp.expand(-node.L[r][c] * found[c]) for c in range(r)))
-            found.append(self._define(f"{wish}{r}", rest, node.number))
+            found.append(self._define(f"{hint}{r}", rest, node.number))
         return found
 
-    def _define(self, wish: str, value: sp.Expr, i: int) -> sp.Expr:
+    def _define(self, hint: str, value: sp.Expr, i: int) -> sp.Expr:
         where = {START: "start", END: "end"}.get(i, str(i))
         section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
-        return self._low.graph.define(f"{wish}_{where}", value, section)
+        return self._low.graph.define(f"{hint}_{where}", value, section)
 
     def _solved_nodes(self, end: Point | None) -> list[_Node]:
         """Evaluate the nodes and find the velocities of the cyclic coordinates there."""
@@ -372,13 +372,13 @@ class _Tangent:
         """Return Q for a control point and a coordinate."""
         if m not in self._projected:
             vectors = [self._slope(node, *m) for node in self._nodes]
-            wish = f"Q_{m[0]}_{self._low.names.coordinates[m[1]]}"
-            self._projected[m] = self._solver.project(self._nodes, vectors, wish)
+            hint = f"Q_{m[0]}_{self._low.names.coordinates[m[1]]}"
+            self._projected[m] = self._solver.project(self._nodes, vectors, hint)
         return self._projected[m]
 
     def _answer(self, m: tuple[int, int]) -> Vector:
         """Return S^-1 Q."""
         if m not in self._answers:
-            wish = f"kappa_{m[0]}_{self._low.names.coordinates[m[1]]}"
-            self._answers[m] = self._solver.solve(self._nodes, self._project(m), wish)
+            hint = f"kappa_{m[0]}_{self._low.names.coordinates[m[1]]}"
+            self._answers[m] = self._solver.solve(self._nodes, self._project(m), hint)
         return self._answers[m]

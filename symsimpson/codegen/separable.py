@@ -106,10 +106,10 @@ class SeparableSolver:
 
         return WeightedRows(self._low, force)
 
-    def _moved(self, x: Sequence[sp.Expr], a: int, wish: str) -> sp.Expr:
+    def _moved(self, x: Sequence[sp.Expr], a: int, hint: str) -> sp.Expr:
         """Return M x, component a."""
         terms = [self._mass(a, b) * x[b] for b in self.coordinates]
-        name = f"M_{self._low.names.coordinates[a]}_{wish}"
+        name = f"M_{self._low.names.coordinates[a]}_{hint}"
         return self._low.graph.define(name, sp.Add(*terms), "residual")
 
     def _inertia(self, k: int, a: int) -> sp.Expr:

@@ -20,8 +20,8 @@ from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section,
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
-from symsimpson.codegen.straight import STATE, lanes, velocity
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.unrolled import STATE, lanes, velocity
 
 __all__ = ["StageKernels"]
 
@@ -60,9 +60,9 @@ class StageKernels:
             low.rows[symbol] = Row(block, place)
             return symbol
 
-        def of_nodes(wish: str, block: str, a: int, level: Level) -> list[sp.Symbol]:
+        def of_nodes(hint: str, block: str, a: int, level: Level) -> list[sp.Symbol]:
             return [
-                row(f"{wish}{names[a]}_{j}", block, a * self.stride + j, level)
+                row(f"{hint}{names[a]}_{j}", block, a * self.stride + j, level)
                 for j in range(self._nodes)
             ]
 
@@ -105,14 +105,14 @@ class StageKernels:
         return f"{a * self.stride} + node" if a else "node"
 
     def _combined(
-        self, factors: Sequence[sp.Symbol], values: Sequence[sp.Symbol], wish: str, section: str
+        self, factors: Sequence[sp.Symbol], values: Sequence[sp.Symbol], hint: str, section: str
     ) -> sp.Expr:
         """Return a sum of products in two halves that do not wait for each other."""
         define, half = self._low.graph.define, len(values) // 2
         terms = [x * y for x, y in zip(factors, values, strict=True)]
-        first = define(f"{wish}_first", sp.Add(*terms[:half]), section)
-        second = define(f"{wish}_second", sp.Add(*terms[half:]), section)
-        return define(wish, first + second, section)
+        first = define(f"{hint}_first", sp.Add(*terms[:half]), section)
+        second = define(f"{hint}_second", sp.Add(*terms[half:]), section)
+        return define(hint, first + second, section)
 
     def _over_nodes(
         self, body: Iterable[Statement], known: Iterable[Statement] = ()
@@ -232,9 +232,9 @@ class StageKernels:
         q: list[sp.Expr] = []
         p: list[sp.Expr] = list(low.p)
 
-        def total(values: Sequence[sp.Expr], wish: str) -> sp.Expr:
-            parts = [define(f"{wish}_{k}", sp.Add(*values[k::4]), "sums") for k in range(4)]
-            return define(f"{wish}_all", (parts[0] + parts[1]) + (parts[2] + parts[3]), "sums")
+        def total(values: Sequence[sp.Expr], hint: str) -> sp.Expr:
+            parts = [define(f"{hint}_{k}", sp.Add(*values[k::4]), "sums") for k in range(4)]
+            return define(f"{hint}_all", (parts[0] + parts[1]) + (parts[2] + parts[3]), "sums")
 
         for a, name in enumerate(names):
             change = total(self._moves[a], f"dq_{name}")

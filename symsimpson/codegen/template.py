@@ -82,8 +82,8 @@ class JetTemplate:
         value = self._value(self._jet[key], point, section)
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
         own = [self._names[i] if isinstance(i, int) else i for i in index]
-        wish = "_".join((what.replace("_", ""), *own, *suffix))
-        return self._graph.define(wish.replace(" ", "_"), value, section)
+        hint = "_".join((what.replace("_", ""), *own, *suffix))
+        return self._graph.define(hint.replace(" ", "_"), value, section)
 
     def _value(self, value: Value, point: Point, section: str) -> sp.Expr:
         """Write a multiple of a line; of a sum, only under a name."""
@@ -133,8 +133,8 @@ class JetTemplate:
 
     def _named(self, n: int, written: sp.Expr, point: Point, section: str) -> sp.Expr:
         graph = self._graph
-        wish = "c" if graph.level(written) <= Level.RUN else f"x_{point.suffix}"
-        self._made[point.suffix, n] = graph.define(wish, written, section)
+        hint = "c" if graph.level(written) <= Level.RUN else f"x_{point.suffix}"
+        self._made[point.suffix, n] = graph.define(hint, written, section)
         return self._made[point.suffix, n]
 
     def _symbol(self, name: str, point: Point) -> sp.Expr:
@@ -152,8 +152,8 @@ class JetTemplate:
         """Return the sine or the cosine of an angle, of which both are made at once."""
         angle = self._value(line.parts[1], point, section)
         number = self._angles[line.parts[1]]
-        wish = angle.name if angle.is_Symbol else f"angle{number}_{point.suffix}"
-        sine, cosine = self._graph.define_sincos(wish, angle, section)
+        hint = angle.name if angle.is_Symbol else f"angle{number}_{point.suffix}"
+        sine, cosine = self._graph.define_sincos(hint, angle, section)
         self._made[point.suffix, n] = sine if line.parts[0] == "sin" else cosine
         return self._made[point.suffix, n]
 

@@ -1,4 +1,4 @@
-"""The functions by which loops over nodes evaluate L: as straight lines, or family by family."""
+"""The functions by which loops over nodes evaluate L: line by line, or family by family."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from symsimpson.discrete.jet import derive_jet
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size
 
-__all__ = ["FUNCTIONS", "family_functions", "straight_functions"]
+__all__ = ["FUNCTIONS", "family_functions", "unrolled_functions"]
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
@@ -33,8 +33,8 @@ _CLEARED = {"F": "clear_gradient", "F_q": "clear_hessian", "F_v": "clear_mixed",
             "M": "clear_mass"}  # fmt: skip
 
 
-def straight_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
-    """Write every entry of the jet as straight lines."""
+def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
+    """Write every entry of the jet by lines of its own."""
     point = Point("i", low.node_q, low.node_v)
     size = range(low.n)
     found = []
@@ -96,8 +96,8 @@ class _FamilyWriter:
         self._indices = [names.fresh(f"i{s}").name for s in size]
         self._kinds = [names.fresh(f"k{s}").name for s in range(family.slots)]
 
-        def base(wish: str, block: str, index: str) -> sp.Symbol:
-            symbol = names.fresh(wish)
+        def base(hint: str, block: str, index: str) -> sp.Symbol:
+            symbol = names.fresh(hint)
             low.rows[symbol] = Row(block, index)
             return low.graph.declare(symbol, Level.ITERATION)
 

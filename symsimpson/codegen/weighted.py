@@ -76,8 +76,8 @@ class WeightedRows:
             self._weighted("Lv", i, a, momentum(i, a)) for i in range(self._scheme.stages)
         ]  # fmt: skip
 
-    def _define(self, wish: str, value: sp.Expr) -> sp.Expr:
-        return self._low.graph.define(wish, value, "residual D_k L_d")
+    def _define(self, hint: str, value: sp.Expr) -> sp.Expr:
+        return self._low.graph.define(hint, value, "residual D_k L_d")
 
     def row(self, k: int, a: int) -> sp.Expr:
         """Return D_k L_d for 0 < k < d."""

@@ -80,13 +80,13 @@ class Stepper(Evaluator):
         >>> import symsimpson as ss
         >>> report = ss.compile(ss.systems.double_pendulum()).report()
         >>> report.form, report.operations < 35, list(report.seconds)
-        ('straight lines', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
+        ('unrolled', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
         """
         derived, lines = self._derivation, len(self.source.splitlines())
         seconds = {"compilation": float(getattr(self._kernels, "seconds", 0.0))}
         if derived is None:
             return Report(seconds, lines, None, "")
-        form = "straight lines" if derived.straight else "loops"
+        form = "unrolled" if derived.unrolled else "loops"
         return Report({**derived.seconds, **seconds}, lines, derived.operations, form)
 
     def integrate(

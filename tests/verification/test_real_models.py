@@ -135,7 +135,7 @@ def test_models_are_complete(name):
 
 def test_a_report_tells_what_was_done():
     report = ss.compile(ss.systems.water()).report()
-    assert report.form == "straight lines"
+    assert report.form == "unrolled"
     assert report.operations <= 500
     assert "seconds" not in repr(report)
     assert "operations at a node" in repr(report)

@@ -15,7 +15,8 @@ __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
 FILES = (
-    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "composed", "checks", "stages",
+    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "explicit_steps", "checks",
+    "stage_iteration",
     "collocation",
 )  # fmt: skip
 

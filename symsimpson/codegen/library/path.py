@@ -54,7 +54,7 @@ def path_start(W, lane):
 
 
 @compiled
-def straight(W, h, lane):
+def straight_path(W, h, lane):
     """Increments of a path with the constant velocity v."""
     for k in range(DEGREE):
         for a in range(DIMENSION):

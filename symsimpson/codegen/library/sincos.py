@@ -1,4 +1,4 @@
-"""Sine and cosine in straight lines."""
+"""Sine and cosine without branches."""
 
 from collections.abc import Callable
 from typing import Any

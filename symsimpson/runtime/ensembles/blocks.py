@@ -75,7 +75,7 @@ class Task(RunSpec):
 def lanes_for(header: Header) -> int:
     """Return the number of lanes of a block.
 
-    Where Newton's method is written out as straight lines, members side by side are two to four
+    Where Newton's method is unrolled, members side by side are two to four
     times as fast with it as one after the other with nodes as lanes; where it is not, the other way
     round, by far.
     """

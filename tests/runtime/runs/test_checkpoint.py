@@ -203,7 +203,7 @@ def test_damage_is_seen(kept):
 def test_a_file_of_another_version(kept):
     path, _, _ = kept
     for file in (path, path.with_name("run.ckpt.previous")):
-        file.write_text(file.read_text().replace("checkpoint 1", "checkpoint 2", 1))
+        file.write_text(file.read_text().replace("checkpoint 2", "checkpoint 3", 1))
     with pytest.raises(ss.StorageError, match="another version"):
         ss.resume(path)
 

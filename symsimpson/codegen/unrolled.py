@@ -1,4 +1,4 @@
-"""Kernels of small systems: a step as straight lines, values known before computed once."""
+"""Kernels of small systems: a step written out, values known before computed once."""
 
 from __future__ import annotations
 
@@ -19,17 +19,20 @@ from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Composed, Coupled, Linear, Part, Routh, Separable
 
 __all__ = [
-    "JUDGE",
-    "QUESTION",
+    "ACCEPTANCE",
+    "CONVERGENCE",
     "STATE",
     "lanes",
     "momentum_stores",
-    "straight_kernels",
+    "unrolled_kernels",
     "velocity",
 ]
 
 #: What ends an iteration, and a step.
-JUDGE, QUESTION = Call("check_convergence", ("W", "lane")), Call("check_acceptance", ("W", "lane"))
+CONVERGENCE, ACCEPTANCE = (
+    Call("check_convergence", ("W", "lane")),
+    Call("check_acceptance", ("W", "lane")),
+)
 #: Levels that a kernel computes which is called on a bare state (q, p).
 STATE = (Level.STEP, Level.ITERATION)
 
@@ -43,7 +46,7 @@ _SOLVERS: dict[type, Callable[..., Solver]] = {
 }
 
 
-def straight_kernels(low: Lowering) -> list[Kernel]:
+def unrolled_kernels(low: Lowering) -> list[Kernel]:
     """Make the kernels of a step: start, legendre, newton, advance, newton_pivoted."""
     solvers = [_SOLVERS[type(part)](low, part) for part in low.equations.parts]
     iterated = [_newton(low, solvers)] if unknowns(solvers) else []
@@ -100,8 +103,8 @@ def _velocities(
     entry = low.template.entry
     mass = [[entry(point, section, "M", i, j) for j in group] for i in group]
     right = [p[i] - entry(point, section, "a", i) for i in group]
-    wishes = [f"v_{low.names.coordinates[i]}_{suffix or point.suffix}" for i in group]
-    v, pivots = solve_symmetric(low.graph, mass, right, wishes, section)
+    hints = [f"v_{low.names.coordinates[i]}_{suffix or point.suffix}" for i in group]
+    v, pivots = solve_symmetric(low.graph, mass, right, hints, section)
     return dict(zip(group, v, strict=True)), pivots
 
 
@@ -111,12 +114,12 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     found: list[sp.Expr] = []
     for solver in solvers:
         right, matrix = solver.system()
-        wishes = [f"d_{names[a]}_X{m}" for m, a in solver.unknowns]
+        hints = [f"d_{names[a]}_X{m}" for m, a in solver.unknowns]
         size = len(solver.coordinates)
-        found += solve_blocks(low.graph, matrix, right, size, wishes, "elimination")
+        found += solve_blocks(low.graph, matrix, right, size, hints, "elimination")
     stores = _update(low, solvers, found)
     doc = "One Newton iteration for the increments X_k of the control points."
-    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), JUDGE)))
+    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), CONVERGENCE)))
 
 
 def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
@@ -137,7 +140,7 @@ def _pivoted(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     closing = low.statements(update, (Level.ITERATION,))
     doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
     call = Call("solve_pivoted", ("W", "lane"))
-    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *closing, JUDGE)),)))
+    return Kernel("newton_pivoted", doc, lanes((When((*assembled, call, *closing, CONVERGENCE)),)))
 
 
 def _update(
@@ -201,7 +204,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         following = low.moved(symbol, to)
         if following != symbol:  # it is made of constant momenta alone
             stores.append(Store(row, following, keep=symbol))
-    body = lanes((*low.statements(stores, (Level.ITERATION,)), *((QUESTION,) if every else ())))
+    body = lanes((*low.statements(stores, (Level.ITERATION,)), *((ACCEPTANCE,) if every else ())))
     if every:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
         return Kernel("advance", doc, body)
