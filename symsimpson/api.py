@@ -12,9 +12,9 @@ from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
-from symsimpson.runtime.evaluator import Tools
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.loaded import Tools
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
 from symsimpson.runtime.stepper import Stepper

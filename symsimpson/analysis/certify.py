@@ -102,7 +102,7 @@ def certify(
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
-    if stepper._numbers is not FLOAT64:
+    if stepper._module.numbers is not FLOAT64:
         raise InputError(
             "a stepper of many digits has no certificate: what is measured are its doubles.\n"
             "Certify the stepper that is compiled without precision; its equations are the same."
@@ -228,9 +228,9 @@ def _momenta(s: Subject) -> Iterator[Check]:
 
 def _equations(s: Subject) -> Iterator[Check]:
     """equations: derivatives of the residual against differences."""
-    if "equations" not in s.stepper._header.functions:
+    if "equations" not in s.stepper._module.header.functions:
         return
-    precise, n, d = s.precise, s.n, s.stepper._header.degree
+    precise, n, d = s.precise, s.n, s.stepper._module.header.degree
     q, p = s.path.q, s.path.p
     share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
     nodes = q[0] + share * (q[1] - q[0])
@@ -255,7 +255,7 @@ def _equations(s: Subject) -> Iterator[Check]:
 
 def _jacobian(s: Subject) -> Iterator[Check]:
     """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
-    if s.stepper._header.newton_unknowns == 0:
+    if s.stepper._module.header.newton_unknowns == 0:
         return
     yield Check(
         "Jacobian", s.precise.jacobian_defect(s.z, s.h), "at most", EXACT**0.5,
@@ -266,7 +266,7 @@ def _jacobian(s: Subject) -> Iterator[Check]:
 
 def _newton(s: Subject) -> Iterator[Check]:
     """Newton: corrections shrink quadratically."""
-    if s.stepper._header.newton_unknowns == 0:
+    if s.stepper._module.header.newton_unknowns == 0:
         return
     sizes = s.precise.corrections(s.z, s.h, 8)
     usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
@@ -316,7 +316,7 @@ def _rounding(s: Subject) -> Iterator[Check]:
 
 def _iterations(s: Subject) -> Iterator[Check]:
     """iterations: for each step, of Newton's method or over stages."""
-    most = 16.0 if s.stepper._header.by_stages else 4.0
+    most = 16.0 if s.stepper._module.header.by_stages else 4.0
     run = s.compiled(1000, every=None)
     yield Check(
         "iterations", float(run.newton_iterations.sum()) / 1000, "at most", most,

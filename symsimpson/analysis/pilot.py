@@ -83,7 +83,7 @@ def choose_step(
     InputError
         If there is none.
     """
-    most = STAGE_ITERATIONS if stepper._header.by_stages else NEWTON_ITERATIONS
+    most = STAGE_ITERATIONS if stepper._module.header.by_stages else NEWTON_ITERATIONS
     for halvings in range(60):
         h = 4.0 / 2**halvings  # a power of two: its parts are exact
         run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")

@@ -97,7 +97,7 @@ class Precise:
             run = self._begun(z, h)
             for _ in range(8):
                 self._iterate(run)
-            rows = run.rows("INCREMENT", self.stepper._header.degree * self.n)
+            rows = run.rows("INCREMENT", self.stepper._module.header.degree * self.n)
             solution = self._numbers.result(rows.copy())
             step = self.small * max(map(abs, solution))
             worst = 0.0
@@ -115,8 +115,7 @@ class Precise:
         numbers, stepper = self._numbers, self.stepper
         values = stepper._values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(
-            stepper._header, stepper._kernels, numbers, values, step, 0 * step, 0, 1, ("newton",)
+        run = Run(stepper._module, values, step, 0 * step, 0, 1, ("newton",)
         )  # fmt: skip
         run.begin(start[: self.n], start[self.n :], velocity=False)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
@@ -125,7 +124,7 @@ class Precise:
     def _iterate(self, run: Run) -> None:
         run.rows("ACTIVE", 1)[:] = self._numbers.read(1.0)
         self._numbers.driver("call")(
-            self.stepper._kernels.address("newton"), run.h, 0 * run.h, run.W
+            self.stepper._module.kernels.address("newton"), run.h, 0 * run.h, run.W
         )
 
     def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:

@@ -34,13 +34,13 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
     return Stepper(
         text, f"{stepper.system}, changed", reference_state=stepper.reference_state,
-        tools=stepper._tools,
+        tools=stepper._module.tools,
     )  # fmt: skip
 
 
 def oversolved(stepper: Stepper) -> Stepper:
     """Return a stepper whose iterations go on until corrections stagnate in rounding."""
-    if stepper._header.newton_unknowns == 0:
+    if stepper._module.header.newton_unknowns == 0:
         return stepper
-    names = ("LOST", "ROUNDING") if stepper._header.by_stages else ("NEGLIGIBLE",)
+    names = ("LOST", "ROUNDING") if stepper._module.header.by_stages else ("NEGLIGIBLE",)
     return rewritten(stepper, dict.fromkeys(names, "0.0"))

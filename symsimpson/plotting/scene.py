@@ -88,7 +88,7 @@ def scene_of(some: States, stride: int = 1) -> Scene:
     InputError
         If there are none.
     """
-    declared = some._stepper._declared
+    declared = some._stepper._module.declared
     positions = getattr(declared, "positions", None)
     if not positions:
         raise InputError(
@@ -120,7 +120,7 @@ def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats
     """Return what evaluates points at all states, shape (N, points, dimension)."""
     import sympy as sp
 
-    declared = some._stepper._declared
+    declared = some._stepper._module.declared
     # coordinates are functions of time: plain symbols stand for them
     plain = {q: sp.Dummy() for q in declared.coordinates}
     values = [float(some.parameters[name]) for name in some._stepper.parameters]

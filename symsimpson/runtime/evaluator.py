@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -14,32 +13,17 @@ from symsimpson.derivation import Derivation
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, read_number, read_parameters, read_vector
 from symsimpson.runtime.kernels.compiled import Kernels
-from symsimpson.runtime.kernels.header import Header, equations_of, read_header
+from symsimpson.runtime.kernels.header import equations_of, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
+from symsimpson.runtime.loaded import Loaded, Tools
 from symsimpson.runtime.runs.run import Run, workspace
 
-__all__ = ["Evaluator", "Tools", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
+__all__ = ["Evaluator", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
 Parameters = Mapping[Any, Any]
-
-
-@dataclass(frozen=True)
-class Tools:
-    """What layers above do for a stepper; it gets them from whoever makes it.
-
-    Attributes
-    ----------
-    certify : callable
-        Measures whether a stepper is what it should be.
-    check_step : callable
-        Takes a stepper, its system, q0, parameters and h, and warns of steps that are too large.
-    """
-
-    certify: Callable[..., Any]
-    check_step: Callable[..., None]
 
 
 class Evaluator:
@@ -62,14 +46,11 @@ class Evaluator:
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
-        self._header: Header = header
-        self._numbers = numbers
-        self._kernels = numbers.kernels(source, header)
+        kernels = numbers.kernels(source, header)
+        self._module = Loaded(header, numbers, kernels, declared, derivation, tools)
         self.system, self.scheme, self.order = header.system, header.scheme, header.order
         self.coordinates, self.parameters = header.coordinates, header.parameters
         self.invariants, self.reference_state = header.invariants, reference_state
-        self._declared, self._derivation = declared, derivation
-        self._tools = tools
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
@@ -86,14 +67,14 @@ class Evaluator:
     @property
     def n(self) -> int:
         """Number of coordinates."""
-        return self._header.n
+        return self._module.header.n
 
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.reference_state
         given = {
-            "defaults": self._given and dict(self._given), "declared": self._declared,
-            "reference_state": state and dict(state), "numbers": self._numbers,
-            "tools": self._tools,
+            "defaults": self._given and dict(self._given), "declared": self._module.declared,
+            "reference_state": state and dict(state), "numbers": self._module.numbers,
+            "tools": self._module.tools,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 
@@ -177,9 +158,14 @@ class Evaluator:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
 
     def _values(self, given: Parameters | None) -> Reals:
-        header = self._header
+        header = self._module.header
         return read_parameters(
-            self.parameters, self._aliases, header.signs, self._defaults, given, self._numbers
+            self.parameters,
+            self._aliases,
+            header.signs,
+            self._defaults,
+            given,
+            self._module.numbers,
         )
 
 
@@ -187,7 +173,7 @@ def evaluate(
     stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
 ) -> Reals:
     """Evaluate a kernel of the state at many states; shape (len(q), count)."""
-    header, numbers = stepper._header, stepper._numbers
+    header, numbers = stepper._module.header, stepper._module.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
         return evaluate_in(W, stepper, kernel, block, count, q, p)
@@ -217,15 +203,15 @@ def evaluate_in(
 
     Fast sines have no value for huge angles: there the library's are taken.
     """
-    numbers, kernels = stepper._numbers, stepper._kernels
-    place = stepper._header.layout[block], count
+    numbers, kernels = stepper._module.numbers, stepper._module.kernels
+    place = stepper._module.header.layout[block], count
 
     def values(q: Reals, p: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
         return _evaluated(stepper, W, (0, address), place, numbers.zeros(len(q)), q, p)
 
     found = values(q, p, any_angle=False)
-    if stepper._header.fast_sines and not numbers.all_finite(found):
+    if stepper._module.header.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
@@ -243,7 +229,11 @@ def watching(
     InputError
         If the stepper has many digits.
     """
-    header, numbers, kernels = stepper._header, stepper._numbers, stepper._kernels
+    header, numbers, kernels = (
+        stepper._module.header,
+        stepper._module.numbers,
+        stepper._module.kernels,
+    )
     if not isinstance(kernels, Kernels):
         raise InputError(
             "expressions are evaluated in double precision, and this stepper has many digits.\n"
@@ -262,11 +252,11 @@ def _evaluated(
     q: Reals, p: Reals,
 ) -> Reals:  # fmt: skip
     """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
-    numbers, (first, count) = stepper._numbers, block
+    numbers, (first, count) = stepper._module.numbers, block
     out = numbers.zeros((len(q), count))
     numbers.driver("evaluate")(
-        stepper._kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
-        stepper._header.told, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
+        stepper._module.kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
+        stepper._module.header.told, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
     )  # fmt: skip
     return numbers.result(out)
 
@@ -275,7 +265,7 @@ def evaluate_energy(
     stepper: Evaluator, q: ArrayLike, p: ArrayLike, parameters: Mapping[Any, Any] | None
 ) -> Reals:
     """Evaluate the Hamiltonian at states of any origin."""
-    numbers, n = stepper._numbers, stepper.n
+    numbers, n = stepper._module.numbers, stepper.n
     with numbers.working():
         states = [read_array(name, x, numbers) for name, x in (("q", q), ("p", p))]
         for name, state in zip("qp", states, strict=True):
@@ -298,7 +288,7 @@ def evaluate_equations(
     given: Mapping[Any, Any] | None,
 ) -> tuple[Reals, Reals]:
     """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
-    header, n, numbers = stepper._header, stepper.n, stepper._numbers
+    header, n, numbers = stepper._module.header, stepper.n, stepper._module.numbers
     d = header.degree
     if "equations" not in header.functions:
         raise InputError(
@@ -315,8 +305,8 @@ def evaluate_equations(
                 f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
                 "Pass the inner control points and q1, one row each."
             )
-        kernels = stepper._kernels
-        run = Run(header, kernels, numbers, stepper._values(given), h, h * 0, 0, 1)
+        kernels = stepper._module.kernels
+        run = Run(stepper._module, stepper._values(given), h, h * 0, 0, 1)
         run.rows("POSITION", n)[:] = q
         run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()

@@ -82,8 +82,8 @@ class Stepper(Evaluator):
         >>> report.form, report.operations < 35, list(report.seconds)
         ('unrolled', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
         """
-        derived, lines = self._derivation, len(self.source.splitlines())
-        seconds = {"compilation": float(getattr(self._kernels, "seconds", 0.0))}
+        derived, lines = self._module.derivation, len(self.source.splitlines())
+        seconds = {"compilation": float(getattr(self._module.kernels, "seconds", 0.0))}
         if derived is None:
             return Report(seconds, lines, None, "")
         form = "unrolled" if derived.unrolled else "loops"
@@ -347,12 +347,12 @@ class Stepper(Evaluator):
         >>> certificate.passed, round(certificate["order"].measured, 1)
         (True, 4.0)
         """
-        if self._tools is None:
+        if self._module.tools is None:
             raise InputError(
                 f"this stepper of {self.system} came with a stored result.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
-        return self._tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
+        return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
 
     def step(
         self,

@@ -11,6 +11,7 @@ from workspace import new_workspace, sweep
 import symsimpson as ss
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.interface import NEWTON
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.kernels.cache import compiled
 
@@ -62,16 +63,16 @@ def test_lanes_do_not_know_of_each_other():
     rng = np.random.default_rng(3)
     q, p = rng.uniform(-2, 2, (2, 8)), rng.uniform(-0.3, 0.3, (2, 8))
     length = 9.81 / (2 * np.pi) ** 2
-    addresses = np.array([k.address for k in made.values()])
+    addresses = np.array([NEWTON, *(k.address for k in made.values()), 0])
     stepper = ss.compile(ss.systems.double_pendulum())
 
     def run(q, p):
         W = new_workspace(module, q, p, [1.0, 1.0, length, length, 9.81])
-        at = stepper._header.told
+        at = stepper._module.header.told
         stored = np.empty((1, 2, 8))
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(2, dtype=np.int64)
-        driver("run", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
+        driver("take_steps", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
                       stored.copy(), np.zeros((1, 8), dtype=np.int64))  # fmt: skip
         assert progress.tolist() == [200, 0]
         return W[module.POSITION : module.POSITION + 4]

@@ -8,7 +8,6 @@ from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.driver.compiled import driver
-from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.runs.integrate import begin_run, new_run
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import read_run
@@ -124,10 +123,7 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     """K and K steps are 2 K steps, to the last bit of the whole workspace."""
     stepper = ss.compile(system, scheme)
     state = system.reference_state
-    runs = [
-        Run(stepper._header, stepper._kernels, FLOAT64, stepper._defaults, h, 0.0, 1, 401)
-        for _ in range(2)
-    ]
+    runs = [Run(stepper._module, stepper._defaults, h, 0.0, 1, 401) for _ in range(2)]
     for run in runs:
         velocity = "v0" in state
         run.begin(np.array(state["q0"]), np.array(state["v0" if velocity else "p0"]),
@@ -151,9 +147,7 @@ def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
         return original(name)
 
     monkeypatch.setattr("symsimpson.runtime.kernels.numbers.driver", counted)
-    runs = [
-        Run(stepper._header, stepper._kernels, FLOAT64, values, 0.1, 0.0, 1, 41) for _ in range(2)
-    ]
+    runs = [Run(stepper._module, values, 0.1, 0.0, 1, 41) for _ in range(2)]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)
     runs[0].advance(40)
@@ -209,9 +203,9 @@ def test_injected_nan_and_infinity(scheme):
         begin_run(stepper, run, spec)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
-        if block not in stepper._header.layout:
+        if block not in stepper._module.header.layout:
             block = "POSITION"
-        row = stepper._header.layout[block] + int(random.integers(2))
+        row = stepper._module.header.layout[block] + int(random.integers(2))
         run.W[row, 0] = (np.nan, np.inf, -np.inf)[trial % 3]
         run.advance(60)
         if run.alive:

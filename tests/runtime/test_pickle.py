@@ -24,7 +24,7 @@ def test_what_comes_back_is_the_same(name, again):
     assert run.energy is run.energy  # computed, and left out of what is kept
     assert again(system) == system
     assert type(again(system)) is type(system)
-    assert again(stepper)._declared == system
+    assert again(stepper)._module.declared == system
     assert (again(stepper).integrate(**system.reference_state, h=0.01, steps=50).q == run.q).all()
     assert (again(run).energy == run.energy).all()
     assert (again(run).sol(0.123) == run.sol(0.123)).all()

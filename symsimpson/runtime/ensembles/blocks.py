@@ -168,7 +168,7 @@ def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
 
 def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
-    header, lanes = stepper._header, task.lanes
+    header, lanes = stepper._module.header, task.lanes
     kernels = Kernels(stepper.source, header, lanes)
     watched = len(task.reductions)
     observing = 0
@@ -220,7 +220,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
-    if not stepper._header.real_everywhere:
+    if not stepper._module.header.real_everywhere:
         good &= _real(stepper, task, results)
     good |= (status == Status.BAD_INPUT) & small
     for member in np.flatnonzero(~good):

@@ -145,7 +145,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     task = Task(
         q0, other0, asked["given"], parameters, asked["h"], asked["t0"],
         asked["steps"], asked["every"], reductions, threads=1, progress=False,
-        lanes=lanes_for(stepper._header),
+        lanes=lanes_for(stepper._module.header),
     )  # fmt: skip
     found, _ = run_blocks(stepper, task, lambda done: None)
     write_chunk(path, group, members, found)

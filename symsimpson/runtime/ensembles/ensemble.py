@@ -174,7 +174,8 @@ class Ensemble(Quantities):
         stepper = self._stepper
         return {
             "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
-            "digest": stepper._header.digest, "outcome": self.message, "t_end": float(self.t[-1]),
+            "digest": stepper._module.header.digest, "outcome": self.message,
+            "t_end": float(self.t[-1]),
         }  # fmt: skip
 
     def __len__(self) -> int:

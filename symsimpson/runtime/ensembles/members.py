@@ -50,7 +50,7 @@ def read_task(
     InputError
         If they make no sense, or what is to be stored does not fit into memory.
     """
-    if stepper._numbers is not FLOAT64:
+    if stepper._module.numbers is not FLOAT64:
         raise InputError(
             "an ensemble runs in double precision, and this stepper has another precision.\n"
             "Compile one without precision."
@@ -75,7 +75,7 @@ def read_task(
             )
     stride, reductions = read_every(every), read_reductions(stepper, reduce)
     workers = _threads(threads)
-    lanes = lanes_for(stepper._header)
+    lanes = lanes_for(stepper._module.header)
     stored = count // stride + 1 if stride else 1
     try:
         values = np.empty((members, len(stepper.parameters)))
@@ -133,7 +133,12 @@ def _parameters(
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(
-                names, aliases, stepper._header.signs, stepper._defaults, {key: extreme}, FLOAT64
+                names,
+                aliases,
+                stepper._module.header.signs,
+                stepper._defaults,
+                {key: extreme},
+                FLOAT64,
             )
         found[names[aliases[str(key)]]] = column
     return found

@@ -16,7 +16,7 @@ from symsimpson.binding import MATH
 from symsimpson.errors import StaleKernelError
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Tools
+    from symsimpson.runtime.loaded import Tools
     from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["check_structure", "read_stepper"]

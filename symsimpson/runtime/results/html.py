@@ -27,11 +27,11 @@ def stepper(one: Stepper) -> str:
     """Show what was generated, and how a step is solved."""
     values = ", ".join(f"{k} = {float(v):g}" for k, v in one._named_values().items())
     solved = "explicit, or one matrix for all"
-    unknowns = one._header.newton_unknowns
+    unknowns = one._module.header.newton_unknowns
     if unknowns:
         solved = "Newton's method with the exact Jacobian"
-        if one._header.by_stages:
-            solved = f"iterated over {one._header.layout['NODES']} stages; else {solved}"
+        if one._module.header.by_stages:
+            solved = f"iterated over {one._module.header.layout['NODES']} stages; else {solved}"
     lines = one.source.count("\n")
     return box(
         f"Stepper of {one.system}",
@@ -43,7 +43,7 @@ def stepper(one: Stepper) -> str:
             ("a step", solved),
             ("Newton unknowns", unknowns or "none"),
             ("module", f"{lines} lines; print(stepper.source) shows them"),
-            ("compiled code", one._kernels.location),
+            ("compiled code", one._module.kernels.location),
         ]),
     )  # fmt: skip
 

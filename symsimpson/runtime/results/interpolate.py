@@ -58,7 +58,7 @@ class DenseOutput:
                 "Store states: every=1, or every=100."
             )
         self._run = run
-        numbers = run._stepper._numbers
+        numbers = run._stepper._module.numbers
         with numbers.working():  # float64 as it is, without a copy
             whole = [np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
                      for x in (run.t, run.q, run.p)]  # fmt: skip
@@ -84,7 +84,7 @@ class DenseOutput:
             If part of a step cannot be taken where the whole could.
         """
         run = self._run
-        numbers = run._stepper._numbers
+        numbers = run._stepper._module.numbers
         with numbers.working():
             times = read_array("t", t, numbers)
         if times.ndim > 1:
@@ -118,7 +118,11 @@ class DenseOutput:
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Return q, p and a status so much later than stored states, by their numbers."""
         run, stepper = self._run, self._run._stepper
-        numbers, header, kernels = stepper._numbers, stepper._header, stepper._kernels
+        numbers, header, kernels = (
+            stepper._module.numbers,
+            stepper._module.header,
+            stepper._module.kernels,
+        )
         h = run.h
         whole = np.maximum(np.floor(np.asarray(later / h, dtype=float)), 0).astype(np.int64)
         rest = later - whole * h
@@ -151,7 +155,7 @@ class DenseOutput:
 
         Where part of a step does not resolve the motion it is divided further.
         """
-        h = self._run._stepper._numbers.read(self._run.h).item()
+        h = self._run._stepper._module.numbers.read(self._run.h).item()
         (q, p), status = self._run_on(q, p, h, whole)
         if status is not Status.SUCCESS or rest == 0:
             return (q, p), status
@@ -166,9 +170,9 @@ class DenseOutput:
         return state, status
 
     def _run_on(self, q: Reals, p: Reals, h: Any, steps: int) -> tuple[Any, Status]:
-        stepper, numbers = self._run._stepper, self._run._stepper._numbers
+        stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
-        one = Run(stepper._header, stepper._kernels, numbers, values, h, 0 * h, 0, 1)
+        one = Run(stepper._module, values, h, 0 * h, 0, 1)
         one.begin(q, p, velocity=False)
         one.advance(steps)
         return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

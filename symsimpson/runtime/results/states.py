@@ -238,7 +238,7 @@ class States(Quantities):
         stepper = self._stepper
         return {
             "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
-            "digest": stepper._header.digest,
+            "digest": stepper._module.header.digest,
             **{f"parameter {name}": float(value) for name, value in self.parameters.items()},
         }  # fmt: skip
 

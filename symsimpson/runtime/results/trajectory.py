@@ -122,7 +122,7 @@ class Trajectory(States):
         >>> run.at([0.05, 1/3])["theta"].shape
         (2,)
         """
-        numbers = self._stepper._numbers
+        numbers = self._stepper._module.numbers
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)

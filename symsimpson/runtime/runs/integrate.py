@@ -59,7 +59,7 @@ def integrate(
     """
     read_failure(on_failure)
     count, values = spec.steps, spec.parameters
-    with stepper._numbers.working(), silence() if progress is False else NOTHING:
+    with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
         stride = spec.every or sampling_stride(stepper, count)
         stored = count // stride + 1 if stride else 1
@@ -109,10 +109,12 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
 
     Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
     """
-    if not trajectory.success and stepper._header.real_everywhere:
+    if not trajectory.success and stepper._module.header.real_everywhere:
         return trajectory
-    if trajectory.every is None and not stepper._header.real_everywhere:  # the last state, too
-        numbers = stepper._numbers
+    if (
+        trajectory.every is None and not stepper._module.header.real_everywhere
+    ):  # the last state, too
+        numbers = stepper._module.numbers
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
@@ -122,7 +124,7 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
     about = trajectory.__getstate__()
     bad = energies.first_not_real
     if bad is not None:
-        result, good = stepper._numbers.result, max(bad - 1, 0)
+        result, good = stepper._module.numbers.result, max(bad - 1, 0)
         done, at = good * run.every, min(bad * run.every, trajectory.steps)
         if trajectory.every is None:
             last = slice(good, good + 1)
@@ -186,8 +188,7 @@ def new_run(stepper: Stepper, spec: RunSpec, stride: int, stored: int) -> Run:
         If they do not fit into memory.
     """
     try:
-        return Run(
-            stepper._header, stepper._kernels, stepper._numbers, spec.parameters, spec.h, spec.t0,
+        return Run(stepper._module, spec.parameters, spec.h, spec.t0,
             stride, stored,
         )  # fmt: skip
     except (MemoryError, ValueError):
@@ -206,10 +207,10 @@ def begin_run(stepper: Stepper, run: Run, spec: RunSpec) -> None:
     InputError
         If M(q0) is not positive definite.
     """
-    numbers, q = stepper._numbers, spec.q0
+    numbers, q = stepper._module.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
-    if stepper._header.fast_sines and not numbers.all_finite(velocities):
+    if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
@@ -223,7 +224,7 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
     key = (run.h, values.tobytes())
     plain = run.W.dtype == np.float64
-    system, tools = stepper._declared, stepper._tools
+    system, tools = stepper._module.declared, stepper._module.tools
     if plain and system is not None and tools is not None and key not in stepper._looked_at:
         stepper._looked_at.add(key)
         tools.check_step(stepper, system, run.rows("POSITION", stepper.n), values, run.h)
@@ -243,7 +244,7 @@ def trajectory_of(
     done = run.step
     q, p, iterations = stored
     if every:
-        t = run.t0 + stepper._numbers.counted(0, done + 1, every) * run.h
+        t = run.t0 + stepper._module.numbers.counted(0, done + 1, every) * run.h
     else:
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
         q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
@@ -257,10 +258,11 @@ def trajectory_of(
         )
         if keeper is not None and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
-    result = stepper._numbers.result
+    result = stepper._module.numbers.result
     t, q, p, values = result(t), result(q), result(p), result(values)
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=stepper._numbers.single(run.h), steps=done,
+        t=t, q=q, p=p, newton_iterations=iterations, h=stepper._module.numbers.single(run.h),
+        steps=done,
         every=every or None, status=status, message=message,
         _stepper=stepper, _values=values,
     )  # fmt: skip

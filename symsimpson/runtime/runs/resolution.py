@@ -44,7 +44,7 @@ def sampling_stride(stepper: Stepper, count: int) -> int:
 
     None, 0, are kept of a short one, unless its energy need not be real.
     """
-    looked_at = count >= FEWEST or not stepper._header.real_everywhere
+    looked_at = count >= FEWEST or not stepper._module.header.real_everywhere
     return -(-count // SAMPLES) if looked_at else 0
 
 
@@ -102,7 +102,7 @@ def check_start(stepper: Stepper, q: Reals, p: Reals, values: Reals) -> None:
     ------
     InputError
     """
-    if stepper._header.real_everywhere:
+    if stepper._module.header.real_everywhere:
         return
     (energy,) = evaluate(stepper, "energy", "ENERGY", 1, q[None], p[None], values)[0]
     if not np.isfinite(float(energy)):
@@ -120,14 +120,16 @@ def look_at_energy(stepper: Stepper, run: Run, q: Reals, p: Reals) -> Energies |
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
     last = len(q) - 1
-    if not stepper._header.real_everywhere:
+    if not stepper._module.header.real_everywhere:
         return energies_at(stepper, run, q, p, np.arange(last + 1))
     if last + 1 < FEWEST:
         return None
     few = min(last, SAMPLES - 1)
     if q.base is not None and q.base is run.q.base:
-        steady = stepper._numbers.driver("steady")
-        energy = stepper._kernels.address("energy")
-        if steady(energy, run.h, run.W, stepper._header.told, run.q, run.p, last, few, LIMIT):
+        steady = stepper._module.numbers.driver("steady")
+        energy = stepper._module.kernels.address("energy")
+        if steady(
+            energy, run.h, run.W, stepper._module.header.told, run.q, run.p, last, few, LIMIT
+        ):
             return None
     return energies_at(stepper, run, q, p, np.arange(few + 1) * last // few)

@@ -14,7 +14,7 @@ from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
-    from symsimpson.runtime.kernels.sets import KernelSets
+    from symsimpson.runtime.loaded import Loaded
 
 __all__ = ["Run", "workspace"]
 
@@ -43,9 +43,7 @@ class Run:
 
     def __init__(
         self,
-        header: Header,
-        kernels: KernelSets,
-        numbers: Numbers,
+        module: Loaded,
         parameters: NDArray[Any],
         h: Any,
         t0: Any,
@@ -53,6 +51,7 @@ class Run:
         stored: int,
         fallbacks: Sequence[str] | None = None,
     ) -> None:
+        header, kernels, numbers = module.header, module.kernels, module.numbers
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed

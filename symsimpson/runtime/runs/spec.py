@@ -83,7 +83,7 @@ def read_run(
     InputError
         If it makes no sense.
     """
-    numbers, names = stepper._numbers, stepper.coordinates
+    numbers, names = stepper._module.numbers, stepper.coordinates
     with numbers.working():
         values = stepper._values(parameters)
         h, steps, t0 = read_steps(*times, numbers)

@@ -1,0 +1,55 @@
+"""A module as the package knows it, beside what its stepper shows to users."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from symsimpson.derivation import Derivation
+from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.sets import KernelSets
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.kernels.numbers import Numbers
+
+__all__ = ["Loaded", "Tools"]
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What layers above do for a stepper; it gets them from whoever makes it.
+
+    Attributes
+    ----------
+    certify : callable
+        Measures whether a stepper is what it should be.
+    check_step : callable
+        Takes a stepper, its system, q0, parameters and h, and warns of steps that are too large.
+    """
+
+    certify: Callable[..., Any]
+    check_step: Callable[..., None]
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A module as the package knows it: what layers beside a stepper may use of it.
+
+    Attributes
+    ----------
+    header : Header
+    numbers : Numbers
+    kernels : KernelSets
+    declared : MechanicalSystem or None
+        What the module was generated from.
+    derivation : Derivation or None
+    tools : Tools or None
+    """
+
+    header: Header
+    numbers: Numbers
+    kernels: KernelSets
+    declared: Any
+    derivation: Derivation | None
+    tools: Tools | None
