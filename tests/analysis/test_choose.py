@@ -128,8 +128,9 @@ def test_a_step_beyond_linear_stability_is_warned_of():
         stepper.integrate([1.0], p0=[0.0], h=3.0, steps=0)
     with pytest.warns(
         ss.StabilityWarning, match=r"h=-2.9 .* h omega is 2.9, .*\nTake h below 2.83"
-    ):
+    ) as told:
         stepper.integrate(**start, h=-2.9)
+    assert told[0].filename == __file__
     with pytest.warns(ss.StabilityWarning, match="omega=10; h omega is 3.7"):
         stepper.integrate(**start, h=0.37, parameters={"k": 100.0})
     with pytest.warns(ss.StabilityWarning, match="from 2 on"):

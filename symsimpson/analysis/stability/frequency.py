@@ -105,5 +105,5 @@ def warn_of_step(
             f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which no "
             "step makes grow.",
             StabilityWarning,
-            stacklevel=5,  # where integrate is called
+            stacklevel=6,  # where integrate is called
         )

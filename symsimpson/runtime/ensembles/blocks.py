@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.evaluator import evaluate_members, watching
@@ -228,6 +228,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ResolutionWarning)
+                warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
                 run = stepper.integrate(
                     task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
                     parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
