@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import mpmath as mp
 import numpy as np
 import pytest
+
+from symsimpson.graph.evaluate import line_value
 
 TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
           "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
@@ -16,6 +19,23 @@ def sweep(values, fast=1):
         pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=pytest.mark.slow)
         for x in values[fast:]
     )]  # fmt: skip
+
+
+def jet_values(jet, q, v, parameters):
+    """The outputs of a jet at a point, line by line in the digits that mpmath is set to."""
+    given = {f"{kind}_{i}": x for kind, values in zip("qva", (q, v, parameters), strict=True)
+             for i, x in enumerate(values)}  # fmt: skip
+    found = {}
+    for n in jet.program.order():
+        line = jet.program.lines[n]
+        if line.kind == "symbol":
+            found[n] = mp.mpf(given[line.parts[0]])
+        else:
+            found[n] = line_value(line.kind, line.parts, found, mp.mp)
+    return {
+        key: mp.mpf(c.numerator) / c.denominator * found[n] if c else mp.mpf(0)
+        for key, (c, n) in jet.program.outputs.items()
+    }
 
 
 def block(module, name, size):

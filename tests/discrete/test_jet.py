@@ -2,25 +2,10 @@ import mpmath as mp
 import pytest
 import sympy as sp
 from oracle import lagrangian
+from workspace import jet_values
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet
-from symsimpson.graph.evaluate import line_value
-
-
-def evaluated(jet, symbols):
-    """The outputs of a jet at a point, line by line in the digits that mpmath is set to."""
-    values = {}
-    for n in jet.program.order():
-        line = jet.program.lines[n]
-        if line.kind == "symbol":
-            values[n] = symbols[line.parts[0]]
-        else:
-            values[n] = line_value(line.kind, line.parts, values, mp.mp)
-    return {
-        key: mp.mpf(c.numerator) / c.denominator * values[n] if c else mp.mpf(0)
-        for key, (c, n) in jet.program.outputs.items()
-    }
 
 
 @pytest.mark.parametrize(
@@ -29,7 +14,6 @@ def evaluated(jet, symbols):
 def test_jet_agrees_with_differences(make):
     system = make()
     plain, n = system.plain, system.n
-    symbols = (*plain.q, *plain.v, *plain.parameters)
     point = [sp.Rational(k + 3, 7) for k in range(2 * n)]
     parameters = [sp.Rational(k + 4, 5) for k in range(len(plain.parameters))]
     with mp.workdps(60):
@@ -51,8 +35,7 @@ def test_jet_agrees_with_differences(make):
             signs = [(s, t) for s in (1, -1) for t in (1, -1)]
             return sum(s * t * at((i, s * step), (j, t * step)) for s, t in signs) / (4 * step**2)
 
-        names = [s.name for s in symbols]
-        found = evaluated(derive_jet(plain), dict(zip(names, [*z, *a], strict=True)))
+        found = jet_values(derive_jet(plain), z[:n], z[n:], a)
 
         def agrees(key, truth):
             return abs(found[key] - truth) < mp.mpf("1e-25") * (1 + abs(truth))

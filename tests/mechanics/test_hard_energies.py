@@ -6,11 +6,10 @@ from itertools import combinations
 import mpmath as mp
 import pytest
 import sympy as sp
-from workspace import sweep
+from workspace import jet_values, sweep
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet
-from symsimpson.graph.evaluate import line_value
 
 x, y, z = ss.coordinates("x y z")
 q = ss.coordinates("q0:6")
@@ -27,19 +26,10 @@ def declare(potential, coordinates=(x, y, z), parameters=None, kinetic=None):
 def forces(system, point):
     """F of the jet, and that of SymPy, at a point, at rest."""
     jet = derive_jet(system.structure.plain)
-    given = {f"q_{i}": a for i, a in enumerate(point)} | {f"v_{i}": 0 for i in range(system.n)}
-    given |= {f"a_{i}": a for i, a in enumerate(system.parameters.values())}
+    n = system.n
     with mp.workdps(40):
-        values = {}
-        for n in jet.program.order():
-            line = jet.program.lines[n]
-            if line.kind == "symbol":
-                values[n] = mp.mpf(given.get(line.parts[0], 0))
-            else:
-                values[n] = line_value(line.kind, line.parts, values, mp.mp)
-        found = [jet["F", i] for i in range(system.n)]
-        mine = [mp.mpf(c.numerator) / c.denominator * values[n] if c else mp.mpf(0)
-                for c, n in found]  # fmt: skip
+        found = jet_values(jet, point, [0] * n, system.parameters.values())
+        mine = [found.get(("F", i), mp.mpf(0)) for i in range(n)]
         at = dict(zip(system.coordinates, map(sp.Float, point), strict=True))
         at |= {a: sp.Float(v) for a, v in system.parameters.items()}
         own = sp.symbols(f"u0:{system.n}", real=True)

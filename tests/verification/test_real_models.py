@@ -10,11 +10,10 @@ import pytest
 import sympy as sp
 from newton_euler import accelerations
 from random_systems import random_system
-from workspace import sweep
+from workspace import jet_values, sweep
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet
-from symsimpson.graph.evaluate import line_value
 from symsimpson.systems.puma560 import LINKS
 
 GRAVITY = (0, 0, -9.81)
@@ -82,7 +81,7 @@ def test_arms_against_newton_and_euler(joints):
         jet = derive_jet(arm.structure.plain)
         for _ in range(3):
             q, v = random.uniform(-2, 2, joints), random.uniform(-1, 1, joints)
-            found = values(jet, q, v, [])
+            found = jet_values(jet, q, v, [])
             table = {name: np.array([[float(found[name, i, j]) for j in range(joints)]
                                      for i in range(joints)]) for name in ("M", "P_q")}  # fmt: skip
             force = np.array([float(found["F", i]) for i in range(joints)])
@@ -143,23 +142,6 @@ def test_a_report_tells_what_was_done():
     assert ss.compile(ss.systems.n_body(6), "gauss4").report().form == "loops"
 
 
-def values(jet, q, v, parameters):
-    """Outputs of a jet in the digits that mpmath is set to."""
-    found = {}
-    given = {f"q_{i}": x for i, x in enumerate(q)} | {f"v_{i}": x for i, x in enumerate(v)}
-    given |= {f"a_{i}": x for i, x in enumerate(parameters)}
-    for n in jet.program.order():
-        line = jet.program.lines[n]
-        if line.kind == "symbol":
-            found[n] = mp.mpf(given[line.parts[0]])
-        else:
-            found[n] = line_value(line.kind, line.parts, found, mp.mp)
-    return {
-        key: mp.mpf(c.numerator) / c.denominator * found[n] if c else mp.mpf(0)
-        for key, (c, n) in jet.program.outputs.items()
-    }
-
-
 def exact(expression):
     """Write floats as the fractions that they are."""
     floats = {x: sp.Rational(*Fraction(float(x)).as_integer_ratio())
@@ -194,7 +176,7 @@ def agrees_with_symengine(system, seed=0):
     with mp.workdps(60):
         q, v = (random.uniform(0.2, 0.9, n) for _ in range(2))
         parameters = [float(x) for x in system.parameters.values()]
-        found = values(derive_jet(system.structure.plain), q, v, parameters)
+        found = jet_values(derive_jet(system.structure.plain), q, v, parameters)
         first, second = symengine_truth(system, [*q, *v, *parameters])
         size = 1 + max(map(abs, second))
         for i in range(n):
@@ -251,7 +233,7 @@ def test_jets_agree_with_casadi(name):
     random = np.random.default_rng(3)
     point = random.uniform(0.2, 0.9, 2 * n)
     first, second = (np.array(x) for x in evaluate(point))
-    found = values(
+    found = jet_values(
         derive_jet(system.structure.plain), point[:n], point[n:],
         [float(x) for x in system.parameters.values()],
     )  # fmt: skip
