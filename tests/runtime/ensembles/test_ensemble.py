@@ -2,6 +2,7 @@
 
 import hashlib
 import signal
+import warnings
 
 import numpy as np
 import pytest
@@ -157,6 +158,17 @@ def test_members_that_fail_leave_the_others_alone():
     assert found.steps[3] == run.steps
     assert (found.q[3, : len(run.q)] == run.q).all()
     assert np.isnan(found.q[3, len(run.q) :]).all()
+
+
+def test_members_that_fail_are_not_warned_of_one_by_one():
+    """Their steps are too large; a figure of 64 by 64 members would warn thousands of times."""
+    springs = np.array([1e2, 5e3, 8e3, 1e4])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = ss.compile(ss.systems.elastic_pendulum()).ensemble(
+            [1.02, 0.4], v0=[0.0, 0.0], h=0.0561, steps=400, parameters={"k": springs}
+        )
+    assert found.status.tolist() == [0, 0, *[ss.Status.STEP_TOO_LARGE] * 2]
 
 
 def test_members_that_only_robust_kernels_take_are_reduced_too():
