@@ -132,6 +132,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         own_tables |= {
             **storage.constants("EQUATION", degree),
             **storage.constants("SOLVE", blocks),
+            **storage.bounds("SOLVE", blocks),
             **solve_tables(part, equations.scheme),
         }
     tables = own_tables | tables

@@ -66,6 +66,12 @@ class Storage:
             f"{prefix}_PLACE_STEP": blocks if self.banded else 1,
             f"{prefix}_STRIDE": 3 * half if self.banded else unknowns,
             f"{prefix}_OFFSET": half if self.banded else 0,
+        }
+
+    def bounds(self, prefix: str, blocks: int) -> dict[str, object]:
+        """Return how far from the diagonal an elimination finds entries: below, and above it."""
+        half, unknowns = self._half(blocks), self.n * blocks
+        return {
             f"{prefix}_LOWER": half if self.banded else max(unknowns - 1, 0),
             f"{prefix}_UPPER": 2 * half if self.banded else max(unknowns - 1, 0),
         }

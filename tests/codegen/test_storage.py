@@ -24,7 +24,8 @@ def test_entries_of_nodes(storage):
 def test_entries_of_systems(storage, blocks):
     """A band, with the room that pivoting takes above it."""
     size, band = storage.n * blocks, storage.band
-    row, place, stride, offset, lower, upper = storage.constants("S", blocks).values()
+    row, place, stride, offset = storage.constants("S", blocks).values()
+    lower, upper = storage.bounds("S", blocks).values()
     unknowns = {s * place + k * row: s for s in range(storage.n) for k in range(blocks)}
     assert sorted(unknowns) == list(range(size))
     meeting = [
