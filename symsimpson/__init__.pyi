@@ -12,6 +12,7 @@ from .api import load as load
 from .api import resume as resume
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
+from .derivation import Report as Report
 from .errors import ConvergenceError as ConvergenceError
 from .errors import GenerationError as GenerationError
 from .errors import InputError as InputError
@@ -29,6 +30,7 @@ from .mechanics.coordinates import coordinates as coordinates
 from .mechanics.coordinates import momenta as momenta
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
+from .plotting.animate import Animation as Animation
 from .runtime.ensembles.ensemble import Ensemble as Ensemble
 from .runtime.results.archive import open_trajectory as open_trajectory
 from .runtime.results.events import Events as Events

@@ -31,7 +31,7 @@ def test_the_wheel_holds_the_package_and_nothing_else(built):
         metadata = opened.read(about).decode()
     assert {x.split("/")[0].split("-")[0] for x in names} == {"symsimpson"}
     present = {str(x.relative_to(ROOT)) for x in (ROOT / "symsimpson").rglob("*.py")}
-    assert present | {"symsimpson/py.typed"} <= names
+    assert present | {"symsimpson/py.typed", "symsimpson/__init__.pyi"} <= names
     for extra in ("plot", "data", "bench", "cluster", "precise", "notebooks", "progress"):
         assert f"Provides-Extra: {extra}" in metadata
 
@@ -87,3 +87,14 @@ def test_a_missing_extra_is_named(library, use, extra, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ss.InputError, match=rf"pip install 'symsimpson\[{extra}\]'"):
         eval(use, names)
+
+
+def test_every_public_name_is_there():
+    import symsimpson as ss
+
+    assert len(set(ss.__all__)) > 40
+    for name in ss.__all__:
+        assert getattr(ss, name) is not None
+        assert name in dir(ss)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = ss.nothing
