@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from decimal import Context, Decimal
+from itertools import groupby
 
 import sympy as sp
 
@@ -34,6 +35,8 @@ from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["emit"]
 
+#: Loads that stand on a line of this width; the compiler takes more of them apart slowly.
+ON_A_LINE, WIDTH = 3, 100
 #: Lists of more integers than this are arrays.
 _LONG = 16
 #: Fractions with larger denominators are finite decimals.
@@ -275,17 +278,44 @@ def _kernel(kernel: Kernel, printer: Printer) -> str:
 
 def _statements(statements: Iterable[Statement], printer: Printer, depth: int) -> list[str]:
     lines: list[str] = []
+    loads: list[Load] = []
     for statement in statements:
+        if isinstance(statement, Load):
+            loads.append(statement)
+            continue
+        lines += _loads(loads, depth)
+        loads = []
         lines += _statement(statement, printer, depth)
+    lines += _loads(loads, depth)
     return lines or ["    " * depth + "pass"]
+
+
+def _loads(loads: Iterable[Load], depth: int) -> Iterator[str]:
+    """Write loads, a few of one block on a line."""
+    for _, group in groupby(loads, lambda load: load.row.block):
+        some: list[Load] = []
+        line = ""
+        for load in group:
+            longer = _load([*some, load], depth)
+            if some and (len(some) == ON_A_LINE or len(longer) > WIDTH):
+                yield line
+                some, longer = [], _load([load], depth)
+            some.append(load)
+            line = longer
+        yield line
+
+
+def _load(loads: Sequence[Load], depth: int) -> str:
+    targets = ", ".join(load.target.name for load in loads)
+    return f"{'    ' * depth}{targets} = {', '.join(str(load.row) for load in loads)}"
 
 
 def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
     pad = "    " * depth
     write = printer.doprint
     match statement:
-        case Load(target, row):
-            return [f"{pad}{target} = {row}"]
+        case Load():
+            return list(_loads([statement], depth))
         case Assign(target, value):
             return folded(f"{pad}{target} = ", write(value), pad + "    ", parentheses=True)
         case SinCos(sine, cosine, angle):

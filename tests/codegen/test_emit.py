@@ -1,0 +1,28 @@
+"""How emitted lines look."""
+
+import sympy as sp
+
+from symsimpson.codegen.emit import WIDTH, _loads
+from symsimpson.codegen.ir import Load, Row
+
+
+def load(name, block, index):
+    return Load(sp.Symbol(name), Row(block, index))
+
+
+def test_loads_of_one_block_share_lines():
+    loads = [load(f"x{k}", "POSITION", k) for k in range(4)]
+    loads += [load("p", "MOMENTUM", 0), load("far", "POSITION", 9)]
+    assert list(_loads(loads, 1)) == [
+        "    x0, x1, x2 = W[POSITION, lane], W[POSITION + 1, lane], W[POSITION + 2, lane]",
+        "    x3 = W[POSITION + 3, lane]",
+        "    p = W[MOMENTUM, lane]",
+        "    far = W[POSITION + 9, lane]",
+    ]
+
+
+def test_long_names_stand_alone():
+    loads = [load(f"a_long_name_of_a_coordinate_{k}", "NODE_POSITION", k) for k in range(4)]
+    lines = list(_loads(loads, 2))
+    assert len(lines) == 4
+    assert max(map(len, lines)) <= WIDTH
