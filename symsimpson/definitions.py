@@ -10,13 +10,13 @@ from types import MappingProxyType
 __all__ = ["definitions", "redefined", "syntax"]
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=1)  # trees are large, and asked for by one reader after the other
 def syntax(text: str) -> ast.Module:
     """Return the syntax tree of a text, which is not to be changed."""
     return ast.parse(text)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=64)  # each ensemble and each search for events asks again
 def definitions(text: str) -> Mapping[str, tuple[int, int]]:
     """Return the first line, and the line behind the last, of each constant and function.
 

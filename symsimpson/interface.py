@@ -11,7 +11,7 @@ INTERFACE = 8
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.
 SIGNATURE = "void(float64, float64, CPointer(float64))"
-KERNEL_OPTIONS = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
+OPTIONS = '{"fastmath": {"contract", "nsz"}, "error_model": "numpy"}'
 
 #: Blocks of the workspace in their order, and what stands there. Sizes are squared norms with the
 #: diagonal of M(q0) as weights.
@@ -90,7 +90,7 @@ TOLD = (
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
     PARAMETER, MASS_PIVOT, ROWS,
-) = range(23)  # fmt: skip
+) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)

@@ -29,7 +29,7 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.interface import INTERFACE, SIGNATURE
+from symsimpson.interface import INTERFACE, OPTIONS, SIGNATURE
 from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.schemes.scheme import Scheme
 
@@ -153,7 +153,7 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
             *lines,
             f'SIGNATURE = "{SIGNATURE}"',
             '# contract and nsz keep NaN checks and compensated sums; "fast" would delete both',
-            'OPTIONS = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}',
+            f"OPTIONS = {OPTIONS}",
             "",
         ]
     )

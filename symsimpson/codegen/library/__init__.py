@@ -7,17 +7,17 @@ package itself.
 
 from __future__ import annotations
 
-import ast
 from functools import cache
 from importlib import resources
+
+from symsimpson.definitions import definitions
 
 __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
 FILES = (
     "sincos", "path", "clear", "assemble", "solve", "mass", "close", "explicit_steps", "checks",
-    "stage_iteration",
-    "collocation",
+    "stage_iteration", "collocation",
 )  # fmt: skip
 
 
@@ -28,8 +28,6 @@ def library_sources() -> dict[str, str]:
     for file in FILES:
         text = resources.files(__name__).joinpath(f"{file}.py").read_text("utf-8")
         lines = text.splitlines()
-        for node in ast.parse(text).body:
-            if isinstance(node, ast.FunctionDef):
-                first = min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 1
-                found[node.name] = "\n".join(lines[first : node.end_lineno])
+        for name, (first, end) in definitions(text).items():
+            found[name] = "\n".join(lines[first:end])
     return found

@@ -9,7 +9,6 @@ from typing import Any
 from symsimpson.interface import (
     EXPLICIT,
     KERNEL_SETS,
-    MEASURE,
     NEWTON,
     NEWTON_AFTER_STAGES,
     PIVOTED,
@@ -58,15 +57,13 @@ class KernelSets(ABC):
         else:
             mode = NEWTON_AFTER_STAGES if self.by_stages else NEWTON
         robust = name == "robust"
-        names = list(KERNEL_SETS[mode])
+        *names, energy = KERNEL_SETS[mode]
         if robust and self.header.unrolled:
             names[names.index("newton")] = PIVOTED
+        kernels = self.compiled(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
-        own = [*names[: MEASURE - 1], ""] if names[MEASURE - 1] else names
-        kernels = self.compiled(name, own, any_angle=robust)
-        if names[MEASURE - 1]:
-            kernels[MEASURE - 1] = self.address(names[MEASURE - 1], any_angle=robust)
-        return self.joined(mode, kernels)
+        measure = self.address(energy, any_angle=robust) if energy else 0
+        return self.joined(mode, [*kernels, measure])
 
     @property
     @abstractmethod

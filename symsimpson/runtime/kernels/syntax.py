@@ -13,7 +13,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from symsimpson.binding import MATH
+from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
+from symsimpson.interface import OPTIONS, SIGNATURE
 
 if TYPE_CHECKING:
     from symsimpson.runtime.loaded import Tools
@@ -29,10 +31,7 @@ BUILTINS = frozenset(
     ["abs", "enumerate", "float", "int", "len", "max", "min", "range", "sum", "tuple", "zip"]
 )
 #: What the compiler is told; another value might have Python run the kernels.
-SETTINGS = {
-    "SIGNATURE": "void(float64, float64, CPointer(float64))",
-    "OPTIONS": {"fastmath": {"contract", "nsz"}, "error_model": "numpy"},
-}
+SETTINGS = {"SIGNATURE": SIGNATURE, "OPTIONS": ast.literal_eval(OPTIONS)}
 NODES = (
     ast.Module, ast.ImportFrom, ast.alias, ast.FunctionDef, ast.arguments, ast.arg, ast.Return,
     ast.Assign, ast.AugAssign, ast.Expr, ast.For, ast.While, ast.If, ast.IfExp, ast.Lambda,
@@ -76,7 +75,7 @@ def check_structure(text: str, where: str) -> None:
         With the line and what stands there.
     """
     try:
-        tree = ast.parse(text)
+        tree = syntax(text)
         found = next(_strange(tree), None)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise StaleKernelError(
