@@ -6,7 +6,7 @@ and nowhere else. This text is compiled in front of the driver's, so it imports 
 """
 
 #: Number of the agreement; modules with another number are refused.
-INTERFACE = 8
+INTERFACE = 9
 
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.
@@ -78,18 +78,18 @@ ADJACENT = (
 )
 
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
-#: increments, and the number of coordinates.
+#: unknowns, the number of coordinates, and how many of the unknowns are measured.
 TOLD = (
     "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
     "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
     "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
-    "PARAMETER", "MASS_PIVOT", "ROWS",
+    "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED",
 )  # fmt: skip
 (
     ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
-    PARAMETER, MASS_PIVOT, ROWS,
+    PARAMETER, MASS_PIVOT, ROWS, MEASURED,
 ) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE

@@ -8,10 +8,13 @@ from workspace import sweep
 
 ROOT = Path(__file__).parents[1]
 PAGES = ["README.md", "notebooks/README.md", "notebooks/coming_from.md",
-         "symsimpson/ARCHITECTURE.md", "symsimpson/CHANGES.md"]  # fmt: skip
+         "symsimpson/ARCHITECTURE.md", "symsimpson/CHANGES.md",
+         "symsimpson/codegen/PARTS.md"]  # fmt: skip
 
 
-@pytest.mark.parametrize("page", sweep(["notebooks/coming_from.md", "README.md"]))
+@pytest.mark.parametrize(
+    "page", ["symsimpson/codegen/PARTS.md", *sweep(["notebooks/coming_from.md", "README.md"])]
+)
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

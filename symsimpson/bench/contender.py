@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.bench.problem import Problem
 
-__all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "numbers_of_steps"]
+__all__ = ["COARSE", "TOLERANCES", "Contender", "Outcome", "Runnable", "numbers_of_steps"]
 
 Floats = NDArray[np.float64]
+#: What a contender makes of a choice.
+Made = TypeVar("Made")
 
 #: Tolerances from coarse to fine.
 TOLERANCES = tuple(10.0 ** (-k / 2) for k in range(2, 31))
@@ -33,8 +35,8 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Contender:
-    """A program that solves a problem.
+class Contender(Generic[Made]):
+    """A program that solves a problem to an accuracy that can be chosen.
 
     Attributes
     ----------
@@ -42,13 +44,17 @@ class Contender:
     choices : sequence of float
         From coarse to fine; ``what`` says of what.
     make : callable
-        Gives for a choice a function without arguments that runs, and one that reads its outcome.
+        Gives for a choice what runs it.
     """
 
     name: str
     what: str
     choices: Sequence[float]
-    make: Callable[[float], tuple[Callable[[], Any], Callable[[Any], Outcome]]]
+    make: Callable[[float], Made]
+
+
+#: A function without arguments that runs, and one that reads the outcome of what it returns.
+Runnable = tuple[Callable[[], Any], Callable[[Any], Outcome]]
 
 
 def numbers_of_steps(problem: Problem) -> list[int]:

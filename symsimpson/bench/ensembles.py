@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import symsimpson as ss
+from symsimpson.bench.contender import Contender
 from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
 from symsimpson.reference import canonical
@@ -32,24 +33,6 @@ TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(8, 61))
 
 Floats = NDArray[np.float64]
 Run = Callable[[], Floats]
-
-
-@dataclass(frozen=True)
-class Contender:
-    """Something that integrates all members to an accuracy that can be chosen.
-
-    Attributes
-    ----------
-    name : str
-    choices : tuple
-        From the coarsest to the finest.
-    make : callable
-        Gives, for a choice, a function that runs and returns the angles at the end.
-    """
-
-    name: str
-    choices: tuple[Any, ...]
-    make: Callable[[Any], Run]
 
 
 def report() -> Iterator[str]:
@@ -76,7 +59,7 @@ def report() -> Iterator[str]:
     ratio = medians["(1, 1)"] / medians[f"({wide}, 1)"]
     yield f"  {wide} lanes give {ratio:.1f} times the throughput of one"
 
-    contenders = [Contender(name, STEPS, partial(ours, name)) for name in SCHEMES]
+    contenders = [Contender(name, "steps", STEPS, partial(ours, name)) for name in SCHEMES]
     peers = list(_heyoka(angles, threads))
     if not peers:
         yield "heyoka is not installed: pip install 'symsimpson[bench]' for the comparison"
@@ -104,7 +87,7 @@ def _rate(seconds: float) -> str:
     return f"{MEMBERS / seconds:>8,.0f} trajectories/s"
 
 
-def _coarsest(one: Contender, truth: Floats, level: float) -> tuple[Any, float, Run]:
+def _coarsest(one: Contender[Run], truth: Floats, level: float) -> tuple[Any, float, Run]:
     """Find the coarsest choice that reaches an error, by bisection."""
     low, high = 0, len(one.choices) - 1
     while low < high:
@@ -126,7 +109,7 @@ def _medians(jobs: dict[str, Run]) -> dict[str, float]:
     return {name: statistics.median(values[1:]) for name, values in times.items()}
 
 
-def _heyoka(angles: Floats, threads: int) -> list[Contender]:
+def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
     try:
         import heyoka as hy
     except ImportError:
@@ -179,6 +162,8 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender]:
         return run
 
     return [
-        Contender(f"heyoka, {lanes} lanes, {threads} threads by hand", TOLERANCES, by_hand),
-        Contender("heyoka, ensemble_propagate_until_batch", TOLERANCES, ensemble),
+        Contender(
+            f"heyoka, {lanes} lanes, {threads} threads by hand", "tolerance", TOLERANCES, by_hand
+        ),
+        Contender("heyoka, ensemble_propagate_until_batch", "tolerance", TOLERANCES, ensemble),
     ]

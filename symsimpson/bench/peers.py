@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.api import compile as compile_system
-from symsimpson.bench.contender import Contender, Outcome, numbers_of_steps
+from symsimpson.bench.contender import Contender, Outcome, Runnable, numbers_of_steps
 from symsimpson.bench.problem import Problem
 from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
@@ -17,7 +17,7 @@ from symsimpson.schemes.scheme import Scheme
 __all__ = ["ours", "peers"]
 
 
-def ours(problem: Problem, scheme: str | Scheme) -> Contender:
+def ours(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
     """Return one of our schemes; it counts Newton iterations."""
     stepper = compile_system(problem.system, scheme)
 
@@ -41,7 +41,9 @@ def ours(problem: Problem, scheme: str | Scheme) -> Contender:
     return Contender(stepper.scheme, "steps", numbers_of_steps(problem), make)
 
 
-def peers(problem: Problem, names: str | Sequence[str] = "installed") -> Iterator[Contender]:
+def peers(
+    problem: Problem, names: str | Sequence[str] = "installed"
+) -> Iterator[Contender[Runnable]]:
     """Return the other programs: those named, or all that are installed.
 
     Raises

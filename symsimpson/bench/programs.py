@@ -16,7 +16,14 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.api import compile as compile_system
-from symsimpson.bench.contender import COARSE, TOLERANCES, Contender, Outcome, numbers_of_steps
+from symsimpson.bench.contender import (
+    COARSE,
+    TOLERANCES,
+    Contender,
+    Outcome,
+    Runnable,
+    numbers_of_steps,
+)
 from symsimpson.bench.explicit import make_dop853
 from symsimpson.bench.problem import Problem
 from symsimpson.reference import FirstOrder
@@ -30,7 +37,7 @@ Floats = NDArray[np.float64]
 MOST_STEPS = 200_000
 
 
-def _runge_kutta(problem: Problem) -> Iterator[Contender]:
+def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
     """Explicit methods of our own, compiled with the right-hand side."""
     rates = compiled_rates(problem.canonical)
     parameters = np.array(problem.canonical.values(None), dtype=np.float64)
@@ -61,7 +68,7 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender]:
     yield Contender("dop853", "tolerance", TOLERANCES, making(adaptive))
 
 
-def _scipy(problem: Problem) -> Iterator[Contender]:
+def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
     """SciPy's solvers with a compiled right-hand side."""
     from scipy.integrate import solve_ivp
 
@@ -95,7 +102,7 @@ def _scipy(problem: Problem) -> Iterator[Contender]:
         yield Contender(f"scipy {method}", "tolerance", choices, make)
 
 
-def _heyoka(problem: Problem) -> Iterator[Contender]:
+def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
     """The Taylor method of heyoka, in both forms of the equations and both modes of compilation."""
     import heyoka as hy
 
@@ -165,7 +172,7 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
     return list(zip(variables, rates, strict=True))
 
 
-def _numbalsoda(problem: Problem) -> Iterator[Contender]:
+def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
     """The compiled LSODA and DOP853 of numbalsoda, with a compiled right-hand side."""
     import numbalsoda
     from numba import carray, cfunc  # type: ignore[attr-defined]
@@ -200,7 +207,7 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender]:
         yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
 
 
-def _diffrax(problem: Problem) -> Iterator[Contender]:
+def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
     """The explicit method of order eight of diffrax, compiled once for all tolerances."""
     import diffrax
     import jax
@@ -240,7 +247,7 @@ def _diffrax(problem: Problem) -> Iterator[Contender]:
 
 
 #: Other programs by name.
-PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender]]] = {
+PROGRAMS: dict[str, Callable[[Problem], Iterator[Contender[Runnable]]]] = {
     "runge-kutta": _runge_kutta,
     "scipy": _scipy,
     "heyoka": _heyoka,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from symsimpson.bench.contender import Contender
+from symsimpson.bench.contender import Contender, Runnable
 from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
@@ -35,7 +35,7 @@ FLOOR = 3e-14
 
 @dataclass
 class _Entry:
-    contender: Contender
+    contender: Contender[Runnable]
     choice: float
     run: Any
     error: float
@@ -128,11 +128,11 @@ def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
         raise InputError(f"t_end is {t_end!r} and repeats is {repeats!r}.\nBoth must be positive.")
 
 
-def _peers(problem: Problem, names: str | Sequence[str]) -> Iterable[Contender]:
+def _peers(problem: Problem, names: str | Sequence[str]) -> Iterable[Contender[Runnable]]:
     return peers(problem, names)
 
 
-def _once(contender: Contender, choice: float, problem: Problem) -> _Entry | None:
+def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _Entry | None:
     """Run a choice once or twice; None if it failed or took too long."""
     run, read = contender.make(choice)
     try:
@@ -148,7 +148,7 @@ def _once(contender: Contender, choice: float, problem: Problem) -> _Entry | Non
     return _Entry(contender, choice, run, error, outcome.evaluations, number, [spent])
 
 
-def _sweep(contender: Contender, problem: Problem, finest: float) -> list[_Entry]:
+def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:
     """Run choices from coarse to fine until the error is small enough or falls no longer."""
     found: list[_Entry] = []
     slow = place = 0

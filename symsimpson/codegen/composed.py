@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import Explicit, constant_mass_velocity
+from symsimpson.codegen.coupled import Closing, Explicit, constant_mass_velocity, end_point
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -27,7 +27,6 @@ class ComposedSolver(Explicit):
         self._kicks = self._shares("KICKS", part.kicks)
         self._drifts = self._shares("DRIFTS", part.drifts)
         self._forced = [a for a in part.coordinates if a in low.template.forced]
-        self._impulse: dict[int, sp.Expr] = {}
 
     def _shares(self, table: str, values: Sequence[sp.Expr]) -> list[sp.Expr]:
         """Return h times the entries of a table of the module, equal ones by the same name."""
@@ -35,11 +34,11 @@ class ComposedSolver(Explicit):
         graph = self._low.graph
         return [self._low.equations.h * graph.declare(name, Level.RUN) for name in first]
 
-    def increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0, after all kicks but the last."""
+    def close(self) -> Closing:
+        """Return q1 - q0, and p1 - p0 with the force at q1 as the last kick."""
         low, names, define = self._low, self._low.names.coordinates, self._low.graph.define
         moved: dict[int, sp.Expr] = {a: low.q_low[a] for a in self.coordinates}
-        self._impulse = {a: low.p_low[a] for a in self._forced}
+        impulse: dict[int, sp.Expr] = {a: low.p_low[a] for a in self._forced}
         point = low.start_point()
         for k, (kick, drift) in enumerate(zip(self._kicks[:-1], self._drifts, strict=True)):
             section = f"kick and drift {k}"
@@ -48,24 +47,24 @@ class ComposedSolver(Explicit):
                 for a in self.coordinates:
                     q[a] = define(f"{names[a]}_{k}", low.q[a] + moved[a], section)
                 point = Point(str(k), tuple(q))
-            self._kick(kick, point, section, f"dp_{{}}_{k + 1}")
-            momentum = [low.p[a] + self._impulse.get(a, low.p_low[a]) for a in self.coordinates]
+            impulse = self._kicked(impulse, kick, point, section, f"dp_{{}}_{k + 1}")
+            momentum = [low.p[a] + impulse.get(a, low.p_low[a]) for a in self.coordinates]
             velocity = constant_mass_velocity(low, self.coordinates, momentum, "v", section)
             for a, v in zip(self.coordinates, velocity, strict=True):
                 value = moved[a] + drift * v
                 moved[a] = define(f"dq_{names[a]}_{k + 1}", value, section)
-        # which the sum that closes the step adds anew
-        return {a: value - low.q_low[a] for a, value in moved.items()}
+        # the low parts, which the sums that close the step add anew
+        dq = {a: value - low.q_low[a] for a, value in moved.items()}
+        end = end_point(low, dq)
+        impulse = self._kicked(impulse, self._kicks[-1], end, "last kick", "dp_{}_end")
+        return Closing(dq, {a: value - low.p_low[a] for a, value in impulse.items()})
 
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0, the last kick included."""
-        self._kick(self._kicks[-1], end, "last kick", "dp_{}_end")
-        return {a: value - self._low.p_low[a] for a, value in self._impulse.items()}
-
-    def _kick(self, share: sp.Expr, point: Point, section: str, hint: str) -> None:
-        low = self._low
+    def _kicked(
+        self, impulse: Mapping[int, sp.Expr], share: sp.Expr, point: Point, section: str, hint: str
+    ) -> dict[int, sp.Expr]:
+        """Return impulses with that of the forces at a point added."""
+        low, added = self._low, {}
         for a in self._forced:
-            force = low.template.entry(point, section, "F", a)
-            value = self._impulse[a] + share * force
-            name = hint.format(low.names.coordinates[a])
-            self._impulse[a] = low.graph.define(name, value, section)
+            value = impulse[a] + share * low.template.entry(point, section, "F", a)
+            added[a] = low.graph.define(hint.format(low.names.coordinates[a]), value, section)
+        return added

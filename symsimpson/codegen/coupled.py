@@ -2,25 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import sympy as sp
 
-from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend, unit_row, weighted_residual
 from symsimpson.discrete.reductions import Coupled
 
-__all__ = ["CoupledSolver", "Explicit", "Solver", "constant_mass_velocity", "node_point"]
+__all__ = [
+    "Closing",
+    "CoupledSolver",
+    "Explicit",
+    "Increment",
+    "Solver",
+    "constant_mass_velocity",
+    "correction_names",
+    "end_point",
+    "end_slope",
+    "impulses",
+    "node_point",
+]
 
 #: Stands where a point must not be asked for a coordinate of another part.
 NOTHING = sp.Symbol("nothing", real=True)
 
 
+#: Control point and coordinate of an increment.
+Increment = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Closing:
+    """What a part's solution says about the end of its step.
+
+    Attributes
+    ----------
+    dq : mapping
+        q1 - q0 of each coordinate, cyclic ones among them.
+    dp : mapping
+        p1 - p0 where it is not zero.
+    checks : mapping
+        Sizes by which a solution is accepted or not, by the block that holds the sum over parts.
+    """
+
+    dq: Mapping[int, sp.Expr]
+    dp: Mapping[int, sp.Expr]
+    checks: Mapping[str, sp.Expr] = field(default_factory=dict)
+
+
 class Solver(Protocol):
-    """What a part contributes to the kernels of a step."""
+    """A part's share of a step: how its increments are improved, and what they come to."""
 
     @property
     def coordinates(self) -> Sequence[int]:
@@ -28,49 +64,50 @@ class Solver(Protocol):
         ...
 
     @property
-    def unknowns(self) -> Sequence[tuple[int, int]]:
-        """Control point and coordinate of each Newton unknown."""
+    def cyclic(self) -> Sequence[int]:
+        """Cyclic coordinates, whose increments follow from those of the others."""
         ...
 
     @property
-    def carried(self) -> Sequence[tuple[int, int]]:
-        """The same of increments that follow from them in each iteration."""
+    def increments(self) -> Sequence[Increment]:
+        """The increments that an iteration changes; none if the step is explicit."""
         ...
 
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Return right-hand side and matrix of a Newton iteration."""
+    def corrections(self) -> Mapping[Increment, sp.Expr]:
+        """Return what one Newton iteration adds to each of these increments."""
         ...
 
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Return the new values of what is carried, from the changes of the unknowns."""
-        ...
-
-    def increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0 at the solution."""
-        ...
-
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0 at the solution, where it is not zero; ``end`` is q1."""
+    def close(self) -> Closing:
+        """Return the end of the step, from increments that solve it."""
         ...
 
 
 class Explicit:
     """What parts have in common whose steps need no equations to be solved."""
 
-    unknowns: tuple[tuple[int, int], ...] = ()
-    carried: tuple[tuple[int, int], ...] = ()
+    cyclic: tuple[int, ...] = ()
+    increments: tuple[Increment, ...] = ()
 
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Return nothing to solve."""
-        return [], []
-
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Return nothing: no increment is left over."""
+    def corrections(self) -> Mapping[Increment, sp.Expr]:
+        """Return nothing to correct."""
         return {}
+
+
+def end_point(low: Lowering, dq: Mapping[int, sp.Expr]) -> Point:
+    """Return the point q1, where coordinates move by ``dq``; others must not be asked for."""
+    q = [low.moved_on(a, dq[a])[0] if a in dq else NOTHING for a in range(low.n)]
+    return Point("end", tuple(q))
+
+
+def end_slope(low: Lowering, a: int) -> sp.Expr:
+    """Return the velocity at the end of a coordinate's path, times h."""
+    slope = low.equations.scheme.end_slope
+    return sp.Add(*(c * X[a] for c, X in zip(slope, low.increments, strict=True)))
+
+
+def correction_names(low: Lowering, increments: Iterable[Increment]) -> list[str]:
+    """Return names for the corrections of increments."""
+    return [f"d_{low.names.coordinates[a]}_X{m}" for m, a in increments]
 
 
 def constant_mass_velocity(
@@ -120,30 +157,22 @@ def node_point(
 class CoupledSolver:
     """All increments are unknowns: D_k L_d = 0 for 0 < k < d and p0 + D_0 L_d = 0."""
 
-    carried: tuple[tuple[int, int], ...] = ()
+    cyclic: tuple[int, ...] = ()
 
     def __init__(self, low: Lowering, part: Coupled) -> None:
         self._low, self._part = low, part
         self.coordinates = part.coordinates
-        self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
+        self.increments = [(m, a) for m in part.columns for a in part.coordinates]
 
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Return right-hand side and matrix of a Newton iteration."""
+    def corrections(self) -> Mapping[Increment, sp.Expr]:
+        """Return what one Newton iteration adds to each increment."""
         low, part, eqs = self._low, self._part, self._low.equations
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
-        stages = range(eqs.scheme.stages)
-        points = [node_point(low, i, group, moving=True) for i in stages]
+        points = [node_point(low, i, group, moving=True) for i in range(eqs.scheme.stages)]
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
-        for i in stages:  # all entries of a node together, for the reader
-            for a in group:
-                entry(i, "P", a)
-                entry(i, "F", a)
-                for b in group:
-                    for what in ("F_q", "F_v", "P_q"):
-                        entry(i, what, a, b)
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, group)
         matrix = [
@@ -153,36 +182,31 @@ class CoupledSolver:
                     eqs.second_derivative(k, a, m, b, entry),
                     "Jacobian D_m D_k L_d",
                 )
-                for m, b in self.unknowns
+                for m, b in self.increments
             ]
             for k in part.rows
             for a in group
         ]
-        return right, matrix
+        hints = correction_names(low, self.increments)
+        found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+        return dict(zip(self.increments, found, strict=True))
 
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Return nothing: every increment is an unknown."""
-        return {}
+    def close(self) -> Closing:
+        """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+        low = self._low
+        dq = {a: low.increments[-1][a] for a in self.coordinates}
+        return Closing(dq, impulses(low, self.coordinates, end_point(low, dq), moving=True))
 
-    def increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0 at the solution."""
-        return {a: self._low.increments[-1][a] for a in self.coordinates}
 
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
-        low, eqs = self._low, self._low.equations
-        points = [
-            node_point(low, i, self.coordinates, moving=True, end=end)
-            for i in range(eqs.scheme.stages)
-        ]
-
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
-            return low.template.entry(points[i], f"node {i}", what, *index)
-
-        for i in range(eqs.scheme.stages):
-            for a in self.coordinates:
-                entry(i, "F", a)
-        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
-        return {a: weighted.impulse(a) for a in self.coordinates}
+def impulses(
+    low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool
+) -> Mapping[int, sp.Expr]:
+    """Return h sum_i b_i L_q at the nodes of the path that ends at ``end``."""
+    points = [
+        node_point(low, i, coordinates, moving=moving, end=end)
+        for i in range(low.equations.scheme.stages)
+    ]
+    weighted = WeightedRows(
+        low, lambda i, a: low.template.entry(points[i], f"node {i}", "F", a)
+    )  # fmt: skip
+    return {a: weighted.impulse(a) for a in coordinates}

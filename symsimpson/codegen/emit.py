@@ -183,7 +183,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"# the scheme: {scheme.legend}",
         f"DIMENSION = {n}",
         f"DEGREE = {d}",
-        f"UNKNOWNS = {d * n}",
+        f"UNKNOWNS = {equations.unknowns.size}",
         f"NEWTON_UNKNOWNS = {module.newton_unknowns}",
         f"NODES = {scheme.stages}",
         f"ROW_ORDER = {_literal(equations.rows)}",

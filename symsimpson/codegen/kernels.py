@@ -13,14 +13,23 @@ from symsimpson.codegen.looped import (
     energy_kernel,
     equations_kernel,
     looped_kernels,
+    pivoted_kernel,
+    solve_constants,
     solve_tables,
 )
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.template import Point
+from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import family_functions, unrolled_functions
-from symsimpson.codegen.unrolled import STATE, lanes, unrolled_kernels, velocity
+from symsimpson.codegen.unrolled import (
+    STATE,
+    increments,
+    lanes,
+    part_solvers,
+    unrolled_kernels,
+    velocity,
+)
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import families, neighbours, ordering
 from symsimpson.discrete.reductions import Composed, Linear, Part, Routh, Separable
@@ -80,16 +89,19 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
-    if equations.rows:
-        kernels.append(equations_kernel(storage, degree))
     unknowns = sum(part_unknowns(part) for part in equations.parts)
-    tables = {
-        **storage.node_constants(),
-        **storage.constants("EQUATION", degree),
-        **{f"SOLVE_{name}": value for name, value in (
-            ("STRIDE", unknowns), ("OFFSET", 0), ("LOWER", unknowns), ("UPPER", unknowns))},
-    }  # fmt: skip
-    functions = unrolled_functions(low, ("jet",)) if equations.rows else []
+    functions: list[Function] = []
+    tables: dict[str, object] = {}
+    if equations.rows:
+        functions = unrolled_functions(low, ("jet",))
+        kernels.append(equations_kernel(storage, degree))
+        tables = storage.node_constants() | storage.constants("EQUATION", degree)
+    if unknowns:
+        solved = {a for _, a in increments(part_solvers(low))}
+        following = tuple(int(a not in solved) for a in range(low.n))
+        kernels.append(pivoted_kernel(storage, degree, following=any(following)))
+        tables |= solve_constants(storage, equations.columns)
+        tables |= {"FOLLOWING": following} if any(following) else {}
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
 
 
@@ -131,8 +143,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         blocks = len(part.columns)
         own_tables |= {
             **storage.constants("EQUATION", degree),
-            **storage.constants("SOLVE", blocks),
-            **storage.bounds("SOLVE", blocks),
+            **solve_constants(storage, part.columns),
             **solve_tables(part, equations.scheme),
         }
     tables = own_tables | tables
@@ -175,8 +186,7 @@ def _module(
         "COEFFICIENT": len(low.coefficients),
         **stage_sizes,
     }
-    degree = low.equations.scheme.degree
-    first, rows = layout(storage, degree, sizes, constant_mass=constant_mass)
+    first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)
     return Module(
         low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
         unknowns, tables,
@@ -196,8 +206,6 @@ def _size(part: Part) -> int:
 
 def part_unknowns(part: Part) -> int:
     """Count the unknowns that a part solves for together."""
-    if isinstance(part, (Linear, Composed)):
-        return 0
     return len(part.coordinates) * len(part.columns)
 
 
@@ -220,26 +228,26 @@ def _energy(low: Lowering) -> Kernel:
 
 
 def _invariants(low: Lowering) -> Kernel:
-    """The quantities to watch."""
-    point, section = low.start_point(), "invariants"
-    v, _ = velocity(low, point, low.p, "velocity")
-    point = Point(point.suffix + "_state", point.q, tuple(v))
-    stores = [
-        Store(Row("INVARIANT", i), low.template.entry(point, section, "invariant", name))
-        for i, name in enumerate(low.equations.plain.invariants)
-    ]
-    doc = "Quantities that the exact flow conserves, at (q, p)."
-    return Kernel("invariants", doc, lanes(low.statements(stores, STATE)))
+    """The quantities to watch, of a system that is written out."""
+    start, section = low.start_point(), "velocity"
+    v, _ = velocity(low, start, low.p, section)
+    return _watching(low, low.template, Point(f"{start.suffix}_state", start.q, tuple(v)))
 
 
 def _watched(low: Lowering) -> Kernel:
-    """The quantities to watch of a large system."""
-    point = Point("state", low.q, low.v)
+    """The quantities to watch, where loops solve for the velocities."""
+    names = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass")
+    before = tuple(Call(name, ("W", "lane")) for name in names)
+    return _watching(low, low.watched, Point("state", low.q, low.v), before)
+
+
+def _watching(
+    low: Lowering, template: JetTemplate, point: Point, before: tuple[Call, ...] = ()
+) -> Kernel:
+    section = "invariants"
     stores = [
-        Store(Row("INVARIANT", i), low.watched.entry(point, "invariants", "invariant", name))
+        Store(Row("INVARIANT", i), template.entry(point, section, "invariant", name))
         for i, name in enumerate(low.equations.plain.invariants)
     ]
-    names = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass")
-    body: list[Statement] = [Call(name, ("W", "lane")) for name in names]
     doc = "Quantities that the exact flow conserves, at (q, p)."
-    return Kernel("invariants", doc, lanes((*body, *low.statements(stores, STATE))))
+    return Kernel("invariants", doc, lanes((*before, *low.statements(stores, STATE))))

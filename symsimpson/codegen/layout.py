@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from symsimpson.codegen.storage import Storage
+from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.interface import BLOCKS
 
 __all__ = ["layout"]
 
 
 def layout(
-    storage: Storage, degree: int, sizes: Mapping[str, int], *, constant_mass: bool
+    storage: Storage, unknowns: Unknowns, sizes: Mapping[str, int], *, constant_mass: bool
 ) -> tuple[dict[str, int], int]:
     """Return the first row of each block, and the number of rows.
 
@@ -23,22 +24,21 @@ def layout(
     the next step is predicted.
     """
     n = storage.n
-    unknowns = degree * n
     every = {
         **dict.fromkeys(BLOCKS, 1),
         **dict.fromkeys(("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW"), n),
-        "INCREMENT": unknowns,
-        "PREDICTED": unknowns,
-        "PREVIOUS": 4 * n + unknowns,
-        "SOLVED": unknowns,
+        "INCREMENT": unknowns.size,
+        "PREDICTED": unknowns.size,
+        "PREVIOUS": 4 * n + unknowns.size,
+        "SOLVED": unknowns.size,
         "VELOCITY": n,
         **dict.fromkeys(
             ("NODE_POSITION", "NODE_VELOCITY", "NODE_L_Q", "NODE_L_V", "MASS_DIAGONAL"), n
         ),
         **dict.fromkeys(("NODE_L_QQ", "NODE_L_QV", "NODE_L_VV"), storage.node_size),
         "MASS": storage.node_size if constant_mass else 0,
-        "RESIDUAL": unknowns,
-        "JACOBIAN": storage.size(degree),
+        "RESIDUAL": unknowns.size,
+        "JACOBIAN": storage.size(unknowns.control_points),
         **sizes,
     }
     first: dict[str, int] = {}

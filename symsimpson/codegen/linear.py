@@ -7,10 +7,9 @@ from fractions import Fraction
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import Explicit
+from symsimpson.codegen.coupled import Closing, Explicit, end_point
 from symsimpson.codegen.linear_solve import solve_symmetric
 from symsimpson.codegen.lower import Lowering
-from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Linear
 from symsimpson.errors import GenerationError
 from symsimpson.graph.derive import Derivatives
@@ -46,33 +45,28 @@ class LinearSolver(Explicit):
         self._f = {
             a: sp.Add(-next(constants), *(self._K[a, b] * at for b in group)) for a in group
         }  # fmt: skip
-        self._impulse: Vector = {}
 
-    def increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0 after all shears but the last."""
+    def close(self) -> Closing:
+        """Return q1 - q0, after all shears but the last, and p1 - p0 with the last, at q1."""
         low = self._low
         q: Vector = {a: low.q[a] for a in self.coordinates}
         moved: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
-        self._impulse = dict.fromkeys(self.coordinates, sp.S.Zero)
+        impulse: Vector = dict.fromkeys(self.coordinates, sp.S.Zero)
         p: Vector = {a: low.p[a] for a in self.coordinates}
         for number, (is_kick, coefficients) in enumerate(self._shears[:-1]):
             if is_kick:
                 change = self._kick(number, coefficients, q)
-                self._add(self._impulse, change, f"kick_{number}")
-                p = self._moved(low.p, low.p_low, self._impulse, f"p_{number}")
+                self._add(impulse, change, f"kick_{number}")
+                p = self._moved(low.p, low.p_low, impulse, f"p_{number}")
             else:
                 change = self._drift(number, coefficients, p)
                 self._add(moved, change, f"drift_{number}")
                 q = self._moved(low.q, low.q_low, moved, f"q_{number}")
-        return moved
-
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0: the kicks before, and the last at q1."""
-        q = {a: end.q[a] for a in self.coordinates}
-        number = len(self._shears) - 1
-        last = self._kick(0, self._shears[-1][1], q)  # products of shears are symmetric
-        self._add(self._impulse, last, f"kick_{number}")
-        return self._impulse
+        end = end_point(low, moved)
+        # products of shears are symmetric: the last kick is the first one
+        last = self._kick(0, self._shears[-1][1], {a: end.q[a] for a in self.coordinates})
+        self._add(impulse, last, f"kick_{len(self._shears) - 1}")
+        return Closing(moved, impulse)
 
     def _add(self, total: Vector, change: Vector, hint: str) -> None:
         for a in self.coordinates:

@@ -7,7 +7,8 @@ import sympy as sp
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import ACCEPTANCE, CONVERGENCE, lanes
-from symsimpson.discrete.reductions import Coupled, Separable
+from symsimpson.discrete.reductions import Coupled, Separable, force_factor, inertia_factor
+from symsimpson.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = [
@@ -15,6 +16,8 @@ __all__ = [
     "energy_kernel",
     "equations_kernel",
     "looped_kernels",
+    "pivoted_kernel",
+    "solve_constants",
     "solve_tables",
 ]
 
@@ -42,6 +45,20 @@ def _all_rows(storage: Storage, degree: int) -> tuple[Statement, ...]:
         _call("clear_matrix", "W", "lane", str(storage.size(degree))),
         _nodes("range(NODES)", _call("jet"), _call("assemble", *_NODE)),
     )
+
+
+def pivoted_kernel(storage: Storage, degree: int, *, following: bool) -> Kernel:
+    """Return Newton's iteration for all equations, where the fixed order of elimination fails.
+
+    Coordinates whose increments are ``following`` from those of the others are solved for first:
+    what is left is the iteration of the reduced equations.
+    """
+    rows = _all_rows(storage, degree)
+    first = (*rows, _call("solve_following"), *rows) if following else rows
+    leave = (_call("clear_following"),) if following else ()
+    body = (*first, _call("solve_pivoted"), *leave, _call("update_increments"), CONVERGENCE)
+    doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
+    return Kernel(PIVOTED, doc, lanes((When(body),)))
 
 
 def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> list[Kernel]:
@@ -142,24 +159,28 @@ def energy_kernel() -> Kernel:
     return Kernel("energy", doc, lanes(_call(name) for name in body))
 
 
+def solve_constants(storage: Storage, columns: tuple[int, ...]) -> dict[str, object]:
+    """Return what elimination must know of the unknowns that it finds: these control points."""
+    blocks = len(columns)
+    return {
+        "BLOCKS": blocks,
+        "SOLVE_COLUMNS": columns,
+        "SOLVE_UNKNOWNS": blocks * storage.n,
+        **storage.constants("SOLVE", blocks),
+        **storage.bounds("SOLVE", blocks),
+    }
+
+
 def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]:
     """Return the tables by which the loops combine nodes and control points."""
-    tables: dict[str, object] = {"BLOCKS": len(part.columns), "SOLVE_COLUMNS": part.columns}
     if isinstance(part, Coupled):
-        return tables
-    b, A, S, d = scheme.quadrature.weights, scheme.A, scheme.stiffness, scheme.degree
-    nodes = range(scheme.stages)
-
-    def force(test: tuple[sp.Expr, ...], i: int) -> sp.Expr:
-        return sp.radsimp(b[i] * sp.Add(*(c * x for c, x in zip(test, A[i], strict=True))))
-
-    def inertia(test: tuple[sp.Expr, ...], m: int) -> sp.Expr:
-        return sp.radsimp(sp.expand(sp.Add(*(c * S[k][m] for k, c in enumerate(test)))))
-
-    tables |= {
+        return {}
+    S, d, nodes = scheme.stiffness, scheme.degree, range(scheme.stages)
+    forces = tuple(tuple(force_factor(test, scheme, i) for test in part.tests) for i in nodes)
+    tables: dict[str, object] = {
         "TEST_START": tuple(test[0] for test in part.tests),
         "TEST_STIFFNESS": tuple(
-            tuple(inertia(test, m) for m in part.columns) for test in part.tests
+            tuple(inertia_factor(test, scheme, m) for m in part.columns) for test in part.tests
         ),
         "TEST_ROWS": tuple(
             tuple(
@@ -168,16 +189,16 @@ def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]
             for test in part.tests
         ),
         "STIFFNESS": tuple(row[1:d] for row in S[1:d]) or ((sp.S.Zero,),),
-        "TEST_FORCE": tuple(tuple(force(test, i) for test in part.tests) for i in nodes),
-        "FORCE_NODES": tuple(i for i in nodes if any(force(test, i) != 0 for test in part.tests)),
+        "TEST_FORCE": forces,
+        "FORCE_NODES": tuple(i for i in nodes if any(factor != 0 for factor in forces[i])),
     }
     if part.last is not None:
-        test = tuple(sp.Integer(k == part.last) for k in range(d + 1))
+        test = part.last_test(d)
         scale = sp.radsimp(-1 / S[part.last][d]) if part.last else sp.S.One
         tables |= {
             "LAST_START": test[0],
             "LAST_SCALE": scale,
             "LAST": part.last,
-            "LAST_NODES": tuple(i for i in nodes if force(test, i) != 0),
+            "LAST_NODES": tuple(i for i in nodes if force_factor(test, scheme, i) != 0),
         }
     return tables

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
+from heapq import heappop, heappush
 
 import sympy as sp
 
@@ -45,7 +46,10 @@ class Lowering:
         self.v = self._base([f"v_{q}" for q in coordinates], "VELOCITY", Level.STEP)
         self.increments = [
             self._base(
-                [f"{q}_X{k}" for q in coordinates], "INCREMENT", Level.ITERATION, (k - 1) * self.n
+                [f"{q}_X{k}" for q in coordinates],
+                "INCREMENT",
+                Level.ITERATION,
+                equations.unknowns.place(k, 0),
             )
             for k in range(1, equations.scheme.degree + 1)
         ]
@@ -54,7 +58,7 @@ class Lowering:
                 [f"{q}_X{k}_predicted" for q in coordinates],
                 "PREDICTED",
                 Level.ITERATION,
-                (k - 1) * self.n,
+                equations.unknowns.place(k, 0),
             )
             for k in range(1, equations.scheme.degree + 1)
         ]
@@ -62,10 +66,6 @@ class Lowering:
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
         )
-        self.solution = self._base(
-            [f"solution_{u}" for u in range(equations.scheme.degree * self.n)], "RESIDUAL",
-            Level.ITERATION,
-        )  # fmt: skip
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
         self.parameters = dict(zip(equations.plain.parameters, own, strict=True))
@@ -121,15 +121,9 @@ class Lowering:
         stores = tuple(stores)
         levels = set(computed)
         needed = self._needed(stores, levels)
-        inputs = [s for s in self.rows if s in needed]
-        used = [s for s, d in self.graph.definitions.items() if s in needed]
-        for symbol in used:
-            if self.graph.definitions[symbol].level not in levels and symbol not in self.rows:
-                assert self.graph.levels[symbol] in (Level.RUN, Level.STEP)
-                self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
-                inputs.append(symbol)
+        inputs = [*(s for s in self.rows if s in needed), *self.keep(stores, levels)]
         defined = [
-            self.graph.definitions[s] for s in used if self.graph.definitions[s].level in levels
+            d for s, d in self.graph.definitions.items() if s in needed and d.level in levels
         ]
         reads = tuple(Load(s, self.rows.get(s) or self.hoisted[s]) for s in inputs)
         return (
@@ -137,6 +131,20 @@ class Lowering:
             *_sections(list(dict.fromkeys(defined)), title),
             *((Section("results", stores),) if stores else ()),
         )
+
+    def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[sp.Symbol]:
+        """Give rows to the values that stores need and that are known before these levels."""
+        levels = set(computed)
+        needed = self._needed(stores, levels)
+        kept = [
+            s
+            for s, definition in self.graph.definitions.items()
+            if s in needed and definition.level not in levels and s not in self.rows
+        ]
+        for symbol in kept:
+            assert self.graph.levels[symbol] in (Level.RUN, Level.STEP)
+            self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
+        return kept
 
     def _needed(self, stores: Iterable[Store], levels: set[Level]) -> set[sp.Symbol]:
         """Collect what stores need, through definitions of these levels."""
@@ -190,6 +198,10 @@ class Lowering:
             return pair[definition.targets.index(symbol)]
         return self.graph.define(f"{symbol.name}_next", value, "the next left node")
 
+    def moved_on(self, a: int, change: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+        """Add to a coordinate, and to what rounding took from it."""
+        return self.compensated(self.names.coordinates[a], self.q[a], self.q_low[a], change)
+
     def compensated(
         self, name: str, old: sp.Symbol, low: sp.Symbol, increment: sp.Expr
     ) -> tuple[sp.Expr, sp.Expr]:
@@ -211,10 +223,42 @@ class Lowering:
             yield self.active
 
 
+def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
+    """Order definitions so that those of a section stand together as far as they can.
+
+    Each stands behind what it is made of. Sections begin in the order of their first definitions.
+    """
+    maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
+    needs = [{maker[s] for s in d.value.free_symbols if s in maker} for d in definitions]
+    users: dict[int, list[int]] = {}
+    for n, made_of in enumerate(needs):
+        for m in made_of:
+            users.setdefault(m, []).append(n)
+    first: dict[str, int] = {}
+    for n, definition in enumerate(definitions):
+        first.setdefault(definition.section, n)
+    ready: dict[str, list[int]] = {section: [] for section in first}
+    for n, made_of in enumerate(needs):
+        if not made_of:
+            heappush(ready[definitions[n].section], n)
+    ordered: list[Definition] = []
+    section = next(iter(first), "")
+    while len(ordered) < len(definitions):
+        if not ready[section]:
+            section = min((s for s in ready if ready[s]), key=first.__getitem__)
+        n = heappop(ready[section])
+        ordered.append(definitions[n])
+        for user in users.get(n, ()):
+            needs[user].discard(n)
+            if not needs[user]:
+                heappush(ready[definitions[user].section], user)
+    return ordered
+
+
 def _sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:
     """Group consecutive definitions under their section's title, with its operation count."""
     groups: list[tuple[str, list[Definition]]] = []
-    for definition in definitions:
+    for definition in definitions if common else _by_section(definitions):
         title = common or definition.section
         if not groups or groups[-1][0] != title:
             groups.append((title, []))

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import NOTHING, node_point
+from symsimpson.codegen.coupled import (
+    NOTHING,
+    Closing,
+    Increment,
+    correction_names,
+    end_point,
+    end_slope,
+    node_point,
+)
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.linear_solve import solve_symmetric
+from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, weighted_residual
@@ -27,7 +35,8 @@ START, END = -2, -1
 class _Node:
     """A node with M_yy = L D L^T there: D (its diagonal), ``D_inverse``, L, and T = L^-1 L_o.
 
-    ``momentum`` is L^-1 (p - beta) with beta = M_yx v_x + a_y, and then L^-1 (L_vy - beta).
+    ``momentum`` is L^-1 (p - beta) with beta = M_yx v_x + a_y, and then L^-1 (L_vy - beta), which
+    is that and what the multipliers have ``added``.
     """
 
     number: int
@@ -36,28 +45,25 @@ class _Node:
     D_inverse: Vector
     L: list[Vector]
     T: list[Vector]
-    momentum: Vector
+    momentum: Vector = field(default_factory=list)
+    added: Vector = field(default_factory=list)
 
 
 class RouthSolver:
     """D_k L_d for the other coordinates, at the velocities that the cyclic momenta give."""
 
-    carried: tuple[tuple[int, int], ...] = ()
-
     def __init__(self, low: Lowering, part: Routh) -> None:
         self._low, self._part = low, part
-        self.coordinates = part.coordinates
-        self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
+        self.coordinates, self.cyclic = part.coordinates, part.cyclic
+        self.increments = [(m, a) for m in part.columns for a in part.coordinates]
         self._size = range(len(part.cyclic))
         self._weights = low.equations.scheme.quadrature.weights
         self._multipliers = [
             (r, c) for r in range(len(part.annihilator)) for c in self._size
         ]  # fmt: skip
-        self._nodes: list[_Node] = []
-        self._added: dict[int, Vector] = {}
 
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Return right-hand side and matrix of a Newton iteration."""
+    def corrections(self) -> Mapping[Increment, sp.Expr]:
+        """Return what one Newton iteration adds to each increment."""
         low, part, eqs = self._low, self._part, self._low.equations
         define, names = low.graph.define, low.names.coordinates
         nodes = self._solved_nodes(None)
@@ -66,13 +72,6 @@ class RouthSolver:
             point, section = nodes[i].point, f"node {i}, all velocities known"
             return low.template.entry(point, section, what, *index)
 
-        for i in range(len(nodes)):
-            for a in part.coordinates:
-                entry(i, "P", a)
-                entry(i, "F", a)
-                for b in part.coordinates:
-                    for what in ("F_q", "F_v", "P_q"):
-                        entry(i, what, a, b)
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, part.coordinates)
         tangent = _Tangent(self, nodes)
@@ -80,59 +79,48 @@ class RouthSolver:
         for k in part.rows:
             for a in part.coordinates:
                 row = []
-                for m, b in self.unknowns:
+                for m, b in self.increments:
                     fixed = eqs.second_derivative(k, a, m, b, entry)
                     name = f"J_{k}_{names[a]}_{m}_{names[b]}"
                     value = fixed + tangent.along((k, a), (m, b))
                     row.append(define(name, value, "Jacobian at constant momenta"))
                 matrix.append(row)
-        return right, matrix
+        hints = correction_names(low, self.increments)
+        found = solve_blocks(low.graph, matrix, right, len(part.coordinates), hints, "elimination")
+        return dict(zip(self.increments, found, strict=True))
 
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Return nothing: no increment is left over."""
-        return {}
-
-    def increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0 at the solution, without the cyclic ones."""
-        return {a: self._low.increments[-1][a] for a in self.coordinates}
-
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0; the cyclic momenta stay."""
-        low = self._low
-        self._nodes = self._solved_nodes(end)
+    def close(self) -> Closing:
+        """Return q1 - q0, of cyclic coordinates h sum_i b_i v_y(q_i), and p1 - p0 of the others."""
+        low, h = self._low, self._low.equations.h
+        dq = {a: low.increments[-1][a] for a in self.coordinates}
+        end = end_point(low, dq)
+        nodes = self._solved_nodes(end)
 
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             section = f"node {i}, all velocities known"
-            return low.template.entry(self._nodes[i].point, section, what, *index)
+            return low.template.entry(nodes[i].point, section, what, *index)
 
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
-        return {a: weighted.impulse(a) for a in self.coordinates}
+        dp = {a: weighted.impulse(a) for a in self.coordinates}
+        for a in self.cyclic:
+            dq[a] = sp.Add(*(h * self._weights[n.number] * _velocity(n, a) for n in nodes))
+        return Closing(dq, dp, self._checks(nodes, end))
 
-    def cyclic_increments(self) -> Mapping[int, sp.Expr]:
-        """Return q1 - q0 of the cyclic coordinates: h sum_i b_i v_y(q_i)."""
-        h = self._low.equations.h
-        return {
-            a: sp.Add(*(h * self._weights[n.number] * _velocity(n, a) for n in self._nodes))
-            for a in self._part.cyclic
-        }
-
-    def velocity_jump(self, end: Point, slopes: Mapping[int, sp.Expr]) -> tuple[sp.Expr, sp.Expr]:
+    def _checks(self, nodes: list[_Node], end: Point) -> Mapping[str, sp.Expr]:
         """Return h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
 
         Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
         the cyclic coordinates are no polynomial, and d is as large as p. The second value tells
         how much D changes: the sum over its entries of sum_i D_i sum_i 1/D_i less what it is for a
-        constant. ``slopes`` are those of the other coordinates at the end of the path.
+        constant.
         """
-        low, last, define = self._low, self._nodes[-1], self._low.graph.define
-        seen = list(self._nodes)
+        low, last, define = self._low, nodes[-1], self._low.graph.define
+        seen = list(nodes)
         if last.point.q == end.q:
-            D_inverse, x = last.D_inverse, self._added[last.number]
+            D_inverse, x = last.D_inverse, last.added
         else:
             closing = self._factors(end, END)
-            D_inverse, x = closing.D_inverse, self._left(closing, slopes)
+            D_inverse, x = closing.D_inverse, self._left(closing, nodes)
             seen += [closing, self._factors(low.start_point(), START)]
         terms = [D_inverse[k] * x[k] ** 2 for k in self._size]
         value = define("cyclic_jump_squared", low.equations.h**2 * sp.Add(*terms), "predictor")
@@ -142,9 +130,10 @@ class RouthSolver:
             if low.graph.level(seen[0].D[k]) > Level.RUN
         ]
         spread = sp.Add(*products) - len(seen) ** 2 * len(products)
-        return value, define("cyclic_mass_change", spread / len(seen) ** 2, "predictor")
+        change = define("cyclic_mass_change", spread / len(seen) ** 2, "predictor")
+        return {"CYCLIC_JUMP_SQUARED": value, "CYCLIC_MASS_CHANGE": change}
 
-    def _left(self, end: _Node, slopes: Mapping[int, sp.Expr]) -> Vector:
+    def _left(self, end: _Node, nodes: list[_Node]) -> Vector:
         """Return L^-1 (L_vy - p) at the end of the path, where no node stands."""
         low, part, scheme = self._low, self._part, self._low.equations.scheme
         names, section = low.names.coordinates, "predictor"
@@ -155,10 +144,10 @@ class RouthSolver:
         ]
         v = list(end.point.v or [NOTHING] * low.n)
         for a in part.coordinates:
-            v[a] = slopes[a]
+            v[a] = end_slope(low, a) / low.equations.h
         for a in part.cyclic:
             velocity = sp.Add(
-                *(w * _velocity(self._nodes[i], a) for w, i in zip(weights, used, strict=True))
+                *(w * _velocity(nodes[i], a) for w, i in zip(weights, used, strict=True))
             )
             v[a] = low.graph.define(f"v_{names[a]}_path", velocity, section)
         point = replace(end.point, suffix=f"{end.point.suffix}_path", v=tuple(v))
@@ -238,14 +227,13 @@ class RouthSolver:
         """
         low, C, i = self._low, self._part.annihilator, node.number
         section = f"node {i}, all velocities known"
-        momentum = []
-        self._added[i] = []
+        momentum, added = [], []
         for k in self._size:
             terms = [
                 sp.radsimp(C[r][i] / self._weights[i]) * node.T[k][c] * found[r, c]
                 for r, c in self._multipliers
             ]
-            self._added[i].append(sp.Add(*terms))
+            added.append(sp.Add(*terms))
             value = sp.Add(node.momentum[k], *terms)
             momentum.append(low.graph.define(f"mu{k}_{i}", value, section))
         v = list(node.point.v or ())
@@ -257,7 +245,7 @@ class RouthSolver:
         # while a step is closed, velocities differ from those of the iteration under the same names
         suffix = f"{node.point.suffix}_closed" if closing else node.point.suffix
         point = replace(node.point, suffix=suffix, v=tuple(v))
-        return replace(node, momentum=momentum, point=point)
+        return replace(node, momentum=momentum, added=added, point=point)
 
     def _factored(self, i: int, end: Point | None) -> _Node:
         """Return a node with the factors of its cyclic mass matrix."""
@@ -286,7 +274,7 @@ class RouthSolver:
             for r in self._size
         ]  # fmt: skip
         one = [[sp.Integer(r == c) for c in self._size] for r in self._size]
-        return _Node(i, point, D, D_inverse, L, one, [])
+        return _Node(i, point, D, D_inverse, L, one)
 
     def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
         """Return a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""

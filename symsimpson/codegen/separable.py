@@ -6,11 +6,20 @@ from collections.abc import Mapping, Sequence
 
 import sympy as sp
 
-from symsimpson.codegen.coupled import constant_mass_velocity, node_point
+from symsimpson.codegen.coupled import (
+    Closing,
+    Increment,
+    constant_mass_velocity,
+    correction_names,
+    end_point,
+    impulses,
+    node_point,
+)
+from symsimpson.codegen.linear_solve import solve_blocks
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend
-from symsimpson.discrete.reductions import Separable
+from symsimpson.discrete.reductions import Separable, force_factor, inertia_factor
 
 __all__ = ["SeparableSolver"]
 
@@ -22,63 +31,54 @@ class SeparableSolver:
     the same rounded S and A wherever they stand; the one of X_d, too, where that is no unknown.
     """
 
+    cyclic: tuple[int, ...] = ()
+
     def __init__(self, low: Lowering, part: Separable) -> None:
         self._low, self._part = low, part
         self.coordinates = part.coordinates
-        self.unknowns = [(m, a) for m in part.columns for a in part.coordinates]
+        self._unknowns = [(m, a) for m in part.columns for a in part.coordinates]
         end = low.equations.scheme.degree
-        carried = part.last is not None and self.unknowns
-        self.carried = [(end, a) for a in part.coordinates] if carried else []
+        follows = part.last is not None and self._unknowns
+        self._carried = [(end, a) for a in part.coordinates] if follows else []
+        self.increments = [*self._unknowns, *self._carried]
 
-    def _force_factor(self, test: tuple[sp.Expr, ...], i: int) -> sp.Expr:
-        """Return b_i sum_k test_k A_ik: how often the force at node i enters a row."""
-        scheme = self._low.equations.scheme
-        weight = scheme.quadrature.weights[i]
-        return sp.radsimp(weight * sp.Add(*(c * x for c, x in zip(test, scheme.A[i], strict=True))))
-
-    def _inertia_factor(self, test: tuple[sp.Expr, ...], m: int) -> sp.Expr:
-        """Return sum_k test_k S_km."""
-        stiffness = self._low.equations.scheme.stiffness
-        return sp.radsimp(sp.expand(sp.Add(*(c * stiffness[k][m] for k, c in enumerate(test)))))
-
-    def system(self) -> tuple[list[sp.Expr], list[list[sp.Expr]]]:
-        """Return right-hand side and matrix of a Newton iteration."""
+    def corrections(self) -> Mapping[Increment, sp.Expr]:
+        """Return what one Newton iteration adds to each increment."""
+        if not self._unknowns:
+            return {}
         low, part, h = self._low, self._part, self._low.equations.h
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
         scheme, points = low.equations.scheme, self._points()
-        for i, point in points.items():
-            for a in group:
-                low.template.entry(point, f"node {i}", "F", a)
-                for b in group:
-                    low.template.entry(point, f"node {i}", "F_q", a, b)
         right, matrix = [], []
         for number, test in enumerate(part.tests):
             for a in group:
                 terms = [c * self._row(k, a) for k, c in enumerate(test) if c != 0]
                 right.append(-define(f"R_{number}_{names[a]}", sp.Add(*terms), "residual"))
                 row = []
-                for m, b in self.unknowns:
-                    terms = [self._inertia_factor(test, m) * self._mass(a, b)]
+                for m, b in self._unknowns:
+                    terms = [inertia_factor(test, scheme, m) * self._mass(a, b)]
                     for i, point in points.items():
-                        factor = sp.radsimp(self._force_factor(test, i) * scheme.A[i][m])
+                        factor = sp.radsimp(force_factor(test, scheme, i) * scheme.A[i][m])
                         if factor != 0:
                             slope = low.template.entry(point, f"node {i}", "F_q", a, b)
                             terms.append(h**2 * factor * slope)
                     name = f"J_{number}_{names[a]}_{m}_{names[b]}"
                     row.append(define(name, sp.Add(*terms), "Jacobian"))
                 matrix.append(row)
-        return right, matrix
+        hints = correction_names(low, self._unknowns)
+        found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+        changes = dict(zip(self._unknowns, found, strict=True))
+        return changes | self._end_of_path(changes) if self._carried else changes
 
     def _points(self) -> dict[int, Point]:
         """Return the nodes whose forces enter the rows."""
-        tests, last = self._part.tests, self._part.last
-        rows = range(self._low.equations.scheme.degree + 1)
-        if last is not None:
-            tests = (*tests, tuple(sp.Integer(k == last) for k in rows))
+        tests, scheme = self._part.tests, self._low.equations.scheme
+        if self._part.last is not None:
+            tests = (*tests, self._part.last_test(scheme.degree))
         return {
             i: node_point(self._low, i, self.coordinates, moving=False)
-            for i in range(self._low.equations.scheme.stages)
-            if any(self._force_factor(test, i) != 0 for test in tests)
+            for i in range(scheme.stages)
+            if any(force_factor(test, scheme, i) != 0 for test in tests)
         }
 
     def _row(self, k: int, a: int) -> sp.Expr:
@@ -127,72 +127,58 @@ class SeparableSolver:
     def _stiffness(self) -> tuple[tuple[sp.Expr, ...], ...]:
         return self._low.equations.scheme.stiffness
 
-    def carry(
-        self, changes: Mapping[tuple[int, int], sp.Expr]
-    ) -> Mapping[tuple[int, int], sp.Expr]:
-        """Return the new X_d where it is no unknown, from its row with the force linearised.
+    def _end_of_path(self, changes: Mapping[Increment, sp.Expr]) -> dict[Increment, sp.Expr]:
+        """Return the correction of X_d where it is no unknown, from its row, linearised.
 
         So it takes the values that it would have as an unknown, and the force at the solution need
         not be known before the end of the path is.
         """
-        if not self.carried:
-            return {}
         low, last, d = self._low, self._part.last, self._low.equations.scheme.degree
         assert last is not None
         h, scheme, section = low.equations.h, low.equations.scheme, "end of the path"
         names, group = low.names.coordinates, self.coordinates
-        unit = tuple(sp.Integer(k == last) for k in range(d + 1))
+        test = self._part.last_test(d)
         impulses = []
         for a in group:
             terms = [self._row(last, a)]
             for i, point in self._points().items():
-                factor = self._force_factor(unit, i)
+                factor = force_factor(test, scheme, i)
                 if factor == 0:
                     continue
                 slopes = [
                     scheme.A[i][m] * low.template.entry(point, f"node {i}", "F_q", a, b)
                     * changes[m, b]
-                    for m, b in self.unknowns
+                    for m, b in self._unknowns
                 ]  # fmt: skip
                 terms.append(h**2 * factor * sp.Add(*slopes))
             impulses.append(low.graph.define(f"impulse_{names[a]}", sp.Add(*terms), section))
         moved = constant_mass_velocity(low, group, impulses, "dv", section)
         scale = sp.radsimp(-1 / self._stiffness[last][d])
-        found: dict[tuple[int, int], sp.Expr] = {}
+        found: dict[Increment, sp.Expr] = {}
         for number, a in enumerate(group):
             terms = [
                 sp.radsimp(scale * self._stiffness[last][m]) * changes[m, a]
                 for m in self._part.columns
             ]
             change = sp.Add(scale * moved[number], *terms)
-            value = low.increments[d - 1][a] + change
-            found[d, a] = low.graph.define(f"{names[a]}_X{d}_new", value, section)
+            found[d, a] = low.graph.define(f"d_{names[a]}_X{d}", change, section)
         return found
 
-    def increments(self) -> Mapping[int, sp.Expr]:
+    def close(self) -> Closing:
+        """Return q1 - q0 and p1 - p0 = h sum_i b_i L_q(q_i)."""
+        dq, low = self._moves(), self._low
+        return Closing(dq, impulses(low, self.coordinates, end_point(low, dq), moving=False))
+
+    def _moves(self) -> dict[int, sp.Expr]:
         """Return q1 - q0 at the solution."""
-        low, d = self._low, self._low.equations.scheme.degree
-        if self._part.last is None or self.carried:
-            return {a: low.increments[d - 1][a] for a in self.coordinates}
+        low = self._low
+        if self._part.last is None or self._carried:
+            return {a: low.increments[-1][a] for a in self.coordinates}
         # a straight path: h M^-1 (p0 + h b_0 L_q(q0))
         weighted = self._weighted(self._points())
         momenta = [weighted.start(a) for a in self.coordinates]
         v = constant_mass_velocity(low, self.coordinates, momenta, "dv", "end of the path")
         return {a: low.equations.h * x for a, x in zip(self.coordinates, v, strict=True)}
-
-    def impulses(self, end: Point) -> Mapping[int, sp.Expr]:
-        """Return p1 - p0 = h sum_i b_i L_q(q_i)."""
-        low, eqs = self._low, self._low.equations
-        points = [
-            node_point(low, i, self.coordinates, moving=False, end=end)
-            for i in range(eqs.scheme.stages)
-        ]
-
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
-            return low.template.entry(points[i], f"node {i}", what, *index)
-
-        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
-        return {a: weighted.impulse(a) for a in self.coordinates}
 
     def _mass(self, a: int, b: int) -> sp.Expr:
         return self._low.template.entry(self._low.start_point(), "mass", "M", a, b)

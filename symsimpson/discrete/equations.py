@@ -33,6 +33,7 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
+from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import Reader
@@ -82,6 +83,11 @@ class DiscreteEquations:
                 more |= {key: reader(value) for key, value in part.outputs().items()}
                 halves |= dict.fromkeys(self.plain.q.index(x) for x in part.factors.half_angles)
         return derive_jet(self.plain, more, tuple(halves))
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """What the equations are solved for, where nothing is reduced."""
+        return Unknowns(self.scheme.degree, len(self.plain.q))
 
     def joined(self) -> Composed | Coupled | Separable:
         """Return all coordinates as one part, as loops take them."""

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import ClassVar
 
 import sympy as sp
 
@@ -36,8 +37,8 @@ from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = [
-    "EXPLOITABLE", "Composed", "Coupled", "Linear", "Part", "Routh", "Separable",
-    "elimination_order", "read_exploit", "reduce",
+    "EXPLOITABLE", "BasePart", "Composed", "Coupled", "Linear", "Part", "Routh", "Separable",
+    "elimination_order", "force_factor", "inertia_factor", "read_exploit", "reduce",
 ]  # fmt: skip
 
 Table = tuple[tuple[sp.Expr, ...], ...]
@@ -48,8 +49,19 @@ LONGEST_ENTRY = 500
 EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
 
 
+class BasePart:
+    """Coordinates that are solved together."""
+
+    coordinates: tuple[int, ...]
+
+    @property
+    def coupled_by_mass(self) -> tuple[int, ...]:
+        """The coordinates that M couples."""
+        return self.coordinates
+
+
 @dataclass(frozen=True)
-class Coupled:
+class Coupled(BasePart):
     """Coordinates whose increments X_m, m in ``columns``, solve D_k L_d = 0, k in ``rows``."""
 
     coordinates: tuple[int, ...]
@@ -58,7 +70,7 @@ class Coupled:
 
 
 @dataclass(frozen=True)
-class Separable:
+class Separable(BasePart):
     """Coordinates with constant M: ``tests`` combine the D_k L_d to as many rows as unknowns.
 
     Where X_d is no unknown, it solves D_k L_d = 0 (p0 + D_0 L_d = 0 for k = 0) for k = ``last``.
@@ -69,9 +81,13 @@ class Separable:
     columns: tuple[int, ...]
     last: int | None
 
+    def last_test(self, degree: int) -> tuple[sp.Expr, ...]:
+        """Return the combination that picks the row of X_d where it is no unknown."""
+        return tuple(sp.Integer(k == self.last) for k in range(degree + 1))
+
 
 @dataclass(frozen=True)
-class Routh:
+class Routh(BasePart):
     """Coordinates, and cyclic ones that are eliminated by their momenta.
 
     The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is
@@ -87,6 +103,14 @@ class Routh:
     reference: int
     factors: Factors
 
+    @property
+    def coupled_by_mass(self) -> tuple[int, ...]:
+        """The coordinates that M couples, cyclic ones first.
+
+        In L D L^T what comes last is found first, and nothing else is computed.
+        """
+        return (*self.cyclic, *self.coordinates)
+
     def outputs(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
         """List the factors L and D of the mass matrix of the cyclic coordinates, by these."""
         found: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
@@ -99,21 +123,23 @@ class Routh:
 
 
 @dataclass(frozen=True)
-class Linear:
+class Linear(BasePart):
     """Coordinates moved by shears, each a pair (kick?, coefficients).
 
     With z = h^2 M^-1 K, a kick (c1, c2) is p += (M/h) (c1 z + c2 z^2) q and a drift (b, e) is
     q += b (M/h + e h K)^-1 p.
     """
 
+    columns: ClassVar[tuple[int, ...]] = ()
     coordinates: tuple[int, ...]
     shears: tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...]
 
 
 @dataclass(frozen=True)
-class Composed:
+class Composed(BasePart):
     """Coordinates moved by kicks p += h b_k L_q(q), and drifts q += h a_k M^-1 p between them."""
 
+    columns: ClassVar[tuple[int, ...]] = ()
     coordinates: tuple[int, ...]
     kicks: tuple[sp.Expr, ...]
     drifts: tuple[sp.Expr, ...]
@@ -233,6 +259,18 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
             test[last] = sp.radsimp(-S[k][d] / S[last][d])
             tests.append(tuple(test))
     return Separable(coordinates, tuple(tests), tuple(m for m in columns if m != d), last)
+
+
+def force_factor(test: Sequence[sp.Expr], scheme: Scheme, i: int) -> sp.Expr:
+    """Return b_i sum_k test_k A_ik: how often the force at node i enters a combined row."""
+    combined = sp.Add(*(c * x for c, x in zip(test, scheme.A[i], strict=True)))
+    return sp.radsimp(scheme.quadrature.weights[i] * combined)
+
+
+def inertia_factor(test: Sequence[sp.Expr], scheme: Scheme, m: int) -> sp.Expr:
+    """Return sum_k test_k S_km: how much of M X_m is in a combined row."""
+    terms = (c * scheme.stiffness[k][m] for k, c in enumerate(test))
+    return sp.radsimp(sp.expand(sp.Add(*terms)))
 
 
 def annihilating(scheme: Scheme) -> Table:

@@ -86,6 +86,28 @@ def test_newton_solves_the_equations(start):
             assert error < 1e-11 * np.abs(new).max(), seed
 
 
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    sweep([("lagrange_top", "simpson"), ("kepler", "simpson"), ("kepler", "midpoint"),
+           ("lagrange_top", "lobatto6"), ("rigid_body", "simpson")]),
+)  # fmt: skip
+def test_cyclic_coordinates_follow_where_rows_are_pivoted(name, scheme):
+    """A correction of the reduced equations is that of all equations, once cyclic rows hold."""
+    system = ss.systems.CATALOGUE[name]()
+    module = bind_float(source(system, scheme))
+    q, p = system.reference_state["q0"], np.linspace(0.3, 0.7, system.n)
+    W = begin(module, q, p, system.parameters.values(), H)
+    W[block(module, "INCREMENT", module.UNKNOWNS)] *= 1.02  # a correction to be found
+    pivoted = W.copy()
+    module.newton(H, 0.0, W)
+    module.newton_pivoted(H, 0.0, pivoted)
+    increments = block(module, "INCREMENT", module.UNKNOWNS)
+    solved = np.tile(np.array(module.FOLLOWING) == 0, module.DEGREE)
+    assert not solved.all()
+    change = np.abs(W[increments, 0] - pivoted[increments, 0])[solved]
+    assert change.max() < 1e-12 * np.abs(W[increments, 0]).max()
+
+
 @pytest.mark.parametrize("seed", sweep(range(3, 300, 15)))
 def test_compiled_step_agrees_with_plain_floats(seed):
     system = random_system(seed)

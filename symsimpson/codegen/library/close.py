@@ -83,13 +83,19 @@ def add_exactly(W, row, low, increment, lane):
 
 
 @compiled
-def close_step(W, lane):
-    """Add the increments to q and p, with what rounding lost carried along."""
+def keep_step(W, lane):
+    """Keep the state before a step, its increments, and what was predicted of them."""
     for row in range(4 * DIMENSION):
         W[PREVIOUS + row, lane] = W[POSITION + row, lane]
     for row in range(UNKNOWNS):
         W[PREVIOUS + 4 * DIMENSION + row, lane] = W[PREDICTED + row, lane]
         W[SOLVED + row, lane] = W[INCREMENT + row, lane]
+
+
+@compiled
+def close_step(W, lane):
+    """Add the increments to q and p, with what rounding lost carried along."""
+    keep_step(W, lane)
     prediction_error_squared = real(0)
     for a in range(DIMENSION):
         for row in range(a, UNKNOWNS, DIMENSION):

@@ -18,6 +18,7 @@ from symsimpson.interface import (
     ITERATIONS,
     LARGEST_SQUARED,
     MASS_DIAGONAL,
+    MEASURED,
     MODE,
     NOT_CONVERGED,
     NOT_FINITE,
@@ -88,7 +89,7 @@ def activate_only(W, active, lane):
 def distance(W, at, lane, a, b):
     """Squared distance of two sets of increments in the metric of M(q0)'s diagonal."""
     total = 0.0
-    for row in range(a.shape[0]):
+    for row in range(at[MEASURED]):
         gap = a[row, lane] - b[row, lane]
         total += W[at[MASS_DIAGONAL] + row % at[DIMENSION], lane] * gap * gap
     return total

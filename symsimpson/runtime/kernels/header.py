@@ -71,7 +71,8 @@ class Header:
     def told(self) -> NDArray[np.int64]:
         """What the driver must know of the layout, in its order."""
         more = {
-            "STATE_END": self.layout["INCREMENT"] + self.degree * self.n, "DIMENSION": self.n,
+            "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
+            "DIMENSION": self.n, "MEASURED": self.degree * self.n,
             "ROWS": self.rows,
         }  # fmt: skip
         return np.array([{**self.layout, **more}[name] for name in TOLD], dtype=np.int64)
@@ -131,6 +132,8 @@ def read_header(text: str, where: str) -> Header:
             f"this symsimpson drives interface {INTERFACE}.\n"
             "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
         )
+    # explicit steps have no loops over coordinates, and so no order of them
+    constants.setdefault("COORDINATE", tuple(range(len(constants["COORDINATES"]))))
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
         "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",

@@ -131,7 +131,7 @@ class Run:
         if self._fallbacks[self._set] != "robust":
             return False
         at = self.header.layout
-        places = np.arange(self.header.newton_unknowns) * (at["SOLVE_STRIDE"] + 1)
+        places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
         return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
 
     @property
