@@ -28,6 +28,7 @@ from .mechanics.arms import Link as Link
 from .mechanics.arms import serial_arm as serial_arm
 from .mechanics.coordinates import coordinates as coordinates
 from .mechanics.coordinates import momenta as momenta
+from .mechanics.coordinates import time as time
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation

@@ -169,9 +169,9 @@ def _words(text: str) -> list[str]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from symsimpson.systems import CATALOGUE, MODELS
+    from symsimpson.systems import CATALOGUE, FORCED, MODELS
 
-    for name, make in {**CATALOGUE, **MODELS}.items():
+    for name, make in {**CATALOGUE, **MODELS, **FORCED}.items():
         system = make()
         first = (make.__doc__ or "").splitlines()[0]
         print(f"{name:<20} n = {system.n:<4} {first}")
@@ -249,7 +249,10 @@ def _run(options: argparse.Namespace) -> int:
         print(f"  {name} = ({', '.join(f'{x:g}' for x in value)})")
     last = run.newton_iterations.sum() / steps
     print(f"  {run.steps} steps to t = {run.t[-1]:g}, {last:.2f} Newton iterations a step")
-    print(f"  largest relative energy error {np.abs(run.energy_error).max():.2e}")
+    if stepper._module.header.conservative:
+        print(f"  largest relative energy error {np.abs(run.energy_error).max():.2e}")
+    else:
+        print(f"  energy {run.energy[0]:.9g} at the start, {run.energy[-1]:.9g} at the end")
     for name, values in run.invariants.items():
         print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")
     print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
@@ -347,9 +350,9 @@ def _bench(options: argparse.Namespace) -> int:
 def _find(name: str) -> MechanicalSystem:
     """Find a system by its name in the catalogue or by file and attribute."""
     from symsimpson.mechanics.system import MechanicalSystem
-    from symsimpson.systems import CATALOGUE, MODELS
+    from symsimpson.systems import CATALOGUE, FORCED, MODELS
 
-    known = {**CATALOGUE, **MODELS}
+    known = {**CATALOGUE, **MODELS, **FORCED}
     if name in known:
         return known[name]()
     for make in CATALOGUE.values():

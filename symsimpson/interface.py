@@ -55,10 +55,15 @@ BLOCKS = {
     "MASS": "a constant M",
     "MASS_DIAGONAL": "diagonal of M(q0)",
     "COEFFICIENT": "factors of the terms of L",
+    "NODE_F_V": "derivatives of the forces by v at a node",
+    "NODE_TIME": "t at a node",
+    "POWER": "power of each force, then dL/dt, at a node or a state",
+    "WORK": "integrals of these over steps",
     "STAGE_V": "h b_i v_i",
     "STAGE_F": "h b_i F_i",
     "STAGE_STEP": "h b_i",
     "STAGE_RATE": "1 / (h b_i)",
+    "STAGE_PLACE": "c_i",
     "STAGE_MU": "from STAGE_V to positions at the nodes",
     "STAGE_NU": "from STAGE_F to momenta at the nodes",
     "STAGE_AHEAD": "from STAGE_V to that of the next step",
@@ -71,6 +76,12 @@ BLOCKS = {
     "JACOBIAN": "its derivatives",
 }
 
+#: Blocks of systems that need them: with forces, with t, with stages.
+OPTIONAL = (
+    "NODE_F_V", "NODE_TIME", "POWER", "WORK",
+    *(block for block in BLOCKS if block.startswith("STAGE_")),
+)  # fmt: skip
+
 #: Blocks that must stand right behind one another: the driver moves them as one.
 ADJACENT = (
     ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED"),
@@ -78,18 +89,19 @@ ADJACENT = (
 )
 
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
-#: unknowns, the number of coordinates, and how many of the unknowns are measured.
+#: unknowns, the number of coordinates, how many of the unknowns are measured, and how many steps
+#: an explicit kernel may take in one call: it is told the time of the first.
 TOLD = (
     "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
     "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
     "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
-    "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED",
+    "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED", "STEPS_A_CALL",
 )  # fmt: skip
 (
     ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
-    PARAMETER, MASS_PIVOT, ROWS, MEASURED,
+    PARAMETER, MASS_PIVOT, ROWS, MEASURED, STEPS_A_CALL,
 ) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE
@@ -118,5 +130,5 @@ PIVOTED = "newton_pivoted"
 #: All kernels that a module may have.
 KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
-    "iterate", "advance_stages", "energy", "invariants", "equations",
+    "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
 )  # fmt: skip

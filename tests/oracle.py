@@ -22,6 +22,42 @@ def lagrangian(system):
     return lambda x, w, parameters: function(x, w, parameters)
 
 
+def forces(system):
+    """f(t, q, v) by coordinate, straight from the user's forces by coordinate and dissipation."""
+    q = sp.symbols(f"oq:{system.n}")
+    v = sp.symbols(f"ov:{system.n}")
+    t = system.coordinates[0].args[0]
+    names = {c.diff(): w for c, w in zip(system.coordinates, v, strict=True)}
+    names |= dict(zip(system.coordinates, q, strict=True))
+    loss = sp.sympify(system.dissipation or 0).xreplace(names)
+    rows = [sp.sympify(system.forces.get(c, 0)).xreplace(names) - sp.diff(loss, w)
+            for c, w in zip(system.coordinates, v, strict=True)]  # fmt: skip
+    return sp.lambdify((t, q, v, tuple(system.parameters)), rows, modules="mpmath")
+
+
+def virtual_work(system, quadrature, stages, degree):
+    """F_k(X, h, parameters) = h sum_i b_i A_ik f_i, by the quadrature of L_d; the step begins at 0.
+
+    A row for each control point.
+    """
+    f = forces(system)
+    points = nodes_and_weights("lobatto", degree + 1)[0]
+    nodes, weights = nodes_and_weights(quadrature, stages)
+    tables = [interpolate(points, c) for c in nodes]
+
+    def F(X, h, parameters):
+        rows = [[mp.mpf(0)] * system.n for _ in X]
+        for c, b, (basis, slopes) in zip(nodes, weights, tables, strict=True):
+            q = [mp.fdot(basis, column) for column in zip(*X, strict=True)]
+            v = [mp.fdot(slopes, column) / h for column in zip(*X, strict=True)]
+            for row, share in zip(rows, basis, strict=True):
+                for a, value in enumerate(f(c * h, q, v, parameters)):
+                    row[a] += h * b * share * value
+        return rows
+
+    return F
+
+
 def nodes_and_weights(quadrature, stages):
     """Gauss or Lobatto rules on [0, 1] by root finding."""
     if quadrature == "gauss":

@@ -6,31 +6,28 @@ the compiled code is held against the same text.
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import mpmath
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from symsimpson.analysis.certificate import Certificate, Check
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
+from symsimpson.analysis.subject import SHORT, Subject
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.progress import waiting
-from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.runtime.evaluator import evaluate_equations
 from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.numbers import FLOAT64
-from symsimpson.runtime.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -40,54 +37,11 @@ __all__ = ["certify"]
 DIGITS = 50
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
-LONG, SHORT = 100_000, 50
+LONG = 100_000
 #: Orders above this are seen with steps down to h/4, others down to h/16.
 HIGH = 8
 #: Errors above this are not those of the solution that they are measured by.
 RESOLVED = 1e-28
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A stepper in many digits and compiled, with a state and a step."""
-
-    stepper: Stepper
-    precise: Precise
-    z: NDArray[np.float64]
-    h: float
-
-    @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return self.stepper.n
-
-    @cached_property
-    def scale(self) -> NDArray[np.float64]:
-        """Sizes of the coordinates and the momenta, to measure errors by."""
-        run = self.compiled(100, every=1)
-        q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
-        return np.concatenate([np.maximum(q, 1.0), np.full(self.n, p.max() or 1.0)])
-
-    @cached_property
-    def path(self) -> Trajectory:
-        """Some steps in many digits."""
-        return self.precise.run(self.z, self.h, SHORT)
-
-    @cached_property
-    def symmetries(self) -> list[Symmetry]:
-        """The linear symmetries of the system."""
-        return linear_symmetries(self.precise, self.z)
-
-    def compiled(self, steps: int, every: int | None) -> Trajectory:
-        """Integrate in double precision."""
-        return self.stepper.integrate(
-            self.z[: self.n], p0=self.z[self.n :], h=self.h, steps=steps, every=every,
-            parameters=self.precise.parameters,
-        )  # fmt: skip
-
-    def distance(self, a: Any, b: Any) -> float:
-        """Return the largest difference of two states in units of the scale."""
-        return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))
 
 
 @waiting("certifying")
@@ -137,9 +91,7 @@ def _order(s: Subject) -> Iterator[Check]:
     """order: errors against Hamilton's equations of the module's own energy."""
     steps, context = 8, s.precise.context
     with mpmath.workdps(DIGITS):
-        start = [mpmath.mpf(x) for x in s.z]
-        end = steps * mpmath.mpf(s.h)
-        exact = extrapolate(s.precise.rates, start, [end], mpmath.mpf(10) ** -30)[0]
+        exact = s.exact(steps * mpmath.mpf(s.h))
     digits = coefficient_digits(s.stepper.source)
     resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
 
@@ -181,6 +133,11 @@ def coefficient_digits(source: str) -> int | None:
 
 def _symplectic(s: Subject) -> Iterator[Check]:
     """symplectic: the derivative of a step, Newton's method included."""
+    if s.forced:
+        what = "not asked: forces change it, as they change that of the flow"
+        reason = "Without forces a step would be symplectic."
+        yield Check("symplectic", float("nan"), "at most", EXACT, what, reason, exempt=True)
+        return
     n = s.n
     D = s.precise.tangent(s.z, s.h)
     # units of q and p in which both halves of the derivative are of like size
@@ -203,7 +160,7 @@ def _symplectic(s: Subject) -> Iterator[Check]:
 def _reversible(s: Subject) -> Iterator[Check]:
     """reversible: there with h and back with -h."""
     there = s.precise.flow(s.z, s.h, 20)
-    back = s.precise.flow(there, -s.h, 20)
+    back = s.precise.flow(there, -s.h, 20, t0=20 * s.precise.context.mpf(s.h))
     yield Check(
         "reversible", s.distance(back, s.z), "at most", EXACT, "20 steps with h and back with -h",
         "The scheme is symmetric.",
@@ -214,7 +171,11 @@ def _momenta(s: Subject) -> Iterator[Check]:
     """momenta: what linear symmetries conserve."""
     reason = "A linear symmetry of L conserves its momentum exactly, at any h."
     if not s.symmetries:
+        header = s.stepper._module.header
         what = "none: there is no linear symmetry"
+        if not header.conservative:
+            what = "not asked: forces" if header.forces else "not asked: what depends on the time"
+            what += " may change them"
         yield Check("momenta", float("nan"), "at most", EXACT, what, reason, exempt=True)
         return
     worst = 0.0
@@ -236,7 +197,9 @@ def _equations(s: Subject) -> Iterator[Check]:
     nodes = q[0] + share * (q[1] - q[0])
 
     def evaluate(points: Any) -> tuple[Any, Any]:
-        return evaluate_equations(precise.stepper, q[0], p[0], points, s.h, precise.parameters)
+        return evaluate_equations(
+            precise.stepper, q[0], p[0], points, s.h, precise.parameters, 0
+        )  # fmt: skip
 
     exact = evaluate(nodes)[1]
     columns = []
@@ -326,6 +289,9 @@ def _iterations(s: Subject) -> Iterator[Check]:
 
 def _drift(s: Subject) -> Iterator[Check]:
     """drift: of energy, momenta and invariants over many steps."""
+    if not s.stepper._module.header.conservative:
+        yield from _balance(s)
+        return
     run = s.compiled(LONG, every=20)
     watched = {"energy": run.energy}
     watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
@@ -345,6 +311,26 @@ def _drift(s: Subject) -> Iterator[Check]:
             )  # fmt: skip
         else:
             yield Check("watched", trend, "at most", float("inf"), what, "Nothing is promised.")
+
+
+def _balance(s: Subject) -> Iterator[Check]:
+    """balance: of the energy and the work that was done, with two steps."""
+    if "work" not in s.stepper._module.header.functions:
+        return
+    largest = []
+    for parts in (1, 2):
+        run = s.stepper.integrate(
+            s.z[: s.n], p0=s.z[s.n :], h=s.h / parts, steps=200 * parts,
+            parameters=s.precise.parameters,
+        )  # fmt: skip
+        largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
+    lost = largest[1] < 1e-12
+    order = float(s.stepper.order) if lost else math.log2(largest[0] / largest[1])
+    yield Check(
+        "balance", order, "at least", s.stepper.order - 1.0,
+        f"energy less work: {largest[0]:.1e} and {largest[1]:.1e} of the energy with h and h/2",
+        "What the energy differs by from the work done has the order of the scheme.",
+    )  # fmt: skip
 
 
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (

@@ -144,6 +144,11 @@ def choose(
     >>> run.status.name
     'SUCCESS'
     """
+    if on == "energy" and not system.plain.conservative:
+        raise InputError(
+            f"{system.name}: the energy is not constant, so that its change is no error.\n"
+            "Ask for the error of the state: on='state'."
+        )
     if on not in ("state", "energy"):
         raise InputError(f"on is {on!r}.\nChoose 'state' or 'energy'.")
     for name, value in (("t_end", t_end), ("error", error)):

@@ -39,15 +39,18 @@ class Precise:
         #: A displacement whose square and whose inverse cost a third of the digits each.
         self.small = self.context.mpf(10) ** -(digits // 3)
 
-    def run(self, z: Vector, h: Any, steps: int, *, every: int | None = 1) -> Trajectory:
+    def run(
+        self, z: Vector, h: Any, steps: int, *, every: int | None = 1, t0: Any = 0
+    ) -> Trajectory:
         """Integrate from a state."""
         return self.stepper.integrate(
-            z[: self.n], p0=z[self.n :], h=h, steps=steps, every=every, parameters=self.parameters
-        )
+            z[: self.n], p0=z[self.n :], h=h, steps=steps, every=every, t0=t0,
+            parameters=self.parameters,
+        )  # fmt: skip
 
-    def flow(self, z: Vector, h: Any, steps: int = 1) -> Vector:
+    def flow(self, z: Vector, h: Any, steps: int = 1, *, t0: Any = 0) -> Vector:
         """Return the state after some steps."""
-        end = self.run(z, h, steps, every=None)
+        end = self.run(z, h, steps, every=None, t0=t0)
         return np.concatenate([end.q[0], end.p[0]])
 
     def tangent(self, z: Vector, h: Any, steps: int = 1) -> Vector:

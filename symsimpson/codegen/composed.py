@@ -23,7 +23,7 @@ class ComposedSolver(Explicit):
     """
 
     def __init__(self, low: Lowering, part: Composed) -> None:
-        self._low, self.coordinates = low, part.coordinates
+        self._low, self._part, self.coordinates = low, part, part.coordinates
         self._kicks = self._shares("KICKS", part.kicks)
         self._drifts = self._shares("DRIFTS", part.drifts)
         self._forced = [a for a in part.coordinates if a in low.template.forced]
@@ -46,7 +46,8 @@ class ComposedSolver(Explicit):
                 q = list(low.q)
                 for a in self.coordinates:
                     q[a] = define(f"{names[a]}_{k}", low.q[a] + moved[a], section)
-                point = Point(str(k), tuple(q))
+                # time goes with the drifts
+                point = Point(str(k), tuple(q), t=low.time(sp.Add(*self._part.drifts[:k]), str(k)))
             impulse = self._kicked(impulse, kick, point, section, f"dp_{{}}_{k + 1}")
             momentum = [low.p[a] + impulse.get(a, low.p_low[a]) for a in self.coordinates]
             velocity = constant_mass_velocity(low, self.coordinates, momentum, "v", section)

@@ -22,6 +22,7 @@ __all__ = [
     "Solver",
     "constant_mass_velocity",
     "correction_names",
+    "end_of",
     "end_point",
     "end_slope",
     "impulses",
@@ -95,8 +96,12 @@ class Explicit:
 
 def end_point(low: Lowering, dq: Mapping[int, sp.Expr]) -> Point:
     """Return the point q1, where coordinates move by ``dq``; others must not be asked for."""
-    q = [low.moved_on(a, dq[a])[0] if a in dq else NOTHING for a in range(low.n)]
-    return Point("end", tuple(q))
+    return end_of(low, [low.moved_on(a, dq[a])[0] if a in dq else NOTHING for a in range(low.n)])
+
+
+def end_of(low: Lowering, q: Sequence[sp.Expr]) -> Point:
+    """Return the point q1, of its coordinates."""
+    return Point("end", tuple(q), t=low.time(sp.S.One, "end"))
 
 
 def end_slope(low: Lowering, a: int) -> sp.Expr:
@@ -140,9 +145,9 @@ def node_point(
             slope = low.increments[-1][a] + combined(B, a)
             v[a] = define(f"v_{names[a]}_{i}", slope / h, section)
     if low.equations.at_start(i):
-        return Point(str(i), low.q, tuple(v))
+        return Point(str(i), low.q, tuple(v), low.start_point().t)
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
-        return Point(end.suffix, end.q, tuple(v))
+        return Point(end.suffix, end.q, tuple(v), end.t)
     q = [NOTHING] * low.n
     place = unit_row(A)
     for a in coordinates:
@@ -151,7 +156,7 @@ def node_point(
         else:
             shift = low.increments[place - 1][a]
         q[a] = define(f"{names[a]}_{i}", low.q[a] + shift, section)
-    return Point(str(i), tuple(q), tuple(v))
+    return Point(str(i), tuple(q), tuple(v), low.time(scheme.quadrature.nodes[i], str(i)))
 
 
 class CoupledSolver:

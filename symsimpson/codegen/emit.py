@@ -145,6 +145,9 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
         "INVARIANTS": names.invariants,
         "REAL_EVERYWHERE": has_real_energy(equations.plain),
     }
+    plain = equations.plain
+    facts |= {"FORCES": names.forces} if plain.forces else {}
+    facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
     lines = []
     for name, value in facts.items():
         lines += folded(f"{name} = ", _literal(value), "    ")

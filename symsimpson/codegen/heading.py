@@ -43,14 +43,21 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     plain = equations.plain
     shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
     shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
+    shown[plain.t] = sp.Symbol("t")
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
+    forces = zip(names.coordinates, plain.f, strict=True)
+    formulas |= {f"f_{q}": value for q, value in forces if value[0]}
     lines = [
         f"{system.name}: {scheme.name}, a variational integrator of order {scheme.order}.",
         "",
         "    L(q, q') = T + a - V" if linear[0] else "    L(q, q') = T - V",
     ]
+    if not plain.autonomous:
+        lines[-1] = lines[-1].replace("L(q", "L(t, q")
+    if plain.forces:
+        lines[-1] += ", with forces f: L_q + f stands wherever L_q does"
     for name, value in formulas.items():
         if tree_size(plain.graph, value) > _SHOWN:
             lines += [f"    {name} has {len(plain.graph.reached([value[1]]))} operations, below"]

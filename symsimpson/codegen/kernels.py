@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+
 import sympy as sp
 
 from symsimpson.codegen.coefficients import coefficient_loops
-from symsimpson.codegen.ir import Call, Function, Kernel, Module, Row, Statement, Store
+from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import (
-    composed_kernels,
-    energy_kernel,
-    equations_kernel,
-    looped_kernels,
-    pivoted_kernel,
-    solve_constants,
-    solve_tables,
-)
+from symsimpson.codegen.looped import LoopKernels, solve_constants, solve_tables
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.codegen.terms_of_l import family_functions, unrolled_functions
+from symsimpson.codegen.terms_of_l import family_functions, power_function, unrolled_functions
 from symsimpson.codegen.unrolled import (
     STATE,
     increments,
@@ -86,22 +80,29 @@ def _lines(equations: DiscreteEquations) -> float:
 def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, degree = Storage.dense(low.n), equations.scheme.degree
+    loops = _loops(low, storage)
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
+    kernels += [_power(low, _state(low))] if equations.plain.powers else []
     unknowns = sum(part_unknowns(part) for part in equations.parts)
     functions: list[Function] = []
     tables: dict[str, object] = {}
+    follow = False
     if equations.rows:
         functions = unrolled_functions(low, ("jet",))
-        kernels.append(equations_kernel(storage, degree))
+        kernels.append(loops.equations())
         tables = storage.node_constants() | storage.constants("EQUATION", degree)
     if unknowns:
         solved = {a for _, a in increments(part_solvers(low))}
         following = tuple(int(a not in solved) for a in range(low.n))
-        kernels.append(pivoted_kernel(storage, degree, following=any(following)))
+        kernels.append(loops.pivoted(following=any(following)))
         tables |= solve_constants(storage, equations.columns)
-        tables |= {"FOLLOWING": following} if any(following) else {}
+        follow = any(following)
+        tables |= {"FOLLOWING": following} if follow else {}
+    if unknowns and equations.plain.powers:
+        functions.append(power_function(low))
+        kernels.append(loops.work(following=follow))
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
 
 
@@ -109,9 +110,11 @@ def _looped(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     part, degree = equations.joined(), equations.scheme.degree
     constant = isinstance(part, (Separable, Composed))
-    found = families(equations.plain)
+    # terms are told apart by coordinates alone, and those of a force have no L
+    alike = equations.plain.conservative
+    found = families(equations.plain) if alike else ()
     storage = Storage.dense(low.n)
-    if "sparse" in equations.exploit:
+    if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
         met = (
             [family for family in found if family.plain.M] if isinstance(part, Composed) else found
@@ -124,31 +127,43 @@ def _looped(equations: DiscreteEquations) -> Module:
         names = ("jet", *(("forces",) if constant else ()), *names)
     tables: dict[str, object] = {}
     members = sum(len(family.coordinates) for family in found)
-    if storage.banded or members >= FAMILY_MEMBERS * len(found):
+    if alike and (storage.banded or members >= FAMILY_MEMBERS * len(found)):
         places = sorted(range(low.n), key=storage.order.__getitem__)
         functions, own = family_functions(low, found, places, names)
         tables |= own
     else:
         functions = unrolled_functions(low, names)
-    kernels = (
-        composed_kernels() if isinstance(part, Composed) else looped_kernels(part, storage, degree)
-    )
-    kernels.append(energy_kernel())
+    loops = _loops(low, storage)
+    kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
+    kernels.append(loops.energy())
     if equations.plain.invariants:
-        kernels.append(_watched(low))
+        kernels.append(_watched(low, loops.before_state()))
+    if equations.plain.powers:
+        kernels.append(_power(low, Point("state", low.q, low.v, low.t), loops.before_state()))
     blocks = 0
     own_tables = storage.node_constants()
     if not isinstance(part, Composed):
-        kernels.append(equations_kernel(storage, degree))
+        kernels.append(loops.equations())
+        if part.columns and equations.plain.powers:
+            functions.append(power_function(low))
+            kernels.append(loops.work(following=False))
         blocks = len(part.columns)
         own_tables |= {
             **storage.constants("EQUATION", degree),
             **solve_constants(storage, part.columns),
             **solve_tables(part, equations.scheme),
         }
+    elif not loops.autonomous:
+        own_tables["REACHED"] = tuple(accumulate(part.drifts))
     tables = own_tables | tables
     unknowns = blocks * low.n
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=constant)
+
+
+def _loops(low: Lowering, storage: Storage) -> LoopKernels:
+    equations = low.equations
+    dragged = bool(equations.rows) and low.template.dragged
+    return LoopKernels(storage, equations.scheme.degree, equations.plain.autonomous, dragged)
 
 
 def _module(
@@ -170,8 +185,10 @@ def _module(
         stage_sizes = stages.sizes
         if stages.kernels:
             tables = {**tables, "STRIDE": stages.stride}
-            for_stages = (Call("stage_constants", ("W", "h", "lane")),)
+            for_stages = stages.constants
     own = [value.xreplace(low.parameters) for value in low.coefficients]
+    if low.equations.plain.powers:
+        tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
     loops, stores, products = coefficient_loops(low, own)
     tables = {**tables, **products}
     low.statements(stores, (Level.RUN,))
@@ -184,6 +201,10 @@ def _module(
         "INVARIANT": len(low.names.invariants),
         "HOISTED": len(low.hoisted),
         "COEFFICIENT": len(low.coefficients),
+        "NODE_F_V": storage.node_size if low.template.dragged else 0,
+        "POWER": len(low.equations.plain.powers),
+        "WORK": len(low.equations.plain.powers),
+        "NODE_TIME": 0 if low.equations.plain.autonomous else 1,
         **stage_sizes,
     }
     first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)
@@ -229,20 +250,34 @@ def _energy(low: Lowering) -> Kernel:
 
 def _invariants(low: Lowering) -> Kernel:
     """The quantities to watch, of a system that is written out."""
-    start, section = low.start_point(), "velocity"
-    v, _ = velocity(low, start, low.p, section)
-    return _watching(low, low.template, Point(f"{start.suffix}_state", start.q, tuple(v)))
+    return _watching(low, low.template, _state(low))
 
 
-def _watched(low: Lowering) -> Kernel:
-    """The quantities to watch, where loops solve for the velocities."""
-    names = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass")
-    before = tuple(Call(name, ("W", "lane")) for name in names)
-    return _watching(low, low.watched, Point("state", low.q, low.v), before)
+def _state(low: Lowering) -> Point:
+    """Return the state with its velocities, of a system that is written out."""
+    start = low.start_point()
+    v, _ = velocity(low, start, low.p, "velocity")
+    return Point(f"{start.suffix}_state", start.q, tuple(v), start.t)
+
+
+def _power(low: Lowering, point: Point, before: tuple[Statement, ...] = ()) -> Kernel:
+    """The powers of the forces, and what the energy loses by dL/dt."""
+    stores = [
+        Store(Row("POWER", k), low.template.entry(point, "powers", "power", name))
+        for k, name in enumerate(low.equations.plain.powers)
+    ]
+    doc = "Power of each force, then dL/dt where L depends on t, at (q, p)."
+    return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE))))
+
+
+def _watched(low: Lowering, before: tuple[Statement, ...]) -> Kernel:
+    """The quantities to watch, where loops solve for the velocities ``before``."""
+    state = Point("state", low.q, low.v, low.start_point().t)
+    return _watching(low, low.watched, state, before)
 
 
 def _watching(
-    low: Lowering, template: JetTemplate, point: Point, before: tuple[Call, ...] = ()
+    low: Lowering, template: JetTemplate, point: Point, before: tuple[Statement, ...] = ()
 ) -> Kernel:
     section = "invariants"
     stores = [

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from symsimpson.codegen.storage import Storage
 from symsimpson.discrete.unknowns import Unknowns
-from symsimpson.interface import BLOCKS
+from symsimpson.interface import BLOCKS, OPTIONAL
 
 __all__ = ["layout"]
 
@@ -44,7 +44,7 @@ def layout(
     first: dict[str, int] = {}
     row = 0
     for block in BLOCKS:
-        if block.startswith("STAGE_") and not sizes.get(block):
+        if block in OPTIONAL and not sizes.get(block):
             continue
         first[block] = row
         row += every[block]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import sympy as sp
 
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
@@ -11,15 +13,7 @@ from symsimpson.discrete.reductions import Coupled, Separable, force_factor, ine
 from symsimpson.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = [
-    "composed_kernels",
-    "energy_kernel",
-    "equations_kernel",
-    "looped_kernels",
-    "pivoted_kernel",
-    "solve_constants",
-    "solve_tables",
-]
+__all__ = ["LoopKernels", "solve_constants", "solve_tables"]
 
 _HERE = ("W", "lane")
 _NODE = ("W", "h", "node", "lane")
@@ -29,134 +23,176 @@ def _call(name: str, *arguments: str) -> Call:
     return Call(name, arguments or _HERE)
 
 
-def _nodes(over: str, *body: Statement) -> Loop:
-    return Loop("node", over, (_call("path", *_NODE), *body))
+@dataclass(frozen=True)
+class LoopKernels:
+    """Makes kernels of loops over nodes, coordinates and unknowns.
 
-
-def equations_kernel(storage: Storage, degree: int) -> Kernel:
-    """Return the equations themselves, all of them, whatever a step solves."""
-    doc = "Residual and Jacobian of the step, rows in the order of elimination."
-    return Kernel("equations", doc, lanes(_all_rows(storage, degree)))
-
-
-def _all_rows(storage: Storage, degree: int) -> tuple[Statement, ...]:
-    return (
-        _call("clear_residual"),
-        _call("clear_matrix", "W", "lane", str(storage.size(degree))),
-        _nodes("range(NODES)", _call("jet"), _call("assemble", *_NODE)),
-    )
-
-
-def pivoted_kernel(storage: Storage, degree: int, *, following: bool) -> Kernel:
-    """Return Newton's iteration for all equations, where the fixed order of elimination fails.
-
-    Coordinates whose increments are ``following`` from those of the others are solved for first:
-    what is left is the iteration of the reduced equations.
+    Attributes
+    ----------
+    storage : Storage
+    degree : int
+    autonomous : bool
+        Whether nothing depends on t.
+    dragged : bool
+        Whether forces depend on v.
     """
-    rows = _all_rows(storage, degree)
-    first = (*rows, _call("solve_following"), *rows) if following else rows
-    leave = (_call("clear_following"),) if following else ()
-    body = (*first, _call("solve_pivoted"), *leave, _call("update_increments"), CONVERGENCE)
-    doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
-    return Kernel(PIVOTED, doc, lanes((When(body),)))
 
+    storage: Storage
+    degree: int
+    autonomous: bool
+    dragged: bool
 
-def looped_kernels(part: Coupled | Separable, storage: Storage, degree: int) -> list[Kernel]:
-    """Make the kernels of a step with loops over nodes, coordinates and unknowns."""
-    constant = isinstance(part, Separable)
-    velocity = (_call("path_start"), _call("mass"), _call("factor_mass"))
-    again = (_call("momentum_to_solve"), _call("solve_mass"))
-    first = (_call("keep_mass"),) if constant else ()
-    begin = (
-        _call("path_start"), _call("mass"), *first, _call("factor_mass"), *again,
-        _call("straight_path", "W", "h", "lane"),
-    )  # fmt: skip
-    rows: tuple[Statement, ...]
-    if constant:
-        size = str(storage.size(len(part.columns)))
-        rows = (
-            _call("clear_matrix", "W", "lane", size),
-            _call("inertia", "W", "h", "lane"),
-            _nodes("FORCE_NODES", _call("forces"), _call("assemble_forces", *_NODE)),
+    def _time(self, time: str) -> tuple[Statement, ...]:
+        """Keep the time of a node, if something depends on it."""
+        return () if self.autonomous else (_call("node_time", "W", time, "lane"),)
+
+    def _start(self, time: str = "t") -> tuple[Statement, ...]:
+        return (_call("path_start"), *self._time(time))
+
+    def _nodes(self, over: str, *body: Statement) -> Loop:
+        time = self._time("t + PLACES[node] * h")
+        return Loop("node", over, (_call("path", *_NODE), *time, *body))
+
+    def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
+        """Factorise M at the state."""
+        return (*self._start(time), _call("mass"), _call("factor_mass"))
+
+    def equations(self) -> Kernel:
+        """Return the equations themselves, all of them, whatever a step solves."""
+        doc = "Residual and Jacobian of the step, rows in the order of elimination."
+        return Kernel("equations", doc, lanes(self._all_rows()))
+
+    def _all_rows(self) -> tuple[Statement, ...]:
+        drag = (_call("assemble_drag", "W", "node", "lane"),) if self.dragged else ()
+        return (
+            _call("clear_residual"),
+            _call("clear_matrix", "W", "lane", str(self.storage.size(self.degree))),
+            self._nodes("range(NODES)", _call("jet"), _call("assemble", *_NODE), *drag),
         )
-    else:
-        rows = _all_rows(storage, degree)
-    if isinstance(part, Separable) and part.last is not None:
-        rows = (*_end_of_path(), *rows)
-    newton: tuple[Statement, ...] = (
-        *rows,
-        _call("solve_pivoted"),
-        _call("update_increments"),
-        CONVERGENCE,
-    )
-    following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), ACCEPTANCE)
-    closing: tuple[Statement, ...] = ()
-    if isinstance(part, Separable) and part.last is not None:
-        closing = _end_of_path()
-    advance = (
-        *closing,
-        _call("clear_momentum"),
-        _nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
-        _call("close_step"),
-        *(() if constant else velocity),
-        *(following if part.columns else ()),
-    )
-    step = lanes((When(advance),))
-    beginning = [
-        Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
-        Kernel("legendre", "p = dL/dv from q and v.",
-               lanes((_call("path_start"), _call("mass"), _call("momentum")))),
-    ]  # fmt: skip
-    if not part.columns:  # nothing to solve, nothing to predict
-        step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
-        doc = "Take as many steps as W[COUNT] says, by compensated sums."
-        return [*beginning, Kernel("advance", doc, step)]
-    return [
-        *beginning,
-        Kernel("newton", "One Newton iteration, assembled node by node, with row pivoting.",
-               lanes((When(newton),))),
-        Kernel("advance", "Close a step by compensated sums, then predict the next increments.",
-               step),
-    ]  # fmt: skip
 
+    def pivoted(self, *, following: bool) -> Kernel:
+        """Return Newton's iteration for all equations, where the fixed order of elimination fails.
 
-def _end_of_path() -> tuple[Statement, ...]:
-    """Find X_d where it is no unknown."""
-    return (
-        _call("clear_momentum"),
-        _nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
-        _call("end_path", "W", "h", "lane"),
-    )
+        Coordinates whose increments are ``following`` from those of the others are solved for
+        first: what is left is the iteration of the reduced equations.
+        """
+        rows = self._all_rows()
+        first = (*rows, _call("solve_following"), *rows) if following else rows
+        leave = (_call("clear_following"),) if following else ()
+        body = (*first, _call("solve_pivoted"), *leave, _call("update_increments"), CONVERGENCE)
+        doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
+        return Kernel(PIVOTED, doc, lanes((When(body),)))
 
+    def step(self, part: Coupled | Separable) -> list[Kernel]:
+        """Return the kernels of a step."""
+        constant = isinstance(part, Separable)
+        again = (_call("momentum_to_solve"), _call("solve_mass"))
+        first = (_call("keep_mass"),) if constant else ()
+        begin = (
+            *self._start(), _call("mass"), *first, _call("factor_mass"), *again,
+            _call("straight_path", "W", "h", "lane"),
+        )  # fmt: skip
+        rows: tuple[Statement, ...]
+        if constant:
+            size = str(self.storage.size(len(part.columns)))
+            rows = (
+                _call("clear_matrix", "W", "lane", size),
+                _call("inertia", "W", "h", "lane"),
+                self._nodes("FORCE_NODES", _call("forces"), _call("assemble_forces", *_NODE)),
+            )
+        else:
+            rows = self._all_rows()
+        if isinstance(part, Separable) and part.last is not None:
+            rows = (*self._end_of_path(), *rows)
+        newton: tuple[Statement, ...] = (
+            *rows,
+            _call("solve_pivoted"),
+            _call("update_increments"),
+            CONVERGENCE,
+        )
+        following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), ACCEPTANCE)
+        closing: tuple[Statement, ...] = ()
+        if isinstance(part, Separable) and part.last is not None:
+            closing = self._end_of_path()
+        advance = (
+            *closing,
+            _call("clear_momentum"),
+            self._nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
+            _call("close_step"),
+            *(() if constant else self._velocity("t + h")),
+            *(following if part.columns else ()),
+        )
+        step = lanes((When(advance),))
+        beginning = [
+            Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
+            Kernel("legendre", "p = dL/dv from q and v.",
+                   lanes((*self._start(), _call("mass"), _call("momentum")))),
+        ]  # fmt: skip
+        if not part.columns:  # nothing to solve, nothing to predict
+            step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
+            doc = "Take as many steps as W[COUNT] says, by compensated sums."
+            return [*beginning, Kernel("advance", doc, step)]
+        return [
+            *beginning,
+            Kernel("newton", "One Newton iteration, assembled node by node, with row pivoting.",
+                   lanes((When(newton),))),
+            Kernel("advance",
+                   "Close a step by compensated sums, then predict the next increments.", step),
+        ]  # fmt: skip
 
-def composed_kernels() -> list[Kernel]:
-    """Make the kernels of an explicit step with loops over kicks and drifts."""
-    momentum = (_call("path_start"), _call("mass"))
-    begin = (
-        *momentum, _call("factor_mass"), _call("momentum_to_solve"), _call("solve_mass"),
-        _call("path_start"), _call("gradient"),
-    )  # fmt: skip
-    parts = Loop(
-        "part", "range(len(DRIFTS))",
-        (_call("drift", "W", "h", "part", "lane"), _call("gradient"),
-         _call("kick", "W", "h", "part + 1", "lane")),
-    )  # fmt: skip
-    closing = (_call("first_kick", "W", "h", "lane"), parts, _call("close_composed"))
-    step = lanes((When(closing),))
-    return [
-        Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),
-        Kernel("legendre", "p = dL/dv from q and v.", lanes((*momentum, _call("momentum")))),
-        Kernel("advance", "Take as many steps as W[COUNT] says: kicks, and drifts between them.",
-               (Loop("step", "range(int(W[COUNT, 0]))", step),)),
-    ]  # fmt: skip
+    def _end_of_path(self) -> tuple[Statement, ...]:
+        """Find X_d where it is no unknown."""
+        return (
+            _call("clear_momentum"),
+            self._nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
+            _call("end_path", "W", "h", "lane"),
+        )
 
+    def composed(self) -> list[Kernel]:
+        """Return the kernels of an explicit step with loops over kicks and drifts."""
+        momentum = (*self._start(), _call("mass"))
+        begin = (
+            *momentum, _call("factor_mass"), _call("momentum_to_solve"), _call("solve_mass"),
+            *self._start(), _call("gradient"),
+        )  # fmt: skip
+        parts = Loop(
+            "part", "range(len(DRIFTS))",
+            (_call("drift", "W", "h", "part", "lane"),
+             *self._time("t + REACHED[part] * h"), _call("gradient"),
+             _call("kick", "W", "h", "part + 1", "lane")),
+        )  # fmt: skip
+        # the force at the end of a step is that at the start of the next one, unless t is rounded
+        again = () if self.autonomous else (*self._start(), _call("gradient"))
+        closing = (*again, _call("first_kick", "W", "h", "lane"), parts, _call("close_composed"))
+        step = lanes((When(closing),))
+        return [
+            Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),
+            Kernel("legendre", "p = dL/dv from q and v.", lanes((*momentum, _call("momentum")))),
+            Kernel("advance",
+                   "Take as many steps as W[COUNT] says: kicks, and drifts between them.",
+                   (Loop("step", "range(int(W[COUNT, 0]))", step),)),
+        ]  # fmt: skip
 
-def energy_kernel() -> Kernel:
-    """H = v.(p - a)/2 + V, and the first of the two alone."""
-    body = ("path_start", "mass", "factor_mass", "momentum_to_solve", "solve_mass",
-            "kinetic_energy", "path_start", "potential")  # fmt: skip
-    doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
-    return Kernel("energy", doc, lanes(_call(name) for name in body))
+    def energy(self) -> Kernel:
+        """Return H = v.(p - a)/2 + V, and the first of the two alone."""
+        body = (*self._velocity(), *map(_call, ("momentum_to_solve", "solve_mass",
+                "kinetic_energy")), *self._start(), _call("potential"))  # fmt: skip
+        doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
+        return Kernel("energy", doc, lanes(body))
+
+    def work(self, *, following: bool) -> Kernel:
+        """Return the integrals of powers over a step whose increments are known.
+
+        Those of coordinates that are ``following`` from the others are solved for first.
+        """
+        first = (*self._all_rows(), _call("solve_following")) if following else ()
+        nodes = self._nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
+        doc = "Add the work of forces in a step, and the integral of dL/dt."
+        return Kernel("work", doc, lanes((*first, nodes)))
+
+    def before_state(self) -> tuple[Statement, ...]:
+        """Return what finds the velocities of a state."""
+        return (*self._velocity(), _call("momentum_to_solve"), _call("solve_mass"))
 
 
 def solve_constants(storage: Storage, columns: tuple[int, ...]) -> dict[str, object]:

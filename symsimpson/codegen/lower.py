@@ -34,6 +34,8 @@ class Lowering:
         self.hoisted: dict[sp.Symbol, Row] = {}
         coordinates = self.names.coordinates
         self.h = self.graph.declare(equations.h, Level.RUN)
+        # nothing that depends on t is kept from step to step: rounded, t + h is not the next t
+        self.t = self.graph.declare(sp.Symbol("t", real=True), Level.ITERATION)
         self.q = self._base(coordinates, "POSITION", Level.STEP)
         self.q_low = self._base([f"{q}_low" for q in coordinates], "POSITION_LOW", Level.ITERATION)
         self.p = self._base([f"p_{q}" for q in coordinates], "MOMENTUM", Level.STEP)
@@ -66,6 +68,7 @@ class Lowering:
         self.node_v = self._base(
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
         )
+        self.node_t = self._base(["t_i"], "NODE_TIME", Level.ITERATION)[0]
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
         self.parameters = dict(zip(equations.plain.parameters, own, strict=True))
@@ -108,7 +111,14 @@ class Lowering:
         """Return the point q0; its suffix is that of a node standing there."""
         scheme = self.equations.scheme
         at_start = [i for i in range(scheme.stages) if self.equations.at_start(i)]
-        return Point(str(at_start[0]) if at_start else "start", self.q)
+        suffix = str(at_start[0]) if at_start else "start"
+        return Point(suffix, self.q, t=self.time(sp.S.Zero, suffix))
+
+    def time(self, part: sp.Expr, suffix: str) -> sp.Expr | None:
+        """Return the time after a part of the step; None if nothing depends on it."""
+        if self.equations.plain.autonomous:
+            return None
+        return self.graph.define(f"t_{suffix}", self.t + part * self.h, "times")
 
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None

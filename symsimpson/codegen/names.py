@@ -6,6 +6,7 @@ import builtins
 import keyword
 import re
 import unicodedata
+from collections.abc import Iterable
 from functools import cache
 
 import sympy as sp
@@ -142,6 +143,14 @@ def _written_out(name: str) -> str:
     return "".join(letters).replace("_{", "_").replace("}", "").replace("'", "_prime")
 
 
+def _shown(names: Iterable[str], kind: str) -> tuple[str, ...]:
+    """Return names as modules write them, a number where one is no plain text."""
+    plain = re.compile(r"[A-Za-z][A-Za-z0-9_ ]{0,63}")
+    return tuple(
+        name if plain.fullmatch(name) else f"{kind} {i}" for i, name in enumerate(names)
+    )  # fmt: skip
+
+
 class NameTable:
     """Gives every symbol of a module its own identifier.
 
@@ -158,10 +167,8 @@ class NameTable:
         self.parameters = tuple(
             self._user(a.name, f"a{i}") for i, a in enumerate(system.parameters)
         )
-        self.invariants = tuple(
-            name if re.fullmatch(r"[A-Za-z][A-Za-z0-9_ ]{0,63}", name) else f"invariant {i}"
-            for i, name in enumerate(system.plain.invariants)
-        )
+        self.invariants = _shown(system.plain.invariants, "invariant")
+        self.forces = _shown(system.plain.forces, "force")
 
     def _user(self, name: str, substitute: str) -> str:
         plain = _written_out(name)

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 
+from symsimpson.codegen.coupled import end_of
 from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
@@ -86,6 +87,15 @@ class StageKernels:
         )
 
     @property
+    def constants(self) -> tuple[Call, ...]:
+        """Return what is done once a run."""
+        if not self.kernels:
+            return ()
+        timed = not self._low.equations.plain.autonomous
+        places = (Call("stage_places", HERE),) if timed else ()
+        return (Call("stage_constants", ("W", "h", "lane")), *places)
+
+    @property
     def sizes(self) -> dict[str, int]:
         """Return the sizes of the blocks of rows that stages need; none without kernels."""
         if not self.kernels:
@@ -97,6 +107,7 @@ class StageKernels:
         }  # fmt: skip
         return {
             **{f"STAGE_{name}": count * self.stride for name, count in rows.items()},
+            **({} if self._low.equations.plain.autonomous else {"STAGE_PLACE": self.stride}),
             "STAGE_EXPECTED": 1,
             "STAGE_COUNT": 1,
         }
@@ -147,7 +158,7 @@ class StageKernels:
             for a in range(n)
         ]  # fmt: skip
         v = [self._velocity(a) for a in range(n)]
-        point = Point("j", tuple(q), tuple(v))
+        point = Point("j", tuple(q), tuple(v), self._time())
         kicks = [
             Store(
                 Row("STAGE_F", self._place(a)),
@@ -202,6 +213,15 @@ class StageKernels:
         first = define(f"v_{name}_j_first", self._rate * self._own[a], "path")
         lost = define(f"dq_{name}_j_lost", self._own[a] - self._share * first, "path")
         return define(f"v_{name}_j", first + self._rate * lost, "path")
+
+    def _time(self) -> sp.Expr | None:
+        """Return the time at a node; None if nothing depends on it."""
+        low = self._low
+        if low.equations.plain.autonomous:
+            return None
+        place = low.graph.declare(low.names.fresh("c_j"), Level.ITERATION)
+        low.rows[place] = Row("STAGE_PLACE", "node")
+        return low.graph.define("t_j", low.t + place * low.h, "path")
 
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""
@@ -268,7 +288,7 @@ class StageKernels:
         """Return how far velocities of cyclic coordinates at q1 are from those of the path."""
         low, c = self._low, self._low.equations.scheme.quadrature.nodes
         define, section = low.graph.define, "velocity at q1"
-        end = Point("end", tuple(q))
+        end = end_of(low, q)
         v, _ = velocity(low, end, p, section)
         b = low.equations.scheme.quadrature.weights
         terms = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -20,12 +21,13 @@ __all__ = ["JetTemplate", "Point"]
 class Point:
     """Where a jet is evaluated: names of q and v there, and a suffix for everything made of them.
 
-    ``v`` is None where only functions of q are asked for.
+    ``v`` is None where only functions of t and q are asked for, ``t`` where nothing depends on it.
     """
 
     suffix: str
     q: tuple[sp.Symbol, ...]
     v: tuple[sp.Expr, ...] | None = None
+    t: sp.Expr | None = None
 
 
 class JetTemplate:
@@ -72,6 +74,11 @@ class JetTemplate:
         """The coordinates on which a force acts."""
         return self._jet.forced
 
+    @property
+    def dragged(self) -> bool:
+        """Whether forces depend on velocities."""
+        return self._jet.dragged
+
     def vanishes(self, what: str, *index: int) -> bool:
         """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]
@@ -83,7 +90,7 @@ class JetTemplate:
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
         own = [self._names[i] if isinstance(i, int) else i for i in index]
         hint = "_".join((what.replace("_", ""), *own, *suffix))
-        return self._graph.define(hint.replace(" ", "_"), value, section)
+        return self._graph.define(re.sub(r"[^A-Za-z0-9_]", "_", hint), value, section)
 
     def _value(self, value: Value, point: Point, section: str) -> sp.Expr:
         """Write a multiple of a line; of a sum, only under a name."""
@@ -145,6 +152,9 @@ class JetTemplate:
             return self._momenta[place]
         if kind == "q":
             return point.q[place]
+        if kind == "t":
+            assert point.t is not None
+            return point.t
         assert point.v is not None
         return point.v[place]
 

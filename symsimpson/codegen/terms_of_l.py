@@ -15,7 +15,7 @@ from symsimpson.discrete.jet import derive_jet
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size
 
-__all__ = ["FUNCTIONS", "family_functions", "unrolled_functions"]
+__all__ = ["FUNCTIONS", "family_functions", "power_function", "unrolled_functions"]
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
@@ -28,26 +28,50 @@ FUNCTIONS = {
 #: Terms of more nodes are not shown.
 _SHOWN = 100
 _BLOCKS = {"F": "NODE_L_Q", "P": "NODE_L_V", "a": "NODE_L_V", "F_q": "NODE_L_QQ",
-           "F_v": "NODE_L_QV", "M": "NODE_L_VV", "V": "ENERGY"}  # fmt: skip
+           "F_v": "NODE_L_QV", "f_v": "NODE_F_V", "M": "NODE_L_VV", "V": "ENERGY"}  # fmt: skip
 _CLEARED = {"F": "clear_gradient", "F_q": "clear_hessian", "F_v": "clear_mixed",
-            "M": "clear_mass"}  # fmt: skip
+            "M": "clear_mass", "f_v": "clear_drag"}  # fmt: skip
 
 
 def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
-    """Write every entry of the jet by lines of its own."""
-    point = Point("i", low.node_q, low.node_v)
+    """Write every entry of the jet by lines of its own.
+
+    Large systems with forces are not families of terms: what is zero is cleared by loops.
+    """
+    sparse = not low.equations.plain.conservative
+    point = Point("i", low.node_q, low.node_v, low.node_t)
+    dragged = low.template.dragged
     size = range(low.n)
     found = []
     for name in names:
         doc, parts = FUNCTIONS[name]
         stores = []
-        for what in parts:
+        asked = (*parts, *(("f_v",) if dragged and "F_v" in parts else ()))
+        for what in asked:
             for index in _indices(what, size):
-                value = low.template.entry(point, "jet", what, *index)
+                # L_qv is the transpose of P_q; F_v has what forces depend on beside it
+                turned = dragged and what == "F_v"
+                entry, places = ("P_q", index[::-1]) if turned else (what, index)
+                value = low.template.entry(point, "jet", entry, *places)
                 number = sum(i * low.n**k for k, i in enumerate(reversed(index)))
-                stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
-        found.append(Function(name, doc, low.statements(stores, (Level.ITERATION,))))
+                if value != 0 or not sparse:
+                    stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
+        cleared = [x for x in asked if x in _CLEARED] if sparse else []
+        body = [Call(_CLEARED[x], ("W", "lane")) for x in cleared]
+        lines = low.statements(stores, (Level.ITERATION,))
+        found.append(Function(name, doc, (*body, *lines)))
     return found
+
+
+def power_function(low: Lowering) -> Function:
+    """Write what changes the energy at a node."""
+    point = Point("i", low.node_q, low.node_v, low.node_t)
+    stores = [
+        Store(Row("POWER", k), low.template.entry(point, "powers", "power", name))
+        for k, name in enumerate(low.equations.plain.powers)
+    ]
+    doc = "Power of each force at a node, then dL/dt where L depends on t."
+    return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 
 
 def family_functions(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 import sympy as sp
 
 from symsimpson.codegen.composed import ComposedSolver
-from symsimpson.codegen.coupled import CoupledSolver, Increment, Solver, end_slope
+from symsimpson.codegen.coupled import CoupledSolver, Increment, Solver, end_of, end_slope
 from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear import LinearSolver
@@ -143,7 +143,7 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
             q[a] = low.moved_on(a, change)
         for a, impulse in closing.dp.items():
             p[a] = low.compensated(f"p_{names[a]}", low.p[a], low.p_low[a], impulse)
-    end = Point("end", tuple(q[a][0] for a in range(low.n)))
+    end = end_of(low, [q[a][0] for a in range(low.n)])
     momentum = tuple(p[a][0] if a in p else low.p[a] for a in range(low.n))
     stores, masses = _predicted(low, solvers, end, momentum) if iterated else ([], {})
     checks: dict[str, list[sp.Expr]] = {}
@@ -244,7 +244,8 @@ def _start(
 
 def _legendre(low: Lowering) -> Kernel:
     """The momentum of a velocity."""
-    point = Point(f"{low.start_point().suffix}_given", low.q, low.v)
+    start = low.start_point()
+    point = Point(f"{start.suffix}_given", low.q, low.v, start.t)
     stores = momentum_stores(low, point)
     return Kernel("legendre", "p = dL/dv from q and v.", lanes(low.statements(stores, STATE)))
 

@@ -173,8 +173,9 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     for subsystem in system.structure.subsystems:
         if not subsystem.separable:
             own = ", ".join(names[i] for i in subsystem.coordinates)
-            moving = bool(plain.mass.free_symbols & set(plain.q))
-            what = "mass matrix depends on positions" if moving else "force depends on velocities"
+            moving = plain.mass.free_symbols & {*plain.q, plain.t}
+            on = "the time" if moving == {plain.t} else "positions"
+            what = f"mass matrix depends on {on}" if moving else "force depends on velocities"
             raise SchemeError(
                 f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
                 f"depend on positions alone, but the {what} in {own}.\n"

@@ -1,7 +1,7 @@
-"""The jet of a Lagrangian: forces, momenta and their derivatives at one point (q, v).
+"""The jet of a system: forces, momenta and their derivatives at one point (t, q, v).
 
-F = L_q and P = L_v, with F_q, F_v, P_q and P_v = M as four separate things: nothing is taken for
-symmetric, what is equal is found to be. There are several ways to derive them, of which none is
+F = L_q + f and P = L_v, with F_q, F_v, P_q and P_v = M as four separate things: nothing is taken
+for symmetric, what is equal is found to be. There are several ways to derive them, of which none is
 always the shortest; each is tried, and the one with the fewest operations is taken.
 """
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from symsimpson.discrete.angles import halved, summed
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.merge import merged
-from symsimpson.graph.nodes import Graph, Value, scaled
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.program import Program
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
@@ -68,7 +68,8 @@ class Jet:
     ----------
     program : Program
         Outputs ``("F", i)``, ``("P", i)``, ``("F_q", i, j)``, ``("F_v", i, j)``, ``("P_q", i, j)``,
-        ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``.
+        ``("M", i, j)``, ``("a", i)``, ``("V",)`` and ``("invariant", name)``; where forces depend
+        on v, ``("f_v", i, j)``, and of what changes the energy ``("power", name)``.
     operations : int
         Additions, products, quotients, powers and functions, without those on parameters alone.
     """
@@ -90,6 +91,11 @@ class Jet:
         """The coordinates on which a force acts."""
         forces = (key for key in self.program.outputs if key[0] == "F")  # type: ignore[index]
         return tuple(key[1] for key in forces if self[key][0])  # type: ignore[index]
+
+    @property
+    def dragged(self) -> bool:
+        """Whether forces depend on velocities."""
+        return any(key[0] == "f_v" for key in self.program.outputs)  # type: ignore[index]
 
 
 def derive_jet(
@@ -134,17 +140,26 @@ def _derived(
     plain: Plain, T: Value, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]
 ) -> Jet:
     graph, n = Graph(factored=way.factored), len(plain.q)
-    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters)
+    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters, plain.t)
     places = graph.numbers(symbol.name for symbol in symbols)
     q, v = places[:n], places[n : 2 * n]
     given: dict[Key, Value] = {**more, ("V",): plain.V}
     given |= {("a", i): a for i, a in enumerate(plain.a)}
     given |= {("invariant", name): value for name, value in plain.invariants.items()}
+    given |= {("power", name): value for name, value in plain.powers.items()}
+    given |= {("f", i): f for i, f in enumerate(plain.f) if f[0]}
     T, *values = rebuilt(plain.graph, [T, *given.values()], {}, graph)
     outputs: dict[Key, Value] = dict(zip(given, values, strict=True))
     linear = graph.products([outputs["a", i] for i in range(n)], v)
     L = graph.add([T, *linear, scaled(-1, outputs["V",])])
     derivatives = Derivatives(graph)
+    f = {i: outputs.pop(("f", i)) for i, (c, _) in enumerate(plain.f) if c}
+    drag: dict[Key, Value] = {
+        ("f_v", i, j): derivatives(force, x) for i, force in f.items() for j, x in enumerate(v)
+    }
+    if any(c for c, _ in drag.values()):
+        every = product(range(n), repeat=2)
+        outputs |= {("f_v", i, j): drag.get(("f_v", i, j), ZERO) for i, j in every}
 
     def slopes(value: Value, *, reverse: bool) -> list[Value]:
         if reverse:
@@ -153,6 +168,8 @@ def _derived(
 
     first = slopes(L, reverse=way.reverse)
     for i in range(n):
+        if i in f:
+            first[i] = graph.add([first[i], f[i]])
         of_force, of_momentum = (slopes(first[k], reverse=way.second_reverse) for k in (i, n + i))
         outputs["F", i], outputs["P", i] = first[i], first[n + i]
         for j in range(n):

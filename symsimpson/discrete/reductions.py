@@ -211,13 +211,27 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
         return _separable(coordinates, scheme)
     rows, columns = elimination_order(scheme.degree)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
-    if subsystem.cyclic and others and "cyclic" in exploit and (scheme.exact or scheme.by_stages):
+    reducible = subsystem.cyclic and others and _still(plain, subsystem.cyclic)
+    if reducible and "cyclic" in exploit and (scheme.exact or scheme.by_stages):
         factors = factorise(_cyclic_mass(plain, subsystem.cyclic), plain.q)
         if factors is not None:
             cyclic = tuple(subsystem.cyclic[i] for i in factors.order)
             middle = scheme.stages // 2
             return Routh(others, rows, columns, cyclic, annihilating(scheme), middle, factors)
     return Coupled(coordinates, rows, columns)
+
+
+def _still(plain: Plain, cyclic: Sequence[int]) -> bool:
+    """Return whether no force depends on the velocities of cyclic coordinates, nor their M on t.
+
+    Then their velocities enter the other equations as they enter L.
+    """
+    nodes = plain.graph.nodes
+    v = set(plain.numbers(plain.v[i] for i in cyclic))
+    masses = [plain.entry(i, j) for i in cyclic for j in range(len(plain.q))]
+    return all(nodes[n].symbols.isdisjoint(v) for _, n in plain.f) and not any(
+        plain.time in nodes[n].symbols for _, n in masses
+    )
 
 
 def _cyclic_mass(plain: Plain, cyclic: Sequence[int]) -> sp.ImmutableDenseMatrix | None:

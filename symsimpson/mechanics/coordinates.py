@@ -8,7 +8,10 @@ from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.errors import ModelError
 
-__all__ = ["coordinates", "momenta"]
+__all__ = ["coordinates", "momenta", "time"]
+
+#: The time: SymPy's ``dynamicsymbols._t``, of which coordinates are functions.
+time: sp.Symbol = dynamicsymbols._t
 
 
 def coordinates(names: str) -> tuple[AppliedUndef, ...]:

@@ -11,17 +11,19 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import check_names, fail, spell
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.forces import read_forces
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.quadratic import (
     Polynomial,
     check_degenerate,
     check_mass_matrix,
     polynomial,
+    quadratic_form,
 )
 
 if TYPE_CHECKING:
@@ -65,12 +67,20 @@ def read_energies(
         places = [symbol for group in (*allowed, s.q, s.a) for symbol in group]
         return read_expression(name, what, expression, s, s.known, places)
 
-    kinetic = read("kinetic energy", given.kinetic, s.v)
-    potential = read("potential", given.potential)
-    linear = read("gyroscopic term", given.gyroscopic, s.v)
+    def read_timed(what: str, expression: Any) -> Value:
+        return read(what, expression, s.v, (s.t,))
+
+    kinetic = read_timed("kinetic energy", given.kinetic)
+    potential = read("potential", given.potential, (s.t,))
+    linear = read_timed("gyroscopic term", given.gyroscopic)
     parts = polynomial(name, "kinetic energy", kinetic, s)
     left = [*parts.a, parts.rest]
-    if not all(map(Findings(s.graph, left).vanishes, left)):
+    carried = any(s.graph.symbol(s.t.name)[1] in s.graph.nodes[n].symbols for _, n in left)
+    if carried:  # by a motion that is prescribed: these terms belong to a and to V
+        kinetic = quadratic_form(s.graph, parts.M, s.numbers(s.v))
+        potential = s.graph.add([potential, scaled(-1, parts.rest)])
+        linear = s.graph.add([linear, *s.graph.products(parts.a, s.numbers(s.v))])
+    elif not all(map(Findings(s.graph, left).vanishes, left)):
         leftover = s.graph.add([*s.graph.products(parts.a, s.numbers(s.v)), parts.rest])
         raise fail(
             name,
@@ -88,6 +98,9 @@ def read_energies(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
             "It must have the form a(q).v; put the rest into T or V.",
         )
+    forces = read_forces(
+        name, coordinates, given.forces, given.dissipation, s, read_timed
+    )  # fmt: skip
     positions = _read_positions(name, given, read)
     watch = s.known | {
         user: s.graph.symbol(own.name)
@@ -100,12 +113,12 @@ def read_energies(
             raise ModelError(f"system '{name}': the invariant's name {key!r} is not a string.\n"
                              "Write invariants={'angular momentum': ...}.")  # fmt: skip
         values[key] = read_expression(
-            name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a)
+            name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a, s.t)
         )
         invariants[key] = sp.sympify(quantity)
     plain = Plain(
         graph=s.graph, q=s.q, v=s.v, p=s.p, parameters=s.a, T=kinetic, M=dict(parts.M),
-        a=gyroscopic.a, V=potential, invariants=MappingProxyType(values),
+        a=gyroscopic.a, V=potential, invariants=MappingProxyType(values), t=s.t, forces=forces,
     )  # fmt: skip
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)

@@ -15,7 +15,6 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanFunction
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import Reader
@@ -129,8 +128,8 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
                 system,
                 f"the {what} contains {spell(node)}, "
                 + (f"a derivative of order {order}." if order > 1 else "an unknown velocity."),
-                "A Lagrangian depends on the declared coordinates and their first derivatives. "
-                "Declare the coordinate, or drop the term.",
+                "Energies and forces depend on the declared coordinates and their first "
+                "derivatives. Declare the coordinate, or drop the term.",
             )
         raise fail(
             system,
@@ -205,7 +204,8 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             else f"{name}, or its derivatives, are not among the functions of C's mathematics "
             "library, which compiled code calls."
         ),
-        "Use a smooth form, such as sqrt(x**2 + eps**2) for |x|, or one of "
+        "Use a smooth form, such as sqrt(x**2 + eps**2) for |x| or tanh(x/eps) for its sign (a "
+        "step must then resolve eps), or one of "
         + ", ".join(sorted(f.__name__ for f in SMOOTH))
         + ".",
     )
@@ -241,13 +241,6 @@ def check_declared(
 ) -> None:
     """Refuse a symbol that was not declared."""
     declared = {str(s): s for s in known if isinstance(s, sp.Symbol)}
-    if symbol == dynamicsymbols._t:
-        raise fail(
-            system,
-            f"the {what} depends explicitly on the time t.",
-            "Only autonomous systems are integrated. Make the driven quantity a coordinate "
-            "or a parameter.",
-        )
     if symbol.name in declared:
         raise fail(
             system,

@@ -10,6 +10,7 @@ from sympy.physics.mechanics import dynamicsymbols
 from sympy.physics.vector import vlatex
 
 from symsimpson.markup import aligned, in_text
+from symsimpson.mechanics.plain import Symbols
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -45,10 +46,12 @@ def _equations(one: MechanicalSystem) -> str:
     if one.n <= SHOWN:
         lines.append(("M", one.mass_matrix.xreplace(safe)))
         lagrangian = one.lagrangian
-        for q in one.coordinates:
+        back = dict(Symbols(one.coordinates, one.parameters).back)
+        for q, own in zip(one.coordinates, one.plain.f, strict=True):
             name = q.xreplace(safe)
             moment = sp.diff(lagrangian, q.diff(t)).xreplace(safe)
-            force = sp.diff(lagrangian, q).xreplace(safe)
+            force = sp.diff(lagrangian, q) + one.plain.written(own).xreplace(back)
+            force = force.xreplace(safe)
             if sp.count_ops([moment, force]) > MOST_OPERATIONS:
                 break
             label = vlatex(name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from typing import Any, TypeAlias
 
@@ -11,6 +11,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.physics.mechanics import dynamicsymbols
 
+from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.read import written
 from symsimpson.graph.signs import Signs
@@ -19,14 +20,17 @@ __all__ = ["Plain", "Symbols", "unfrozen"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 SIGNS = ("positive", "negative", "nonnegative", "nonpositive")
+#: Stands for the time.
+TIME = sp.Symbol("t_0", real=True)
 
 
 @dataclass(frozen=True)
 class Plain:
-    """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2.
+    """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2, and forces f(t, q, v).
 
-    ``q``, ``v``, ``p`` and ``parameters`` are real symbols with names of our own, which the graph's
-    symbols bear, too. ``M`` holds the entries on and below the diagonal that are not zero.
+    ``q``, ``v``, ``p``, ``t`` and ``parameters`` are real symbols with names of our own, which the
+    graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are not zero.
+    ``forces`` has the components of each named force. M, a and V may depend on t as well.
     """
 
     graph: Graph
@@ -39,6 +43,8 @@ class Plain:
     a: tuple[Value, ...]
     V: Value
     invariants: Mapping[str, Value]
+    t: sp.Symbol = TIME
+    forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of symbols."""
@@ -60,6 +66,39 @@ class Plain:
         """What the Lagrangian is made of: the entries of M and a, and V."""
         return (*self.M.values(), *self.a, self.V)
 
+    @cached_property
+    def f(self) -> tuple[Value, ...]:
+        """The sum of all forces, by coordinate."""
+        size = range(len(self.q))
+        return tuple(self.graph.add(force[i] for force in self.forces.values()) for i in size)
+
+    @cached_property
+    def time(self) -> int:
+        """The node of t."""
+        return self.graph.symbol(self.t.name)[1]
+
+    @cached_property
+    def autonomous(self) -> bool:
+        """Whether neither L nor a force depends on t."""
+        nodes = self.graph.nodes
+        return all(self.time not in nodes[n].symbols for _, n in (*self.energies, *self.f))
+
+    @cached_property
+    def conservative(self) -> bool:
+        """Whether the energy is constant: there are no forces, and t stands nowhere."""
+        return not self.forces and self.autonomous
+
+    @cached_property
+    def powers(self) -> dict[str, Value]:
+        """The power f.v of each force and, where t stands in L or a force, dL/dt behind them."""
+        graph, v = self.graph, self.numbers(self.v)
+        found = {
+            f"of {name}": graph.add(graph.products(force, v)) for name, force in self.forces.items()
+        }
+        if not self.autonomous:
+            (found["dL_dt"],) = gradient(graph, self.L, [self.time])
+        return found
+
     def entry(self, i: int, j: int) -> Value:
         """Return an entry of M."""
         return self.M.get((max(i, j), min(i, j)), (0, 0))
@@ -72,10 +111,10 @@ class Plain:
     def level(self, graph: Graph) -> Callable[[int], int]:
         """Return a function that tells of nodes what they depend on.
 
-        0 for parameters alone, 1 for q, 2 for v or p. The graph may be another one with symbols of
-        these names.
+        0 for parameters alone, 1 for t and q, 2 for v or p. The graph may be another one with
+        symbols of these names.
         """
-        positions = set(graph.numbers(s.name for s in self.q))
+        positions = set(graph.numbers(s.name for s in (*self.q, self.t)))
         moving = set(graph.numbers(s.name for s in (*self.v, *self.p)))
 
         def level(n: int) -> int:
@@ -93,7 +132,7 @@ class Plain:
 
     def written(self, value: Value) -> sp.Expr:
         """Write a value in the plain symbols."""
-        symbols = (*self.q, *self.v, *self.p, *self.parameters)
+        symbols = (*self.q, *self.v, *self.p, *self.parameters, self.t)
         return written(self.graph, value, dict(zip(self.numbers(symbols), symbols, strict=True)))
 
     @property
@@ -129,10 +168,11 @@ class Symbols:
     Attributes
     ----------
     q, v, p, a : tuple of sympy.Symbol
+    t : sympy.Symbol
     graph : Graph
-        Its first nodes are q, v, p and a, in this order.
+        Its first nodes are q, v, p, a and t, in this order.
     known : dict from the user's expression to Value
-        Velocities, coordinates and parameters.
+        Velocities, coordinates, parameters and the time.
     """
 
     def __init__(
@@ -148,10 +188,12 @@ class Symbols:
             **{q.diff(t): v for q, v in zip(coordinates, self.v, strict=True)},
             **dict(zip(coordinates, self.q, strict=True)),
             **dict(zip(parameters, self.a, strict=True)),
+            t: TIME,
         }
         self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
+        self.t = TIME
         self.graph = Graph()
-        for symbol in (*self.q, *self.v, *self.p, *self.a):
+        for symbol in (*self.q, *self.v, *self.p, *self.a, TIME):
             self.graph.symbol(symbol.name)
         self.known = {user: self.graph.symbol(own.name) for user, own in self.replace.items()}
 

@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import mpmath
@@ -16,13 +17,16 @@ from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.field import Arithmetic, Element
 from symsimpson.graph.findings import Findings
-from symsimpson.graph.nodes import ZERO, Exact, Value
+from symsimpson.graph.nodes import ZERO, Exact, Graph, Value
 from symsimpson.graph.read import Reader, tree_size
 from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
-__all__ = ["Polynomial", "check_degenerate", "check_mass_matrix", "connected", "polynomial"]
+__all__ = [
+    "Polynomial", "check_degenerate", "check_mass_matrix", "connected", "polynomial",
+    "quadratic_form",
+]  # fmt: skip
 
 #: Second derivatives with more nodes than this are not simplified, and not shown.
 TOO_LONG = 400
@@ -37,6 +41,17 @@ class Polynomial:
     M: Mapping[tuple[int, int], Value]
     a: tuple[Value, ...]
     rest: Value
+
+
+def quadratic_form(
+    graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]
+) -> Value:  # fmt: skip
+    """Write v.M.v/2, of the entries of M on and below its diagonal."""
+    half = Fraction(1, 2)
+    return graph.add(
+        graph.multiply([value, (half if i == j else 1, v[i]), (1, v[j])])
+        for (i, j), value in M.items()
+    )
 
 
 def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polynomial:
@@ -206,7 +221,7 @@ def _clearly_regular(
 ) -> Iterable[bool]:
     """Tell of blocks of M whether they are regular at a sample, by singular values in doubles."""
     generator = random.Random(20)
-    everything = (*symbols.q, *symbols.v, *symbols.a)
+    everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
     for _ in range(SAMPLES):
         point = {
             n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)

@@ -1,6 +1,6 @@
 """What a system has and lacks: granted by algebra, or by an identity test in a finite field.
 
-Forces F = L_q and momenta P = L_v are asked what moves them; the error of an answer is below
+Forces F = L_q + f and momenta P = L_v are asked what moves them; the error of an answer is below
 2^-100 (:mod:`symsimpson.graph.field`). What a field leaves open, 60 digits may refuse and SymPy may
 grant; the rest is undecided, and counts as not there.
 """
@@ -18,7 +18,7 @@ from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.quadratic import connected
+from symsimpson.mechanics.quadratic import connected, quadratic_form
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -35,13 +35,14 @@ class Subsystem:
     coordinates : tuple of int
         Those of the subsystem.
     cyclic : tuple of int
-        Those among them that L does not depend on.
+        Those among them that neither L nor a force depends on, and on which no force acts.
     constant_mass : bool
-        Its block of M does not depend on q.
+        Its block of M depends neither on q nor on t.
     separable : bool
-        L = T(v) - V(q): M is constant and there are no terms linear in v.
+        L = T(v) - V(t, q): M is constant, there are no terms linear in v, and no force depends
+        on v.
     linear : bool
-        Separable, and V is quadratic: the forces are linear in q.
+        Separable, without t, and V is quadratic and the only force: it is linear in q.
     """
 
     coordinates: tuple[int, ...]
@@ -60,7 +61,7 @@ class Structure:
     n : int
         Number of coordinates.
     constant_mass, diagonal_mass : bool
-        M does not depend on q; M has no entries off its diagonal.
+        M depends neither on q nor on t; M has no entries off its diagonal.
     constant_rows : tuple of str
         Coordinates whose whole row of M does not depend on q.
     gyroscopic : bool
@@ -68,9 +69,15 @@ class Structure:
     separable, linear : bool
         L = T(v) - V(q), and V is quadratic beyond that.
     cyclic : tuple of str
-        Coordinates that L does not depend on: their momenta are constant.
+        Coordinates that neither L nor a force depends on, and on which no force acts: their
+        momenta are constant.
+    autonomous : bool
+        Neither L nor a force depends on the time.
+    forced : tuple of str
+        Coordinates on which a force acts beside those of L.
     periodic : tuple of str
-        Coordinates that enter L through sines and cosines of whole multiples only: angles.
+        Coordinates that enter L and the forces through sines and cosines of whole multiples only:
+        angles.
     subsystems : tuple of Subsystem
         Groups of coordinates that nothing in L couples.
     zeros : mapping from str to (int, int)
@@ -91,6 +98,8 @@ class Structure:
     separable: bool
     linear: bool
     cyclic: tuple[str, ...]
+    autonomous: bool
+    forced: tuple[str, ...]
     periodic: tuple[str, ...]
     subsystems: tuple[Subsystem, ...]
     zeros: dict[str, tuple[int, int]]
@@ -128,11 +137,11 @@ def analyse(system: MechanicalSystem) -> Structure:
     groups = connected(n, look.couplings())
     if len(groups) > len(connected(n, look.as_written())):
         split = _split(plain, groups)
-        if split is None:
+        apart = _Look(split, None) if split is not None else look
+        if split is None or len(connected(n, apart.as_written())) < len(groups):
             groups = connected(n, look.as_written())
         else:
-            plain = split
-            look = _Look(plain, None)
+            plain, look = split, apart
     subsystems = tuple(look.subsystem(group) for group in groups)
     moving = {i for place, value in plain.M.items() if look.moves(value) for i in place}
     triangle = {place: 1 + (place[0] != place[1]) for place in plain.M}
@@ -145,6 +154,8 @@ def analyse(system: MechanicalSystem) -> Structure:
         separable=all(s.separable for s in subsystems),
         linear=all(s.linear for s in subsystems),
         cyclic=tuple(names[i] for s in subsystems for i in s.cyclic),
+        autonomous=plain.autonomous,
+        forced=tuple(name for name, (c, _) in zip(names, plain.f, strict=True) if c),
         periodic=tuple(names[i] for i, x in enumerate(look.q) if _angle(plain, x)),
         subsystems=subsystems,
         zeros={
@@ -170,11 +181,13 @@ class _Look:
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
         self._positions = frozenset(self.q)
-        self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in plain.energies))
+        written = (*plain.energies, *plain.f)
+        self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
-        self.F, self.P = both[: len(self.q)], both[len(self.q) :]
+        own, self.P = both[: len(self.q)], both[len(self.q) :]
+        self.F = [graph.add(pair) for pair in zip(own, plain.f, strict=True)]
         self._slope = gradient(graph, plain.V, self.q)
-        values = [*both, *self._slope, *plain.energies]
+        values = [*self.F, *self.P, *self._slope, *written]
         self._findings = Findings(graph, values, before)
 
     def _met(self) -> Iterator[tuple[int, int, Value, int]]:
@@ -208,10 +221,12 @@ class _Look:
         plain, vanishes = self._plain, self._findings.vanishes
         inside = set(group)
         own = [value for (i, _), value in plain.M.items() if i in inside]
-        constant = not any(map(self.moves, own))
-        separable = constant and all(vanishes(plain.a[i]) for i in group)
+        constant = not any(self.moves(value) or self._timed(value) for value in own)
+        rigid = not any(self._dragged(plain.f[i]) for i in group)
+        separable = constant and rigid and all(vanishes(plain.a[i]) for i in group)
         forces = [self._slope[i] for i in group]
         x = [self.q[i] for i in group]
+        free = not any(plain.f[i][0] for i in group) and not any(map(self._timed, forces))
         return Subsystem(
             coordinates=tuple(group),
             cyclic=tuple(
@@ -219,8 +234,17 @@ class _Look:
             ),
             constant_mass=constant,
             separable=separable,
-            linear=separable and all(self._findings.affine(forces, x)),
+            linear=separable and free and all(self._findings.affine(forces, x)),
         )
+
+    def _dragged(self, force: Value) -> bool:
+        """Return whether a force depends on a velocity."""
+        present = self._plain.graph.nodes[force[1]].symbols & set(self.v)
+        return any(self._findings.depends(force, x) for x in present)
+
+    def _timed(self, value: Value) -> bool:
+        """Return whether the time stands in a value."""
+        return self._plain.time in self._plain.graph.nodes[value[1]].symbols
 
 
 def _freed(
@@ -285,18 +309,15 @@ def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
 
 def kinetic(plain: Plain) -> Value:
     """Write T by the entries of M."""
-    graph, v = plain.graph, plain.numbers(plain.v)
-    half = Fraction(1, 2)
-    return graph.add(
-        graph.multiply([value, (half if i == j else 1, v[i]), (1, v[j])])
-        for (i, j), value in plain.M.items()
-    )
+    return quadratic_form(plain.graph, plain.M, plain.numbers(plain.v))
 
 
 def _angle(plain: Plain, x: int) -> bool:
-    """Return whether x stands in L, and in sines and cosines alone, by whole multiples."""
+    """Return whether x stands somewhere, and in sines and cosines alone, by whole multiples."""
     graph = plain.graph
-    work = [n for c, n in plain.energies if c and x in graph.nodes[n].symbols]
+    work = [
+        n for c, n in (*plain.energies, *plain.f) if c and x in graph.nodes[n].symbols
+    ]  # fmt: skip
     seen = set(work)
     while work:
         n = work.pop()

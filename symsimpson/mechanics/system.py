@@ -25,6 +25,7 @@ from symsimpson.mechanics.checks import (
 )
 from symsimpson.mechanics.declaration import LARGE, energies, read_energies
 from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.loads import generalised
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
@@ -70,6 +71,11 @@ class MechanicalSystem:
         Quantities to watch, in coordinates, velocities and momenta (:func:`symsimpson.momenta`).
     gyroscopic : sympy expression, optional
         Terms linear in the velocities, a(q).v, as a magnetic field or a rotating frame gives.
+    forces : mapping, optional
+        Generalised forces f(t, q, v) by coordinate, ``{q: -c*q.diff()}``; or with names of their
+        own, ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. A force has the power f.v.
+    dissipation : sympy expression, optional
+        Rayleigh's function R(t, q, v): forces -dR/dv beside the others.
 
     Raises
     ------
@@ -78,7 +84,9 @@ class MechanicalSystem:
 
     Notes
     -----
-    The Lagrangian is L = T + a.v - V [1]_.
+    The Lagrangian is L = T + a.v - V [1]_. The time :data:`symsimpson.time` may stand in all of
+    them; where a prescribed motion is part of T, terms of T without velocities or linear in them
+    are sorted by themselves.
 
     References
     ----------
@@ -104,6 +112,8 @@ class MechanicalSystem:
     positions: Positions | None = field(kw_only=True, default=None)
     invariants: Mapping[str, sp.Expr] | None = field(kw_only=True, default=None)
     gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
+    forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
+    dissipation: sp.Expr | None = field(kw_only=True, default=None)
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -118,6 +128,7 @@ class MechanicalSystem:
             "kinetic": sp.sympify(self.kinetic),
             "potential": sp.sympify(self.potential),
             "gyroscopic": sp.sympify(self.gyroscopic),
+            "forces": MappingProxyType(dict(self.forces or {})),
             "parameters": MappingProxyType(parameters),
             "positions": positions,
             "invariants": invariants,
@@ -136,12 +147,14 @@ class MechanicalSystem:
         *,
         positions: Positions | None = None,
         invariants: Mapping[str, sp.Expr] | None = None,
+        forces: Mapping[Any, Any] | None = None,
+        dissipation: sp.Expr | None = None,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
         Parameters
         ----------
-        name, coordinates, parameters, positions, invariants
+        name, coordinates, parameters, positions, invariants, forces, dissipation
             As for :class:`MechanicalSystem`.
         lagrangian : sympy expression
             Quadratic in the velocities; linear terms are allowed.
@@ -162,7 +175,7 @@ class MechanicalSystem:
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
         symbols = Symbols(functions, read_parameters(name, parameters, functions))
-        allowed = (*symbols.q, *symbols.v, *symbols.a)
+        allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
         with waiting(f"reading {name}"):
             value = read_expression(
                 name, "Lagrangian", lagrangian, symbols, symbols.known, allowed
@@ -178,6 +191,8 @@ class MechanicalSystem:
             positions=positions,
             invariants=invariants,
             gyroscopic=gyroscopic,
+            forces=forces,
+            dissipation=dissipation,
         )
 
     @classmethod
@@ -189,20 +204,24 @@ class MechanicalSystem:
         *,
         positions: Positions | None = None,
         invariants: Mapping[str, sp.Expr] | None = None,
+        forces: Mapping[Any, Any] | None = None,
+        dissipation: sp.Expr | None = None,
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters, positions, invariants
+        name, parameters, positions, invariants, forces, dissipation
             As for :class:`MechanicalSystem`.
         lm : sympy.physics.mechanics.LagrangesMethod
-            Without forces and constraints: potential forces belong to its Lagrangian.
+            Without constraints. Its ``forcelist`` becomes the force named "forcelist": of each
+            pair, the vector times the velocity of the point, or the angular velocity of the frame,
+            that it acts on.
 
         Raises
         ------
         ModelError
-            If ``lm`` has forces or constraints, or as above.
+            If ``lm`` has constraints, or as above.
 
         Examples
         --------
@@ -216,7 +235,7 @@ class MechanicalSystem:
         name = read_name(name)
         try:
             lagrangian, coordinates = lm._L[0], tuple(lm.q)
-            extras = {"forces": list(lm.forcelist or []), "constraints": list(lm.coneqs)}
+            constraints, loads = list(lm.coneqs), generalised(lm)
         except (AttributeError, TypeError, IndexError):
             kane = type(lm).__name__ == "KanesMethod"
             raise fail(
@@ -229,18 +248,19 @@ class MechanicalSystem:
                 if kane
                 else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
             ) from None
-        for what, items in extras.items():
-            if items:
-                raise fail(
-                    name,
-                    f"the LagrangesMethod has {what}: {spell(items)}.",
-                    f"They would be ignored: {what} are not part of a Lagrangian system. "
-                    "Put potential forces into the Lagrangian (RigidBody.potential_energy), choose "
-                    "coordinates that satisfy the constraints, and drop the rest.",
-                )
+        if constraints:
+            raise fail(
+                name,
+                f"the LagrangesMethod has constraints: {spell(constraints)}.",
+                "They would be ignored. Choose coordinates that satisfy the constraints, and drop "
+                "them.",
+            )
+        if loads:
+            forces = {**(forces or {}), "forcelist": loads}
         return cls.from_lagrangian(
-            name, lagrangian, coordinates, parameters, positions=positions, invariants=invariants
-        )
+            name, lagrangian, coordinates, parameters, positions=positions,
+            invariants=invariants, forces=forces, dissipation=dissipation,
+        )  # fmt: skip
 
     @property
     def n(self) -> int:
@@ -276,7 +296,8 @@ class MechanicalSystem:
     def digest(self) -> str:
         """SHA-256 over names and equations, not over the parameters' values."""
         plain = self.plain
-        values = [plain.T, *plain.energies, *plain.invariants.values()]
+        forces = [value for force in plain.forces.values() for value in force]
+        values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
         nodes = plain.graph.reached(n for _, n in values)
         place = {n: k for k, n in enumerate(nodes)}
 
@@ -299,6 +320,7 @@ class MechanicalSystem:
             [(plain.graph.nodes[n].kind, spelled(n)) for n in nodes],
             [(str(c), place[n]) for c, n in values],
             list(plain.invariants),
+            *([list(plain.forces)] if plain.forces else []),
         ]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 

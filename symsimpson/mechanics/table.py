@@ -38,8 +38,15 @@ def rows(found: Structure) -> list[Row]:
                       "their part of dM/dq" if some_rows else ""))  # fmt: skip
     if found.gyroscopic:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
+    if found.forced:
+        table.append(("forces", _some(found.forced), "they are declared beside L", ""))
+    if not found.autonomous:
+        table.append(("time", "yes", "t stands in L or in a force", ""))
     if found.separable:
-        table.append(("separable", "L = T(v) - V(q)", "M is constant and L has no terms a(q).v",
+        energies = "L = T(v) - V(q)" if found.autonomous else "L = T(v) - V(t, q)"
+        why = "M is constant and L has no terms a(q).v"
+        table.append(("separable", energies,
+                      f"{why}, nor forces with v" if found.forced else why,
                       "the end of the path from Newton's unknowns"))  # fmt: skip
     if found.linear:
         table.append(
@@ -55,13 +62,16 @@ def rows(found: Structure) -> list[Row]:
             (
                 "cyclic",
                 _some(found.cyclic),
-                "L does not contain them",
+                "neither L nor a force contains them, or acts on them"
+                if found.forced
+                else "L does not contain them",
                 "them from Newton's unknowns; their momenta are constants",
             )
         )
     if len(found.subsystems) > 1:
         groups = (", ".join(names[i] for i in s.coordinates) for s in found.subsystems)
-        table.append(("subsystems", _some([f"({g})" for g in groups]), "no term of L joins them",
+        table.append(("subsystems", _some([f"({g})" for g in groups]),
+                      "no term of L joins them" + (", and no force" if found.forced else ""),
                       "their coupling: one small solve each"))  # fmt: skip
     if found.periodic:
         table.append(("angles", _some(found.periodic),

@@ -55,11 +55,15 @@ def plot_phase(
 
 
 def plot_energy(run: Trajectory, *, ax: Any = None) -> Any:
-    """Draw the error of the energy over time."""
+    """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
-    ax.plot(run.t, run.energy_error, lw=0.8)
+    constant = run._stepper._module.header.conservative
+    ax.plot(run.t, run.energy_error if constant else run.energy_balance, lw=0.8)
     name = f"{run._stepper.system}, {run._stepper.scheme}, h = {float(run.h):g}"
     label = "(H - H0) / |H0|" if run.energy[0] != 0 else "H - H0"
-    ax.set(xlabel="t", ylabel=label, title=f"energy error: {name}")
+    if not constant:
+        label = "H - H0 - work"
+    what = "energy error" if constant else "energy balance"
+    ax.set(xlabel="t", ylabel=label, title=f"{what}: {name}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax

@@ -9,7 +9,7 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import UNIT, ZERO, Value
+from symsimpson.graph.nodes import UNIT, ZERO, Value, scaled
 from symsimpson.graph.program import Program
 from symsimpson.graph.read import line_written, number
 from symsimpson.graph.share import share
@@ -77,12 +77,14 @@ class FirstOrder:
 def canonical(system: MechanicalSystem) -> FirstOrder:
     """Write Hamilton's equations in (q, p).
 
-    q' = v with M v = p - a, and p' = dL/dq at (q, v).
+    q' = v with M v = p - a, and p' = dL/dq + f at (t, q, v). Where something depends on t, it is
+    the last unknown, of the rate 1.
     """
     plain = system.plain
     p, n = _symbols("p", len(plain.q)), len(plain.q)
     graph, L = plain.graph, plain.L
-    forces = gradient(graph, L, plain.numbers(plain.q))
+    slopes = gradient(graph, L, plain.numbers(plain.q))
+    forces = map(graph.add, zip(slopes, plain.f, strict=True))
     lines = Lines(plain, {**_mass_and_a(plain), **{("F", i): f for i, f in enumerate(forces)}})
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
     solution, v = _solve(lines.mass(n), momenta, "v")
@@ -94,16 +96,19 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
 
 
 def second_order(system: MechanicalSystem) -> FirstOrder:
-    """Write the Euler-Lagrange equations in (q, v): M v' = dL/dq - (d p/d q) v."""
+    """Write the Euler-Lagrange equations in (q, v): M v' = dL/dq + f - (d p/d q) v - d p/d t.
+
+    Where something depends on t, it is the last unknown, of the rate 1.
+    """
     plain, n = system.plain, system.n
     graph, L = plain.graph, plain.L
     q, v = plain.numbers(plain.q), plain.numbers(plain.v)
     forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
     right: dict[Key, Value] = {}
     for i in range(n):
-        slopes = gradient(graph, momenta[i], q)
+        *slopes, drift = gradient(graph, momenta[i], [*q, plain.time])
         moving = [graph.multiply([(-1, 0), s, (1, x)]) for s, x in zip(slopes, v, strict=True)]
-        right["right", i] = graph.add([forces[i], *moving])
+        right["right", i] = graph.add([forces[i], plain.f[i], *moving, scaled(-1, drift)])
     lines = Lines(plain, {**_mass_and_a(plain), **right})
     solution, rates = _solve(lines.mass(n), [lines.value("right", i) for i in range(n)], "a")
     definitions = (*lines.early, *lines.later, *solution)
@@ -140,6 +145,8 @@ def _system(
 ) -> FirstOrder:
     values = dict(zip(system.plain.parameters, system.parameters.values(), strict=True))
     names = tuple(str(symbol) for symbol in system.parameters)
+    if not system.plain.autonomous:
+        unknowns, rates = (*unknowns, system.plain.t), (*rates, sp.S.One)
     return FirstOrder(
         f"{system.name}, {form}", unknowns, tuple(definitions), tuple(rates), values, names
     )
@@ -154,7 +161,7 @@ class Lines:
         self._outputs = program.outputs
         self.early: list[Definition] = []
         self.later: list[Definition] = []
-        symbols = (*plain.q, *plain.v, *plain.parameters)
+        symbols = (*plain.q, *plain.v, *plain.parameters, plain.t)
         self._done: dict[int, sp.Expr] = dict(zip(plain.numbers(symbols), symbols, strict=True))
         self._done[UNIT] = sp.S.One
         for n in program.order():

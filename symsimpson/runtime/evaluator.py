@@ -88,6 +88,8 @@ class Evaluator:
         nodes: ArrayLike,
         h: float,
         parameters: Parameters | None = None,
+        *,
+        t: float = 0.0,
     ) -> Reals:
         """Evaluate the discrete Euler-Lagrange equations at given nodes.
 
@@ -98,6 +100,8 @@ class Evaluator:
             Control points X_1..X_d of the path; the last is q1.
         h : float
         parameters : mapping, optional
+        t : float, optional
+            When the step begins.
 
         Returns
         -------
@@ -112,7 +116,7 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters)[0]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t)[0]
 
     def jacobian(
         self,
@@ -121,6 +125,8 @@ class Evaluator:
         nodes: ArrayLike,
         h: float,
         parameters: Parameters | None = None,
+        *,
+        t: float = 0.0,
     ) -> Reals:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n).
 
@@ -131,15 +137,24 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters)[1]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t)[1]
 
-    def energy(self, q: ArrayLike, p: ArrayLike, parameters: Parameters | None = None) -> Reals:
+    def energy(
+        self,
+        q: ArrayLike,
+        p: ArrayLike,
+        parameters: Parameters | None = None,
+        *,
+        t: ArrayLike = 0.0,
+    ) -> Reals:
         """Evaluate the Hamiltonian at states of any origin.
 
         Parameters
         ----------
         q, p : array_like, shape (N, n)
         parameters : mapping, optional
+        t : float or array_like, shape (N,), optional
+            Times of the states, where T or V depend on it.
 
         Returns
         -------
@@ -152,7 +167,7 @@ class Evaluator:
         >>> stepper.energy([[0.0]], [[0.0]]).round(2)
         array([-9.81])
         """
-        return evaluate_energy(self, q, p, parameters)
+        return evaluate_energy(self, q, p, parameters, t)
 
     def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
@@ -170,34 +185,38 @@ class Evaluator:
 
 
 def evaluate(
-    stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
-) -> Reals:
+    stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
+    values: Reals,
+) -> Reals:  # fmt: skip
     """Evaluate a kernel of the state at many states; shape (len(q), count)."""
     header, numbers = stepper._module.header, stepper._module.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, stepper, kernel, block, count, q, p)
+        return evaluate_in(W, stepper, kernel, block, count, t, q, p)
 
 
 def evaluate_members(
-    stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals, values: Reals
-) -> Reals:
+    stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
+    values: Reals,
+) -> Reals:  # fmt: skip
     """Evaluate a kernel of the state at states of many members, each with its own parameters.
 
-    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m); gives shape (K, ..., count).
+    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between;
+    gives shape (K, ..., count).
     """
     found = np.empty((*q.shape[:-1], count))
     own, group = np.unique(values, axis=0, return_inverse=True)
     for k, parameters in enumerate(own):
         here = np.flatnonzero(group.ravel() == k)
         some_q, some_p = (x[here].reshape(-1, stepper.n) for x in (q, p))
-        rows = evaluate(stepper, kernel, block, count, some_q, some_p, parameters)
+        times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
+        rows = evaluate(stepper, kernel, block, count, times, some_q, some_p, parameters)
         found[here] = rows.reshape(found[here].shape)
     return found
 
 
 def evaluate_in(
-    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, q: Reals, p: Reals
+    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals
 ) -> Reals:
     """Evaluate a kernel of the state in a workspace that holds parameters.
 
@@ -206,16 +225,16 @@ def evaluate_in(
     numbers, kernels = stepper._module.numbers, stepper._module.kernels
     place = stepper._module.header.layout[block], count
 
-    def values(q: Reals, p: Reals, *, any_angle: bool) -> Reals:
+    def values(t: Reals, q: Reals, p: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
-        return _evaluated(stepper, W, (0, address), place, numbers.zeros(len(q)), q, p)
+        return _evaluated(stepper, W, (0, address), place, t, q, p)
 
-    found = values(q, p, any_angle=False)
+    found = values(t, q, p, any_angle=False)
     if stepper._module.header.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
-            found[again] = values(q[again], p[again], any_angle=True)
+            found[again] = values(t[again], q[again], p[again], any_angle=True)
     return found
 
 
@@ -262,12 +281,13 @@ def _evaluated(
 
 
 def evaluate_energy(
-    stepper: Evaluator, q: ArrayLike, p: ArrayLike, parameters: Mapping[Any, Any] | None
-) -> Reals:
+    stepper: Evaluator, given_q: ArrayLike, given_p: ArrayLike,
+    parameters: Mapping[Any, Any] | None, t: ArrayLike,
+) -> Reals:  # fmt: skip
     """Evaluate the Hamiltonian at states of any origin."""
     numbers, n = stepper._module.numbers, stepper.n
     with numbers.working():
-        states = [read_array(name, x, numbers) for name, x in (("q", q), ("p", p))]
+        states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
         for name, state in zip("qp", states, strict=True):
             if state.ndim != 2 or state.shape != (len(states[0]), n):
                 raise InputError(
@@ -275,8 +295,10 @@ def evaluate_energy(
                     "Pass one row for each state; q and p of equal length."
                 )
         values = stepper._values(parameters)
-    energies: Reals = evaluate(stepper, "energy", "ENERGY", 1, states[0], states[1], values)[:, 0]
-    return energies
+        times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
+    q, p = states
+    found: Reals = evaluate(stepper, "energy", "ENERGY", 1, times, q, p, values)
+    return found[:, 0]
 
 
 def evaluate_equations(
@@ -286,6 +308,7 @@ def evaluate_equations(
     nodes: ArrayLike,
     h: Any,
     given: Mapping[Any, Any] | None,
+    t: Any,
 ) -> tuple[Reals, Reals]:
     """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
     header, n, numbers = stepper._module.header, stepper.n, stepper._module.numbers
@@ -298,7 +321,7 @@ def evaluate_equations(
     with numbers.working():
         q = read_vector("q0", q0, stepper.coordinates, numbers)
         p = read_vector("p0", p0, stepper.coordinates, numbers)
-        h = read_number("h", h, numbers)
+        h, t = read_number("h", h, numbers), read_number("t", t, numbers)
         points = read_array("nodes", nodes, numbers)
         if points.shape != (d, n):
             raise InputError(
@@ -312,7 +335,7 @@ def evaluate_equations(
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         numbers.driver("evaluate")(
             kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, header.told,
-            numbers.zeros(1), q[None, :], p[None, :], header.layout["RESIDUAL"],
+            numbers.read([t]), q[None, :], p[None, :], header.layout["RESIDUAL"],
             numbers.zeros((1, 0)),
         )  # fmt: skip
         residual, jacobian = map(numbers.result, equations_of(header, run))

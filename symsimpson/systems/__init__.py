@@ -8,6 +8,7 @@ from symsimpson.systems.argon import argon, argon_cluster
 from symsimpson.systems.cart_pole import cart_pole
 from symsimpson.systems.cloth import cloth
 from symsimpson.systems.double_pendulum import double_pendulum
+from symsimpson.systems.driven import damped_pendulum, duffing, kapitza, van_der_pol
 from symsimpson.systems.elastic_pendulum import elastic_pendulum
 from symsimpson.systems.entry import CatalogueSystem
 from symsimpson.systems.fermi_pasta_ulam import fermi_pasta_ulam
@@ -53,27 +54,40 @@ _LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
     outer_solar_system,
     cloth,
 )
+#: Models with forces, or a drive.
+_FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
+    damped_pendulum,
+    duffing,
+    kapitza,
+    van_der_pol,
+)
 
 #: Name of each function of the catalogue, and the function.
 CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
 #: The same of models with many coordinates or long energies, of which no modules are kept.
 MODELS: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _LARGE}
+#: The same of models whose energy is not constant.
+FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _FORCED}
 
 __all__ = [
     "CATALOGUE",
+    "FORCED",
     "MODELS",
     "CatalogueSystem",
     "argon",
     "argon_cluster",
     "cart_pole",
     "cloth",
+    "damped_pendulum",
     "double_pendulum",
+    "duffing",
     "elastic_pendulum",
     "ellipsoid_geodesic",
     "fermi_pasta_ulam",
     "harmonic_oscillator",
     "heavy_top",
     "henon_heiles",
+    "kapitza",
     "kepler",
     "lagrange_top",
     "lagrange_top_cusps",
@@ -85,5 +99,6 @@ __all__ = [
     "rigid_body",
     "spherical_pendulum",
     "torus_geodesic",
+    "van_der_pol",
     "water",
 ]

@@ -91,7 +91,6 @@ WRONG = {
     "integral": ({"potential": sp.Integral(c * x, (c, 0, 1))}, "unevaluated Integral"),
     "undefined function": ({"potential": f(x)}, r"f\(x\), which is neither"),
     "undeclared coordinate": ({"potential": V + y}, "y, which is neither"),
-    "time": ({"potential": V * t}, "explicitly on the time"),
     "absolute value": ({"potential": sp.Abs(x)}, "function Abs cannot be differentiated twice"),
     "floor": ({"potential": sp.floor(x)}, "function floor cannot"),
     "cases": ({"potential": sp.Piecewise((x, x > 0), (0, True))}, "Piecewise|defined by cases"),

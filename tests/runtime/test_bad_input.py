@@ -94,7 +94,7 @@ DECLARED = {
     "no mass": {"coordinates": [x, y]}, "negative mass": {"kinetic": -FREE},
     "velocities cubed": {"kinetic": x.diff() ** 3}, "undeclared": {"potential": m * x},
     "accelerations": {"potential": x.diff(ss.coordinates("z")[0].args[0], 2)},
-    "velocity in V": {"potential": x.diff() * x}, "time": {"potential": x.args[0] * x},
+    "velocity in V": {"potential": x.diff() * x},
     "complex": {"potential": sp.I * x}, "another coordinate": {"potential": y**2},
     "infinite": {"potential": sp.oo}, "nan": {"potential": sp.nan},
     "no value": {"parameters": {m: None}}, "text value": {"parameters": {m: "1"}},

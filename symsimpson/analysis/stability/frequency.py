@@ -33,7 +33,7 @@ ALWAYS_STABLE = 1.5
 
 
 def largest_frequency(
-    system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float]
+    system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float], t: float = 0.0
 ) -> float:
     """Return the largest omega of K x = omega^2 M x, K the Hessian of V at q.
 
@@ -45,9 +45,10 @@ def largest_frequency(
     q : iterable of float, n of them
     parameters : iterable of float
         Values of all parameters, in the order of the system.
+    t : float
     """
     try:
-        stiffness, mass = map(np.array, _matrices(system)(*map(float, (*q, *parameters))))
+        stiffness, mass = map(np.array, _matrices(system)(*map(float, (*q, *parameters, t))))
         squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0
@@ -56,7 +57,7 @@ def largest_frequency(
 
 @lru_cache(maxsize=64)
 def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
-    """Return a function of q and the parameters for (K, M)."""
+    """Return a function of q, the parameters and t for (K, M)."""
     plain = system.plain
     graph, q = plain.graph, plain.numbers(plain.q)
     derivatives = Derivatives(graph)
@@ -67,7 +68,7 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     outputs |= {("M", k): x for k, x in enumerate(masses)}
     lines, places = Lines(plain, outputs), range(len(entries))
     function: Callable[..., Any] = sp.lambdify(
-        [*plain.q, *plain.parameters],
+        [*plain.q, *plain.parameters, plain.t],
         [lines.value(name, k) for name in "KM" for k in places],
         modules="math", cse=lambda expressions: (lines.early, expressions),
     )  # fmt: skip
@@ -89,11 +90,12 @@ def warn_of_step(
     q: Iterable[float],
     values: Iterable[float],
     h: float,
+    t: float,
 ) -> None:
     """Warn of a step beyond the linear-stability limit at the start."""
     if system.n > MOST_COORDINATES:
         return
-    omega = largest_frequency(system, q, values)
+    omega = largest_frequency(system, q, values, t)
     if abs(h) * omega < ALWAYS_STABLE:
         return
     limit = largest_stable(stepper.scheme)

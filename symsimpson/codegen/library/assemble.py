@@ -15,6 +15,7 @@ NODE_L_V: int
 NODE_L_QQ: int
 NODE_L_QV: int
 NODE_L_VV: int
+NODE_F_V: int
 MASS: int
 BLOCKS: int
 BAND: int
@@ -88,6 +89,23 @@ def assemble(W, h, node, lane):
                         + weight_qv * W[NODE_L_QV + ab, lane]
                         + weight_vq * W[NODE_L_QV + ba, lane]
                         + weight_vv * W[NODE_L_VV + ab, lane]
+                    )
+
+
+@compiled
+def assemble_drag(W, node, lane):
+    """Add to D_k D_m L_d what forces that depend on v contribute: unlike L_qv, by columns alone."""
+    for row in range(DEGREE):
+        weight = WEIGHTS[node] * BASIS[node][ROW_ORDER[row]]
+        for a in range(DIMENSION):
+            i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
+            for column in range(DEGREE):
+                slope = weight * BASIS_SLOPE[node][COLUMN_ORDER[column]]
+                entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
+                entry += column * EQUATION_ROW_STEP
+                for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
+                    W[entry + b * EQUATION_PLACE_STEP, lane] += (
+                        slope * W[NODE_F_V + a * NODE_STRIDE + b + NODE_OFFSET, lane]
                     )
 
 

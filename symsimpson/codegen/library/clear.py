@@ -14,6 +14,7 @@ NODE_L_V: int
 NODE_L_QQ: int
 NODE_L_QV: int
 NODE_L_VV: int
+NODE_F_V: int
 MASS: int
 EQUATION_ROW_STEP: int
 EQUATION_PLACE_STEP: int
@@ -51,6 +52,13 @@ def clear_mixed(W, lane):
     """Begin the sum over the terms of L that makes L_qv."""
     for entry in range(NODE_L_VV - NODE_L_QV):
         W[NODE_L_QV + entry, lane] = real(0)
+
+
+@compiled
+def clear_drag(W, lane):
+    """Begin with forces that do not depend on v."""
+    for entry in range(NODE_L_VV - NODE_L_QV):
+        W[NODE_F_V + entry, lane] = real(0)
 
 
 @compiled

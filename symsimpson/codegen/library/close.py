@@ -22,6 +22,9 @@ MASS_DIAGONAL: int
 COORDINATE: tuple[int, ...]
 LAST_START: float
 LAST_SCALE: float
+POWER: int
+WORK: int
+NODE_POWERS: int
 LAST: int
 STIFFNESS: tuple[tuple[float, ...], ...]
 BASIS: tuple[tuple[float, ...], ...]
@@ -80,6 +83,13 @@ def add_exactly(W, row, low, increment, lane):
     taken = new - old
     W[row, lane] = new
     W[low, lane] = (old - (new - taken)) + (increment - taken)
+
+
+@compiled
+def add_work(W, h, node, lane):
+    """Add what a node contributes to the integrals of powers over the step."""
+    for k in range(NODE_POWERS):
+        W[WORK + k, lane] += h * WEIGHTS[node] * W[POWER + k, lane]
 
 
 @compiled

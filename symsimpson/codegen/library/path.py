@@ -14,6 +14,7 @@ INCREMENT: int
 VELOCITY: int
 NODE_POSITION: int
 NODE_VELOCITY: int
+NODE_TIME: int
 MASS_DIAGONAL: int
 COORDINATE: tuple[int, ...]
 RESIDUAL: int
@@ -51,6 +52,12 @@ def path_start(W, lane):
     for s in range(DIMENSION):
         W[NODE_POSITION + s, lane] = W[POSITION + COORDINATE[s], lane]
         W[NODE_VELOCITY + s, lane] = W[VELOCITY + COORDINATE[s], lane]
+
+
+@compiled
+def node_time(W, t, lane):
+    """Keep the time at a node."""
+    W[NODE_TIME, lane] = t
 
 
 @compiled

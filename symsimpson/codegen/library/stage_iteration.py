@@ -17,6 +17,7 @@ LARGEST_SQUARED: int
 IN_DOUBT: int
 STAGE_STEP: int
 STAGE_RATE: int
+STAGE_PLACE: int
 STAGE_MU: int
 STAGE_TABLE: Any
 STAGE_CORRECTION: int
@@ -26,6 +27,7 @@ STAGE_COUNT: int
 NODES: int
 STRIDE: int
 WEIGHTS: tuple[float, ...]
+PLACES: tuple[float, ...]
 INFINITE: float
 LOST: float
 ROUNDING: float
@@ -50,6 +52,13 @@ def stage_constants(W, h, lane):
     W[STAGE_STEP + NODES - 1, lane] = (h - inner) / 2
     for node in range(NODES):
         W[STAGE_RATE + node, lane] = 1 / W[STAGE_STEP + node, lane]
+
+
+@compiled
+def stage_places(W, lane):
+    """Where in the step the nodes are, as a row."""
+    for node in range(NODES):
+        W[STAGE_PLACE + node, lane] = PLACES[node]
 
 
 @compiled

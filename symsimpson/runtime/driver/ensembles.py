@@ -134,7 +134,7 @@ def advance_blocks(
     Observed values stand behind the rows of the module. ``codes_out`` takes status, steps and
     iterations of each member; ``seen`` two numbers for each reduction.
     """
-    progress = np.zeros(2, dtype=np.int64)
+    progress = np.zeros(3, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
     watched = kinds.shape[0] > 0
     while cursor[BLOCK] < last and budget > 0:

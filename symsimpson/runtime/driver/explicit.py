@@ -17,6 +17,7 @@ from symsimpson.interface import (
     POSITION,
     START,
     STATUS,
+    STEPS_A_CALL,
 )
 from symsimpson.runtime.driver.steps import (
     COUNTS,
@@ -71,21 +72,21 @@ def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_o
     n, lanes = at[DIMENSION], LANES
     position, status = at[POSITION], at[STATUS]
     state_end = position + 4 * n
-    before = np.empty((4 * n, lanes))
-    step = progress[0]
+    kept = np.empty((4 * n, lanes))
+    step, before = progress[0], progress[2]
     single = 0
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
-        count = 1 if single > 0 else min(count, AT_ONCE)
+        count = 1 if single > 0 else min(count, AT_ONCE, at[STEPS_A_CALL])
         alive = 0
         for lane in range(lanes):
-            keep(W, position, state_end, lane, before)
+            keep(W, position, state_end, lane, kept)
             W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             W[at[COUNT], lane] = count
             alive += W[status, lane] == 0.0
         if alive == 0:
             break
-        call(kernels[ADVANCE], h, t0 + h * step, W)
+        call(kernels[ADVANCE], h, t0 + h * (before + step), W)
         lost = 0
         for lane in range(lanes):
             if W[status, lane] == 0.0 and not finite(W, position, state_end, lane):
@@ -95,12 +96,12 @@ def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_o
             for lane in range(lanes):
                 if count == 1 and finite(W, position, state_end, lane):
                     continue
-                put_back(W, position, state_end, lane, before)
+                put_back(W, position, state_end, lane, kept)
                 if count == 1 and W[status, lane] == 0.0:
                     W[status, lane] = NOT_FINITE
             if count > 1:  # take these steps again, one by one
                 single = count
-                call(kernels[START], h, t0 + h * step, W)
+                call(kernels[START], h, t0 + h * (before + step), W)
                 continue
             if alive == 0:
                 break

@@ -207,7 +207,9 @@ def watch(kernels, h, t, W, at):
 def take_steps(
     kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out,
 ):  # fmt: skip
-    """Take steps until ``stop``, an event, or no lane is left; ``progress`` is (step, event).
+    """Take steps until ``stop``, an event, or no lane is left.
+
+    ``progress`` is (step, event, before), the last the steps that were taken before all of these.
 
     States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
     other than 0 is not touched. At an event the step is not finished: ``recover`` does that, and
@@ -215,14 +217,14 @@ def take_steps(
     """
     lanes = LANES
     active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
-    step, recovered = progress[0], progress[1] != 0
+    step, recovered, before = progress[0], progress[1] != 0, progress[2]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
     if watched and not recovered:
-        call(kernels[MEASURE], h, t0 + h * step, W)
+        call(kernels[MEASURE], h, t0 + h * (before + step), W)
     while step < stop:
         if not recovered:
-            t = t0 + h * step
+            t = t0 + h * (before + step)
             if watched:
                 W[at[COUNT], 0] = W[at[LARGEST_SQUARED], 0]
             alive = 0
@@ -244,7 +246,7 @@ def take_steps(
                 progress[1] = SUSPICIOUS
                 break
         if watched:
-            watch(kernels, h, t0 + h * step, W, at)
+            watch(kernels, h, t0 + h * (before + step), W, at)
             if W[status, 0] != 0.0:
                 break
         recovered = False

@@ -261,7 +261,8 @@ def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
     first = 0 * task.other0 if task.velocities else task.other0
     q = np.concatenate([task.q0[:, None], results.q], axis=1)
     p = np.concatenate([first[:, None], results.p], axis=1)
-    energies = evaluate_members(stepper, "energy", "ENERGY", 1, q, p, task.parameters)
+    t = np.concatenate([[task.t0], np.atleast_1d(task.times)])
+    energies = evaluate_members(stepper, "energy", "ENERGY", 1, t, q, p, task.parameters)
     return np.asarray(np.isfinite(energies).all(axis=(1, 2)))
 
 

@@ -116,7 +116,7 @@ class Ensemble(Quantities):
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         q, p = np.asarray(self.q), np.asarray(self.p)
-        return evaluate_members(self._stepper, kernel, block, count, q, p, self._values)
+        return evaluate_members(self._stepper, kernel, block, count, self.t, q, p, self._values)
 
     def _own(self, key: str) -> Any:
         return self.reduced.get(key, self.parameters.get(key))

@@ -44,6 +44,8 @@ class Header:
     row_order: tuple[int, ...]
     column_order: tuple[int, ...]
     coordinate_order: tuple[int, ...]
+    forces: tuple[str, ...]
+    autonomous: bool
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -51,6 +53,11 @@ class Header:
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)
+
+    @property
+    def conservative(self) -> bool:
+        """Whether the energy is constant."""
+        return self.autonomous and not self.forces
 
     @cached_property
     def by_stages(self) -> bool:
@@ -73,7 +80,7 @@ class Header:
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
             "DIMENSION": self.n, "MEASURED": self.degree * self.n,
-            "ROWS": self.rows,
+            "ROWS": self.rows, "STEPS_A_CALL": 1 << 62 if self.autonomous else 1,
         }  # fmt: skip
         return np.array([{**self.layout, **more}[name] for name in TOLD], dtype=np.int64)
 
@@ -134,6 +141,7 @@ def read_header(text: str, where: str) -> Header:
         )
     # explicit steps have no loops over coordinates, and so no order of them
     constants.setdefault("COORDINATE", tuple(range(len(constants["COORDINATES"]))))
+    constants = {"FORCES": (), "AUTONOMOUS": True, **constants}
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
         "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
@@ -141,7 +149,7 @@ def read_header(text: str, where: str) -> Header:
         "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS",
         "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
-        "coordinate_order": "COORDINATE",
+        "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
     }  # fmt: skip
     blocks = {
         name: value

@@ -55,7 +55,9 @@ class KernelSets(ABC):
         elif not self.header.newton_unknowns:
             mode = EXPLICIT
         else:
-            mode = NEWTON_AFTER_STAGES if self.by_stages else NEWTON
+            # forces may change the energy as they like
+            watched = self.by_stages and self.header.conservative
+            mode = NEWTON_AFTER_STAGES if watched else NEWTON
         robust = name == "robust"
         *names, energy = KERNEL_SETS[mode]
         if robust and self.header.unrolled:

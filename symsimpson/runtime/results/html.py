@@ -76,11 +76,13 @@ def trajectory(run: Trajectory) -> str:
     iterations = int(run.newton_iterations.sum())
     if run.steps and iterations:
         rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
-    error = np.asarray(run.energy_error, dtype=float)
-    rows.append(("largest energy error", f"{np.abs(error).max():.2g}"))
+    constant = run._stepper._module.header.conservative
+    energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
+    if constant:
+        rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
     if len(run) > 1:
         rows += _drawn(run)
-        rows.append(("energy error", curves(run.t, [error])))
+        rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
     return box(f"Trajectory of {run._stepper.system}", facts(rows))
 
 

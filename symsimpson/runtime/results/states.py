@@ -245,7 +245,8 @@ class States(Quantities):
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         from symsimpson.runtime.evaluator import evaluate
 
-        return evaluate(self._stepper, kernel, block, count, self.q, self.p, self._values)
+        states = self.t, self.q, self.p
+        return evaluate(self._stepper, kernel, block, count, *states, self._values)
 
     def __len__(self) -> int:
         return self.t.size

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
@@ -83,8 +84,73 @@ class Trajectory(States):
 
     @cached_property
     def energy_error(self) -> NDArray[Any]:
-        """(H - H0) / :attr:`energy_scale`, shape (N + 1,)."""
+        """(H - H0) / :attr:`energy_scale`, shape (N + 1,).
+
+        Raises
+        ------
+        InputError
+            If forces do work, or the energy depends on the time.
+        """
+        header = self._stepper._module.header
+        if not header.conservative:
+            why = "forces do work on it" if header.forces else "it depends on the time"
+            raise InputError(
+                f"{self._stepper.system}: the energy is not constant, {why}, so that its change is "
+                "no error.\nLook at run.energy_balance: what the energy differs by from the work "
+                "that was done; run.energy and run.work are its parts."
+            )
         return (self.energy - self.energy[0]) / self.energy_scale
+
+    @cached_property
+    def _integrals(self) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
+        from symsimpson.runtime.results.work import integrals
+
+        return integrals(self)
+
+    @property
+    def work(self) -> dict[str, NDArray[Any]]:
+        """The work of each force since the start, and of all under "total", shape (N + 1,) each.
+
+        It is h sum_i b_i f_i.v_i over the nodes of all steps, which are taken again for it, and
+        has the order of the scheme.
+
+        Raises
+        ------
+        InputError
+            If only the last state is stored, or the scheme is explicit.
+
+        Examples
+        --------
+        >>> import sympy as sp, symsimpson as ss
+        >>> (x,) = ss.coordinates("x")
+        >>> brake = ss.MechanicalSystem("brake", coordinates=(x,), kinetic=x.diff()**2/2,
+        ...                             potential=0*x, forces={x: -x.diff()})
+        >>> run = ss.compile(brake).integrate([0.0], v0=[1.0], h=0.1, t_end=1.0)
+        >>> run.work["total"][-1].round(6), round((np.exp(-2) - 1) / 2, 6)
+        (np.float64(-0.432332), -0.432332)
+        """
+        return self._integrals[0]
+
+    @cached_property
+    def power(self) -> dict[str, NDArray[Any]]:
+        """The power f.v of each force at the stored states, and of all under "total"."""
+        from symsimpson.runtime.results.work import powers
+
+        return powers(self)
+
+    @cached_property
+    def energy_balance(self) -> NDArray[Any]:
+        """H - H0 less the work that was done and what dL/dt took, shape (N + 1,).
+
+        Zero for the exact motion, and of the order of the scheme.
+
+        Raises
+        ------
+        InputError
+            As for :attr:`work`.
+        """
+        work, lost = self._integrals
+        return self.energy - self.energy[0] - work["total"] + lost
 
     @cached_property
     def sol(self) -> DenseOutput:
@@ -168,6 +234,8 @@ class Trajectory(States):
 
     def plot_energy(self, *, ax: Any = None) -> Any:
         """Draw the error of the energy over time, into ``ax`` if given; returns the axes.
+
+        Where forces do work, or the energy depends on the time, :attr:`energy_balance` is drawn.
 
         Raises
         ------

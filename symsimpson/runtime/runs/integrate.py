@@ -67,9 +67,8 @@ def integrate(
             stored = buffered(stride, stored, stepper.n)
         run = new_run(stepper, spec, stride, stored)
         begin_run(stepper, run, spec)
-        check_start(
-            stepper, run.rows("POSITION", stepper.n), run.rows("MOMENTUM", stepper.n), values
-        )
+        q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
+        check_start(stepper, spec.t0, q, p, values)
         if count:
             look_at_step(stepper, run, values)
         keeper = None
@@ -118,7 +117,8 @@ def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: R
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    energies = look_at_energy(stepper, run, q, p)
+    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
+    energies = look_at_energy(stepper, run, t, q, p)
     if energies is None:
         return trajectory
     about = trajectory.__getstate__()
@@ -227,7 +227,7 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
     system, tools = stepper._module.declared, stepper._module.tools
     if plain and system is not None and tools is not None and key not in stepper._looked_at:
         stepper._looked_at.add(key)
-        tools.check_step(stepper, system, run.rows("POSITION", stepper.n), values, run.h)
+        tools.check_step(stepper, system, run.rows("POSITION", stepper.n), values, run.h, run.t0)
 
 
 def trajectory_of(

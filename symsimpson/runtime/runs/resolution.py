@@ -50,11 +50,15 @@ def sampling_stride(stepper: Stepper, count: int) -> int:
 
 @dataclass(frozen=True)
 class Energies:
-    """Energies at some states of a run: total and kinetic, shape (m,), and which states."""
+    """Energies at some states of a run: total and kinetic, shape (m,), and which states.
+
+    ``constant`` tells whether the total should be.
+    """
 
     total: Floats
     kinetic: Floats
     places: Places
+    constant: bool
 
     @property
     def first_not_real(self) -> int | None:
@@ -69,7 +73,7 @@ class Energies:
         In units of the kinetic energy, the largest median of a block; None if there is no such
         level.
         """
-        if self.total.size < FEWEST:
+        if self.total.size < FEWEST or not self.constant:
             return None
         start, change = self.total[0], abs(self.total - self.total[0])
         blocks = np.array_split(np.arange(self.total.size), BLOCKS)
@@ -88,14 +92,16 @@ class Energies:
         return (int(self.places[end]), off) if off > LAST_LIMIT else None
 
 
-def energies_at(stepper: Stepper, run: Run, q: Reals, p: Reals, places: Places) -> Energies:
+def energies_at(
+    stepper: Stepper, run: Run, t: Reals, q: Reals, p: Reals, places: Places
+) -> Energies:  # fmt: skip
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
-    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, q[places], p[places])
+    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, *(x[places] for x in (t, q, p)))
     total, kinetic = np.asarray(found, dtype=np.float64).T
-    return Energies(total, kinetic, places)
+    return Energies(total, kinetic, places, stepper._module.header.conservative)
 
 
-def check_start(stepper: Stepper, q: Reals, p: Reals, values: Reals) -> None:
+def check_start(stepper: Stepper, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not real, if there may be such states.
 
     Raises
@@ -104,7 +110,8 @@ def check_start(stepper: Stepper, q: Reals, p: Reals, values: Reals) -> None:
     """
     if stepper._module.header.real_everywhere:
         return
-    (energy,) = evaluate(stepper, "energy", "ENERGY", 1, q[None], p[None], values)[0]
+    times = np.full(1, t, dtype=q.dtype)
+    (energy,) = evaluate(stepper, "energy", "ENERGY", 1, times, q[None], p[None], values)[0]
     if not np.isfinite(float(energy)):
         raise InputError(
             f"{stepper.system}: the energy is not a finite real number at q0 = "
@@ -114,15 +121,17 @@ def check_start(stepper: Stepper, q: Reals, p: Reals, values: Reals) -> None:
         )
 
 
-def look_at_energy(stepper: Stepper, run: Run, q: Reals, p: Reals) -> Energies | None:
+def look_at_energy(
+    stepper: Stepper, run: Run, t: Reals, q: Reals, p: Reals
+) -> Energies | None:  # fmt: skip
     """Evaluate the energy at stored states of a run that is over.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
     last = len(q) - 1
     if not stepper._module.header.real_everywhere:
-        return energies_at(stepper, run, q, p, np.arange(last + 1))
-    if last + 1 < FEWEST:
+        return energies_at(stepper, run, t, q, p, np.arange(last + 1))
+    if last + 1 < FEWEST or not stepper._module.header.conservative:
         return None
     few = min(last, SAMPLES - 1)
     if q.base is not None and q.base is run.q.base:
@@ -132,4 +141,4 @@ def look_at_energy(stepper: Stepper, run: Run, q: Reals, p: Reals) -> Energies |
             energy, run.h, run.W, stepper._module.header.told, run.q, run.p, last, few, LIMIT
         ):
             return None
-    return energies_at(stepper, run, q, p, np.arange(few + 1) * last // few)
+    return energies_at(stepper, run, t, q, p, np.arange(few + 1) * last // few)

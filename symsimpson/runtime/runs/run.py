@@ -61,7 +61,7 @@ class Run:
         self.q, self.p = numbers.zeros((2, stored, n, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
-        self.first, self._progress = 0, np.zeros(2, dtype=np.int64)
+        self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
         self.listener: Callable[[int], None] | None = None
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._set, self._set_until = 0, -1
@@ -192,7 +192,8 @@ class Run:
     def _stretch_until(self, kernels: Any, stop: int) -> None:
         """Run compiled, recovering the steps at which the loop stops."""
         at, W = self.header.told, self.W
-        t0, stop = self.t0 + self.h * self.first, stop - self.first
+        t0, stop = self.t0, stop - self.first
+        self._progress[2] = self.first
         if self.header.newton_unknowns == 0:
             self._driver("take_explicit_steps")(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,

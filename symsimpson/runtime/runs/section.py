@@ -55,7 +55,7 @@ def poincare(
     look_at_step(stepper, run, values)
     run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
-    check_start(stepper, q, p, values)
+    check_start(stepper, spec.t0, q, p, values)
     stride = sampling_stride(stepper, count)
     found, seen, ended = [], [(q[None], p[None])], None
     try:

@@ -18,6 +18,7 @@ from symsimpson.runtime.runs.run import Run
 
 SYSTEMS = {name: ss.systems.CATALOGUE[name]() for name in
            ("double_pendulum", "lagrange_top", "henon_heiles", "harmonic_oscillator")}  # fmt: skip
+SYSTEMS |= {"duffing": ss.systems.duffing()}
 STEPS, H = 300, 0.0078125
 
 

@@ -1,0 +1,94 @@
+"""What is measured: a stepper in many digits and compiled, with a state and a step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.analysis.precise import Precise
+from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
+from symsimpson.errors import InputError
+from symsimpson.reference.extrapolation import extrapolate
+from symsimpson.reference.first_order import canonical
+from symsimpson.runtime.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["SHORT", "Subject"]
+
+#: Steps that are taken in many digits.
+SHORT = 50
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A stepper in many digits and compiled, with a state and a step."""
+
+    stepper: Stepper
+    precise: Precise
+    z: NDArray[np.float64]
+    h: float
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.stepper.n
+
+    @cached_property
+    def scale(self) -> NDArray[np.float64]:
+        """Sizes of the coordinates and the momenta, to measure errors by."""
+        run = self.compiled(100, every=1)
+        q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
+        return np.concatenate([np.maximum(q, 1.0), np.full(self.n, p.max() or 1.0)])
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """Some steps in many digits."""
+        return self.precise.run(self.z, self.h, SHORT)
+
+    @property
+    def forced(self) -> bool:
+        """Whether forces act beside those of L."""
+        return bool(self.stepper._module.header.forces)
+
+    @cached_property
+    def symmetries(self) -> list[Symmetry]:
+        """The linear symmetries of the system; none where forces may change their momenta."""
+        conservative = self.stepper._module.header.conservative
+        return linear_symmetries(self.precise, self.z) if conservative else []
+
+    def exact(self, end: Any) -> list[Any]:
+        """Return the state of the exact motion at a time, in many digits."""
+        start = [mpmath.mpf(x) for x in self.z]
+        rates: Callable[[Any], list[Any]] = self.precise.rates
+        declared = self.stepper._module.declared
+        if not self.stepper._module.header.conservative:
+            if declared is None:
+                raise InputError("a module by itself does not tell what its forces are")
+            equations = canonical(declared).function("mpmath")
+            values = [mpmath.mpf(x) for x in self.precise.parameters.values()]
+            start += [] if self.stepper._module.header.autonomous else [mpmath.mpf(0)]
+
+            def forced(y: Any) -> list[Any]:
+                return list(equations(*y, *values))
+
+            rates = forced
+        return extrapolate(rates, start, [end], mpmath.mpf(10) ** -30)[0][: 2 * self.n]
+
+    def compiled(self, steps: int, every: int | None) -> Trajectory:
+        """Integrate in double precision."""
+        return self.stepper.integrate(
+            self.z[: self.n], p0=self.z[self.n :], h=self.h, steps=steps, every=every,
+            parameters=self.precise.parameters,
+        )  # fmt: skip
+
+    def distance(self, a: Any, b: Any) -> float:
+        """Return the largest difference of two states in units of the scale."""
+        return float(max(abs(x) for x in (np.asarray(a) - np.asarray(b)) / self.scale))

@@ -1,0 +1,135 @@
+"""Forces and dissipation: read, checked, by name and by coordinate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.nodes import ZERO, Value
+from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.plain import Symbols
+
+__all__ = ["DISSIPATION", "TOTAL", "read_forces"]
+
+#: Names of the forces that Rayleigh's function gives, and of the sum of all.
+DISSIPATION, TOTAL = "dissipation", "total"
+
+Read = Callable[[str, Any], Value]
+Forces = Mapping[Any, Any]
+
+
+def read_forces(
+    name: str,
+    coordinates: Sequence[AppliedUndef],
+    forces: Forces | None,
+    dissipation: Any,
+    symbols: Symbols,
+    read: Read,
+) -> dict[str, tuple[Value, ...]]:
+    """Read generalised forces and Rayleigh's dissipation function.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    coordinates : sequence of functions of time
+    forces : mapping or None
+        By coordinate; or by a name, of mappings by coordinate.
+    dissipation : expression or None
+        R(t, q, v): the forces are -dR/dv.
+    symbols : Symbols
+    read : callable
+        Checks an expression and reads it; its first argument says what it is.
+
+    Returns
+    -------
+    dict
+        For each named force its components, in the order of the coordinates.
+
+    Raises
+    ------
+    ModelError
+    """
+    place = {q: i for i, q in enumerate(coordinates)}
+    found: dict[str, list[Value]] = {}
+    for key, coordinate, expression in _components(name, forces, coordinates):
+        if coordinate not in place:
+            raise _nowhere(name, coordinate, coordinates)
+        what = f"force on {spell(coordinate)}"
+        value = read(what, expression)
+        row = found.setdefault(key, [ZERO] * len(coordinates))
+        row[place[coordinate]] = value
+    if dissipation is not None:
+        if DISSIPATION in found:
+            raise _taken(name, DISSIPATION)
+        value = read("dissipation", dissipation)
+        v = symbols.numbers(symbols.v)
+        if symbols.graph.nodes[value[1]].symbols.isdisjoint(v) and value[0]:
+            raise fail(
+                name,
+                f"the dissipation {spell(dissipation)} depends on no velocity.",
+                "The forces are its derivatives, f = -dR/dv: write R = c*q.diff()**2/2 for f = -c "
+                "v, or give the force itself with forces={q: -c*q.diff()}.",
+            )
+        found[DISSIPATION] = [(-c, n) for c, n in gradient(symbols.graph, value, v)]
+    rows = {key: tuple(row) for key, row in found.items()}
+    return {key: row for key, row in rows.items() if any(c for c, _ in row)}
+
+
+def _components(
+    name: str, forces: Forces | None, coordinates: Sequence[AppliedUndef]
+) -> Iterator[tuple[str, Any, Any]]:
+    """Return each component: the force's name, the coordinate it acts on, the expression."""
+    if forces is None:
+        return
+    if not isinstance(forces, Mapping):
+        raise fail(
+            name,
+            f"the forces are {spell(forces)!r}, not a mapping.",
+            "Write forces={q: -c*q.diff()}, by coordinate, or with names of their own: "
+            "forces={'drag': {q: -c*q.diff()}}.",
+        )
+    taken: set[str] = set()
+    for key, value in forces.items():
+        if isinstance(key, str):
+            if key in taken or key in (TOTAL, DISSIPATION):
+                raise _taken(name, key)
+            if not isinstance(value, Mapping):
+                raise fail(
+                    name,
+                    f"the force {key!r} is {spell(value)}, not a mapping from coordinates.",
+                    f"Say on which coordinates it acts: forces={{{key!r}: {{q: ...}}}}.",
+                )
+            taken.add(key)
+            yield from ((key, coordinate, part) for coordinate, part in value.items())
+            continue
+        own = key.func.__name__ if key in coordinates else ""
+        if own in taken or own in (TOTAL, DISSIPATION):
+            raise _taken(name, own)
+        taken.add(own)
+        yield own, key, value
+
+
+def _taken(name: str, key: str) -> Exception:
+    return fail(
+        name,
+        f"two forces would have the name {key!r}.",
+        f"run.work[{key!r}] could be either. A force given by coordinate has the coordinate's "
+        f"name, that of the dissipation is {DISSIPATION!r}, and the sum of all is {TOTAL!r}.",
+    )
+
+
+def _nowhere(name: str, given: Any, coordinates: Sequence[AppliedUndef]) -> Exception:
+    names = ", ".join(spell(q) for q in coordinates)
+    velocity = isinstance(given, sp.Derivative)
+    return fail(
+        name,
+        f"there is a force on {spell(given)}, which is no coordinate of the system.",
+        f"A generalised force belongs to a coordinate, one of {names}: its power is the force "
+        "times that coordinate's velocity."
+        + (f" Write forces={{{spell(given.expr)}: ...}}." if velocity else ""),
+    )

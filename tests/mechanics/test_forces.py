@@ -1,0 +1,158 @@
+"""Forces, dissipation and time in declarations: what is read, what is found, what is refused."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.physics import mechanics as me
+
+import symsimpson as ss
+
+t = ss.time
+x, y = ss.coordinates("x y")
+c, k, w = sp.symbols("c k w", positive=True)
+T, V = (x.diff() ** 2 + y.diff() ** 2) / 2, k * x**2 / 2 + y**4
+VALUES = {c: 0.1, k: 2.0, w: 3.0}
+
+
+def declared(**more):
+    given = {"coordinates": (x, y), "kinetic": T, "potential": V, "parameters": VALUES, **more}
+    return ss.MechanicalSystem("forced", **given)
+
+
+WRONG = {
+    "no mapping": ({"forces": x}, "the forces are 'x', not a mapping"),
+    "no coordinate": ({"forces": {sp.Symbol("z"): 1}}, "force on z, which is no coordinate"),
+    "on a velocity": ({"forces": {x.diff(): 1}}, r"no coordinate(.|\n)*Write forces={x: ...}"),
+    "second derivative": ({"forces": {x: x.diff(t, 2)}}, "a derivative of order 2"),
+    "acceleration in dissipation": ({"dissipation": x.diff(t, 2) ** 2}, "the dissipation contains"),
+    "unknown symbol": ({"forces": {x: sp.Symbol("u")}}, "unknown symbol u"),
+    "sign": ({"forces": {x: -sp.sign(x.diff())}}, r"sign(.|\n)*tanh\(x/eps\)"),
+    "abs": ({"forces": {x: -sp.Abs(x.diff()) * x.diff()}}, r"Abs(.|\n)*sqrt\(x\*\*2 \+ eps"),
+    "no velocity": ({"dissipation": x**2}, "depends on no velocity"),
+    "text": ({"forces": {x: "-c*v"}}, "the force on x is the string"),
+    "without coordinates": ({"forces": {"drag": -x.diff()}}, "not a mapping from coordinates"),
+    "taken": ({"forces": {"total": {x: 1}}}, "two forces would have the name 'total'"),
+    "twice": ({"forces": {x: 1, "x": {y: 1}}}, "two forces would have the name 'x'"),
+    "two dissipations": ({"forces": {"dissipation": {x: 1}}}, "the name 'dissipation'"),
+    "position of time": ({"positions": {"bob": (x + t, y)}}, "depends on the symbol t"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_message(name):
+    given, message = WRONG[name]
+    with pytest.raises(ss.ModelError, match=message):
+        declared(**given)
+
+
+def test_forces_by_coordinate_and_by_name():
+    system = declared(
+        forces={y: -w * x, "motor": {x: sp.cos(w * t), y: 1}}, dissipation=c * x.diff() ** 2 / 2
+    )
+    assert list(system.plain.forces) == ["y", "motor", "dissipation"]
+    written = [system.plain.written(value) for value in system.plain.f]
+    q, v, a = system.plain.q, system.plain.v, system.plain.parameters
+    assert sp.expand(written[0] - sp.cos(a[2] * system.plain.t) + a[0] * v[0]) == 0
+    assert sp.expand(written[1] - 1 + a[2] * q[0]) == 0
+
+
+def test_a_force_changes_the_digest():
+    digests = {
+        declared(**more).digest
+        for more in ({}, {"forces": {x: -c * x.diff()}}, {"forces": {y: -c * x.diff()}},
+                     {"forces": {"a": {x: -c * x.diff()}}}, {"dissipation": c * x.diff() ** 2})
+    }  # fmt: skip
+    assert len(digests) == 5
+    assert declared(forces={}) == declared()
+
+
+SURVIVES = {
+    "none": ({}, {"separable": True, "linear": False, "subsystems": 2}),
+    "of q": ({"forces": {x: -w * y}}, {"separable": True, "subsystems": 1}),
+    "of v": ({"forces": {x: -c * x.diff()}}, {"separable": False, "subsystems": 2}),
+    "of the other's v": ({"forces": {x: -c * y.diff()}}, {"separable": False, "subsystems": 1}),
+    "that is nothing": ({"forces": {x: y - y}}, {"separable": True, "subsystems": 2,
+                                                 "forced": ()}),
+    "cancelling": ({"forces": {"a": {x: c * x.diff()}}, "dissipation": c * x.diff() ** 2 / 2},
+                   {"separable": True, "forced": ()}),
+    "M of t": ({"kinetic": (2 + sp.sin(t)) * T}, {"constant_mass": False, "autonomous": False}),
+    "V of t": ({"potential": V * (1 + t)}, {"constant_mass": True, "separable": True}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SURVIVES)
+def test_findings_are_decided_on_l_and_f_together(name):
+    given, expected = SURVIVES[name]
+    structure = declared(**given).structure
+    for finding, value in expected.items():
+        found = getattr(structure, finding)
+        assert (len(found) if finding == "subsystems" else found) == value
+    assert "forces" in str(structure) or not structure.forced
+
+
+def test_linear_forces_are_not_exploited_beside_others():
+    linear = {"potential": k * x**2 / 2 + y**2}
+    assert declared(**linear).structure.linear
+    assert not declared(**linear, forces={x: sp.cos(t)}).structure.linear
+    assert not declared(potential=k * x**2 / 2 * sp.cos(t)).structure.linear
+
+
+def test_cyclic_needs_that_no_force_contains_or_moves_it():
+    polar = {"kinetic": (x.diff() ** 2 + x**2 * y.diff() ** 2) / 2, "potential": -k / x}
+    assert declared(**polar).structure.cyclic == ("y",)
+    assert declared(**polar, dissipation=c * x.diff() ** 2).structure.cyclic == ("y",)
+    assert declared(**polar, forces={x: -y.diff()}).structure.cyclic == ("y",)
+    for force in ({y: -c * y.diff()}, {x: sp.sin(y)}, {y: 1}):
+        assert declared(**polar, forces=force).structure.cyclic == ()
+
+
+def test_prescribed_motion_in_t_is_sorted():
+    """T of a pendulum on a moving pivot has terms without the velocity, and linear in it."""
+    pivot = sp.sin(w * t) / 10
+    X, Y = pivot + sp.sin(x), -sp.cos(x)
+    energy = (X.diff(t) ** 2 + Y.diff(t) ** 2) / 2
+    one = ss.MechanicalSystem("pivot", coordinates=(x,), kinetic=energy, potential=9.81 * Y,
+                              parameters={w: 3.0})  # fmt: skip
+    other = ss.MechanicalSystem.from_lagrangian("pivot", energy - 9.81 * Y, (x,), {w: 3.0})
+    runs = [ss.compile(s).integrate([0.3], [0.1], h=0.05, steps=40) for s in (one, other)]
+    assert np.abs(runs[0].q - runs[1].q).max() < 1e-14
+    assert np.abs(runs[0].energy - runs[1].energy).max() < 1e-13
+    with pytest.raises(ss.ModelError, match="not a quadratic form in the velocities"):
+        ss.MechanicalSystem("moving", coordinates=(x,), kinetic=(x.diff() + 1) ** 2, potential=x**2)
+
+
+def body_with_loads():
+    (theta,) = ss.coordinates("theta")
+    m, l, g = sp.symbols("m l g", positive=True)
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    turned = frame.orientnew("A", "Axis", (theta, frame.z))
+    bob = origin.locatenew("P", -l * turned.y)
+    bob.v2pt_theory(origin, frame, turned)
+    body = me.Particle("bob", bob, m)
+    loads = [(bob, -m * g * frame.y), (turned, -c * theta.diff() * frame.z)]
+    method = me.LagrangesMethod(me.Lagrangian(frame, body), [theta], forcelist=loads, frame=frame)
+    return method, (m, l, g), theta
+
+
+def test_forcelist_of_lagranges_method_gives_the_equations_of_sympy():
+    method, (m, l, g), theta = body_with_loads()
+    values = {m: 1.2, l: 0.7, g: 9.81, c: 0.3}
+    system = ss.MechanicalSystem.from_lagranges_method("loaded", method, values)
+    method.form_lagranges_equations()
+    acceleration = method.rhs()[1].subs(values)
+    run = ss.compile(system, "gauss8").integrate([0.4], [0.5], h=0.01, steps=100)
+    rate = sp.lambdify((theta, theta.diff()), acceleration, "math")
+    v = run.v[:, 0]
+    found = (v[:-4] - 8 * v[1:-3] + 8 * v[3:-1] - v[4:]) / 0.12
+    truth = [rate(a, b) for a, b in zip(run.q[2:-2, 0], v[2:-2], strict=True)]
+    assert np.abs(found - truth).max() < 1e-6
+    assert list(run.work) == ["forcelist", "total"]
+
+
+def test_odd_names_of_forces_stay_out_of_the_module():
+    odd = '"; import os #'
+    stepper = ss.compile(declared(forces={odd: {x: -c * x.diff()}}))
+    assert "import os" not in stepper.source
+    run = stepper.integrate([1.0, 0.2], [0.0, 0.0], h=0.1, steps=3)
+    assert list(run.work) == ["force 0", "total"]

@@ -1,0 +1,102 @@
+"""Forced and timed steps against golden values computed with 50 digits and checked with 66.
+
+``tests/data/golden_forced.json``: decimal inputs, states, energies, the work of the forces and the
+integral of dL/dt. An input that is held over a step is a parameter here, of one step after another.
+"""
+
+import json
+from pathlib import Path
+
+import mpmath as mp
+import numpy as np
+import pytest
+import sympy as sp
+from workspace import sweep
+
+import symsimpson as ss
+
+CASES = [
+    case
+    for case in json.loads((Path(__file__).parents[1] / "data" / "golden_forced.json").read_text())[
+        "cases"
+    ]
+    if "at_nodes" not in case["name"] and not case.get("conformal")
+]
+WHOLE = [case for case in CASES if not case.get("inputs")]
+
+
+def system_of(case):
+    q = ss.coordinates(" ".join(f"q{i}" for i in range(len(case["q0"]))))
+    names = {"t": ss.time}
+    for i, x in enumerate(q):
+        names |= {f"q{i}": x, f"v{i}": x.diff()}
+    values = {sp.Symbol(name, real=True): float(sp.Rational(value))
+              for name, value in case["parameters"].items()}  # fmt: skip
+    values |= {sp.Symbol(name, real=True): 0.0 for name in case.get("inputs", ())}
+    names |= {symbol.name: symbol for symbol in values}
+    forces = {x: sp.sympify(f, locals=names) for x, f in zip(q, case["f"], strict=True)}
+    return ss.MechanicalSystem.from_lagrangian(
+        "golden", sp.sympify(case["L"], locals=names), q, values, forces=forces
+    )
+
+
+def stepper_of(case, **options):
+    wanted = case["scheme"]
+    scheme = wanted["name"] or ss.galerkin(
+        wanted["quadrature"], nodes=wanted["nodes"], degree=wanted["degree"]
+    )
+    return ss.compile(system_of(case), scheme, **options)
+
+
+def last_state(case, stepper, number):
+    """Take one step after another, each with its inputs."""
+    q, p = ([number(x) for x in case[name]] for name in ("q0", "p0"))
+    h, t0 = number(case["h"]), number(case["t0"])
+    values = {name: number(value) for name, value in case["parameters"].items()}
+    for j in range(case["steps"]):
+        if case.get("inputs"):
+            values |= dict(zip(case["inputs"], map(number, case["u"][j]), strict=True))
+        q, p = stepper.step(q, p=p, h=h, t=t0 + j * h, parameters=values)
+    return [*q, *p]
+
+
+def truth_of(case):
+    final = case["results"]["final"]
+    return [mp.mpf(x) for x in final["q"] + final["p"]]
+
+
+@pytest.mark.parametrize("case", sweep(CASES, 3), ids=lambda case: case["name"])
+@pytest.mark.parametrize("general", sweep([False, True]))
+def test_states_in_double_precision(case, general):
+    found = last_state(case, stepper_of(case, exploit=() if general else "all"), float)
+    amplification = max(1.0, float(case["amplification"]))
+    error = max(abs(a - b) for a, b in zip(found, truth_of(case), strict=True))
+    assert error < 1e-14 * amplification
+
+
+@pytest.mark.parametrize("case", sweep(CASES, 1), ids=lambda case: case["name"])
+def test_states_in_many_digits(case):
+    with mp.workdps(40):
+        found = last_state(case, stepper_of(case, precision=40), mp.mpf)
+        error = max(abs(a - b) for a, b in zip(found, truth_of(case), strict=True))
+    assert error < 1e-30
+
+
+@pytest.mark.parametrize("case", sweep(WHOLE, 1), ids=lambda case: case["name"])
+def test_work_and_balance(case):
+    state = [[float(x) for x in case[name]] for name in ("q0", "p0")]
+    run = stepper_of(case).integrate(
+        state[0], p0=state[1], h=float(case["h"]), t0=float(case["t0"]), steps=case["steps"]
+    )
+    final = {name: float(value) for name, value in case["results"]["final"].items()
+             if isinstance(value, str)}  # fmt: skip
+    assert abs(run.energy[-1] - final["H"]) < 1e-13
+    assert abs(run.work["total"][-1] - final["work"]) < 1e-13
+    balance = final["H"] - final["H0"] - final["work"] + final["integral_L_t"]
+    assert abs(run.energy_balance[-1] - balance) < 1e-13
+    every = np.linspace(0, case["steps"], 3).astype(int)
+    coarse = stepper_of(case).integrate(
+        state[0], p0=state[1], h=float(case["h"]), t0=float(case["t0"]), steps=case["steps"],
+        every=int(every[1]),
+    )  # fmt: skip
+    assert np.abs(coarse.work["total"] - run.work["total"][every]).max() < 1e-13
