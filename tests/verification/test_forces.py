@@ -5,12 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.integrate import solve_ivp
+from hamilton import truth
 from scipy.optimize import fsolve
 from workspace import sweep
 
 import symsimpson as ss
-from symsimpson.reference import canonical
 
 t = ss.time
 a, c, g, k, w = sp.symbols("a c g k w", positive=True)
@@ -63,17 +62,6 @@ PROBLEMS = {
 }
 STEPS = {"midpoint": (160, 320), "simpson": (80, 160), "lobatto6": (40, 80), "gauss4": (80, 160),
          "gauss6": (40, 80), "gauss8": (16, 32), "gauss12": (5, 10)}  # fmt: skip
-
-
-def truth(system, q, p, end):
-    """The state at the end, by a Runge-Kutta method of order eight for Hamilton's equations."""
-    rates = canonical(system).function("math")
-    start = [*q, *p] + ([] if system.plain.autonomous else [0.0])
-    found = solve_ivp(
-        lambda _, y: rates(*y, *system.parameters.values()), (0, end), start, method="DOP853",
-        rtol=3e-14, atol=1e-15,
-    )  # fmt: skip
-    return found.y[: 2 * system.n, -1]
 
 
 @pytest.mark.parametrize("scheme", sweep(STEPS, 2))
