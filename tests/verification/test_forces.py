@@ -248,7 +248,7 @@ def test_work_of_a_conservative_system_is_none():
     assert (run.energy_balance == run.energy - run.energy[0]).all()
 
 
-@pytest.mark.parametrize("scheme", ["simpson", "gauss8"])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8"]))
 def test_lanes_members_and_states_between_agree(scheme):
     system, q, v, _ = double_pendulum()
     stepper = ss.compile(system, scheme)
@@ -293,6 +293,7 @@ def run_balance(stepper, q, v):
     return stepper.integrate(q, v, h=0.02, steps=50).energy_balance
 
 
+@pytest.mark.slow
 def test_strong_damping_makes_no_step_singular():
     """Where the iteration over stages does not contract, Newton's method goes on."""
     (x,) = ss.coordinates("x")
@@ -315,6 +316,7 @@ def test_the_catalogue_of_driven_systems(name):
     assert "balance" in [check.name for check in certificate.checks]
 
 
+@pytest.mark.slow
 def test_kapitza_stands_where_theory_says():
     """Upside down it is stable for (a w)^2 > 2 g l."""
     stepper = ss.compile(ss.systems.kapitza(), "gauss8")

@@ -126,8 +126,8 @@ class Trajectory(States):
         >>> brake = ss.MechanicalSystem("brake", coordinates=(x,), kinetic=x.diff()**2/2,
         ...                             potential=0*x, forces={x: -x.diff()})
         >>> run = ss.compile(brake).integrate([0.0], v0=[1.0], h=0.1, t_end=1.0)
-        >>> run.work["total"][-1].round(6), round((np.exp(-2) - 1) / 2, 6)
-        (np.float64(-0.432332), -0.432332)
+        >>> float(run.work["total"][-1].round(6))  # (exp(-2) - 1)/2
+        -0.432332
         """
         return self._integrals[0]
 
