@@ -28,6 +28,7 @@ from symsimpson.runtime.evaluator import evaluate_equations
 from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.schemes.named import read_scheme
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -159,6 +160,10 @@ def _symplectic(s: Subject) -> Iterator[Check]:
 
 def _reversible(s: Subject) -> Iterator[Check]:
     """reversible: there with h and back with -h."""
+    if not read_scheme(s.stepper.scheme).symmetric:
+        what, reason = "not asked: the scheme is not symmetric", "Left Radau nodes are not."
+        yield Check("reversible", float("nan"), "at most", EXACT, what, reason, exempt=True)
+        return
     there = s.precise.flow(s.z, s.h, 20)
     back = s.precise.flow(there, -s.h, 20, t0=20 * s.precise.context.mpf(s.h))
     yield Check(

@@ -309,7 +309,8 @@ def shear_factors(scheme: Scheme) -> tuple[tuple[bool, tuple[sp.Expr, sp.Expr]],
     two such in a row whose outer kicks are -z/4. None if neither has a drift b / (1 + e z),
     e >= 0, and kicks that are polynomials in z of degree two.
     """
-    if scheme.degree > 2:  # the denominators have this degree
+    # the denominators have this degree, and the products below are symmetric
+    if scheme.degree > 2 or not scheme.symmetric:
         return None
     z = sp.Symbol("z", positive=True)
     A, B = _oscillator(scheme, z)

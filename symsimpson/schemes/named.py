@@ -32,7 +32,11 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
             if order % 2 == 0:
                 nodes = order // 2 + (kind == "lobatto")
                 return galerkin(kind, nodes, nodes - (kind == "lobatto"))
-        if found := re.fullmatch(r"(gauss|lobatto)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
+        if found := re.fullmatch(r"radau([1-9][0-9]?)", scheme):
+            order = int(found[1])
+            if order % 2 == 1:
+                return galerkin("radau", (order + 1) // 2, (order + 1) // 2)
+        if found := re.fullmatch(r"(gauss|lobatto|radau)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
             return galerkin(found[1], int(found[2]), int(found[3]))
     raise SchemeError(
         f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "

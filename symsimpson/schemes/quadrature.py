@@ -1,4 +1,4 @@
-"""Gauss and Lobatto quadrature on [0, 1], with exact nodes and weights."""
+"""Gauss, Lobatto and left Radau quadrature on [0, 1], with exact nodes and weights."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from sympy.integrals.quadrature import gauss_legendre, gauss_lobatto
 
 from symsimpson.errors import SchemeError
 
-__all__ = ["Quadrature", "gauss", "lagrange_basis", "lobatto"]
+__all__ = ["Quadrature", "gauss", "lagrange_basis", "lobatto", "radau"]
 
 #: Roots of Legendre polynomials and of their derivatives are written in radicals up to here; with
 #: one node more, products of them fill pages.
-CLOSED_FORM = {"gauss": 4, "lobatto": 5}
+CLOSED_FORM = {"gauss": 4, "lobatto": 5, "radau": 3}
 #: Beyond that they are decimal numbers here; modules make them with as many digits as they need.
 SHOWN_DIGITS = 60
 #: So many nodes at most.
@@ -30,7 +30,7 @@ class Quadrature:
     Attributes
     ----------
     kind : str
-        ``"gauss"`` or ``"lobatto"``.
+        ``"gauss"``, ``"lobatto"`` or ``"radau"``.
     nodes, weights : tuple of sympy numbers
         c_i in increasing order, and b_i.
     order : int
@@ -41,6 +41,11 @@ class Quadrature:
     nodes: tuple[sp.Expr, ...]
     weights: tuple[sp.Expr, ...]
     order: int
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the rule is the same from both ends."""
+        return self.kind != "radau"
 
     @property
     def exact(self) -> bool:
@@ -69,6 +74,20 @@ def lobatto(nodes: int) -> Quadrature:
     inner = _unit_roots(sp.diff(sp.legendre(nodes - 1, _x), _x)) if nodes > 2 else ()
     points = (sp.S.Zero, *inner, sp.S.One)
     return Quadrature("lobatto", points, _weights(points), 2 * nodes - 2)
+
+
+@cache
+def radau(nodes: int) -> Quadrature:
+    """Return the left Radau rule: the start and s - 1 nodes inside, order 2s - 1."""
+    _check("radau", nodes, 1)
+    if nodes > CLOSED_FORM["radau"]:
+        raise SchemeError(
+            f"a Radau quadrature has at most {CLOSED_FORM['radau']} nodes here, not {nodes}.\n"
+            "Choose 'radau5', or a Gauss scheme of higher order."
+        )
+    # zeros of P_(s-1) + P_s on [-1, 1], of which -1 is one
+    points = _unit_roots(sp.expand(sp.legendre(nodes - 1, _x) + sp.legendre(nodes, _x)))
+    return Quadrature("radau", points, _weights(points), 2 * nodes - 1)
 
 
 def lagrange_basis(points: tuple[sp.Expr, ...], x: sp.Expr) -> tuple[sp.Expr, ...]:

@@ -11,12 +11,12 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
-from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto
+from symsimpson.schemes.quadrature import Quadrature, gauss, lagrange_basis, lobatto, radau
 
 __all__ = ["MIDPOINT", "SIMPSON", "Scheme", "galerkin"]
 
 Table = tuple[tuple[sp.Expr, ...], ...]
-_QUADRATURES = {"gauss": gauss, "lobatto": lobatto}
+_QUADRATURES = {"gauss": gauss, "lobatto": lobatto, "radau": radau}
 
 
 def _number(expression: sp.Expr) -> sp.Expr:
@@ -77,7 +77,12 @@ class Scheme:
         With as many nodes as the path has degrees these determine the path, and the scheme is a
         symplectic partitioned Runge-Kutta method; with fewer than three, Newton's is as cheap.
         """
-        return self.degree == self.stages > 2
+        return self.quadrature.symmetric and self.degree == self.stages > 2
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether a step with -h undoes one with h."""
+        return self.quadrature.symmetric
 
     @property
     def order(self) -> int:
@@ -230,7 +235,9 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
 
     Parameters
     ----------
-    quadrature : {"lobatto", "gauss"}
+    quadrature : {"lobatto", "gauss", "radau"}
+        "radau" has a node at the start and none at the end: with as many nodes as degrees its steps
+        let momenta under strong damping decay, where those of the others keep a part of them.
     nodes : int
         Number s of quadrature nodes.
     degree : int
@@ -255,7 +262,9 @@ def galerkin(quadrature: str, nodes: int, degree: int) -> Scheme:
     4
     """
     if quadrature not in _QUADRATURES:
-        raise SchemeError(f"there is no quadrature {quadrature!r}.\nChoose 'lobatto' or 'gauss'.")
+        raise SchemeError(
+            f"there is no quadrature {quadrature!r}.\nChoose 'lobatto', 'gauss' or 'radau'."
+        )
     rule = _QUADRATURES[quadrature](nodes)
     if isinstance(degree, bool) or not isinstance(degree, int) or degree < 1:
         raise SchemeError(f"the degree of a path is at least 1, not {degree!r}.\nUse degree=1.")
@@ -284,6 +293,8 @@ def _name(quadrature: str, nodes: int, degree: int) -> str:
         return f"gauss{2 * nodes}"
     if quadrature == "lobatto" and degree == nodes - 1:
         return f"lobatto{2 * nodes - 2}"
+    if quadrature == "radau" and degree == nodes:
+        return f"radau{2 * nodes - 1}"
     return f"{quadrature}_{nodes}_{degree}"
 
 

@@ -147,7 +147,7 @@ OTHERS = {
     "many nodes": (lambda: ss.galerkin("gauss", 40, 2), ss.SchemeError, "at most 16"),
     "degree": (lambda: ss.galerkin("gauss", 2, 3), ss.SchemeError, "not determined"),
     "no degree": (lambda: ss.galerkin("gauss", 2, 0), ss.SchemeError, "at least 1"),
-    "quadrature": (lambda: ss.galerkin("radau", 2, 2), ss.SchemeError, "no quadrature 'radau'"),
+    "quadrature": (lambda: ss.galerkin("gander", 2, 2), ss.SchemeError, "no quadrature .gander."),
     "composition": (lambda: ss.composition("yoshida4"), ss.SchemeError, "no composition"),
     "file": (lambda: ss.load("/missing.py"), ss.GenerationError, "cannot be read"),
     "folder": (lambda: ss.load("/"), ss.GenerationError, "cannot be read"),

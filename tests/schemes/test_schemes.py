@@ -152,7 +152,7 @@ def test_unknown_schemes(wrong):
         (("gauss", 2, 3), "not determined by 2 quadrature nodes"),
         (("gauss", 0, 1), "at least 1 node"),
         (("lobatto", 1, 1), "at least 2 node"),
-        (("radau", 2, 2), "no quadrature"),
+        (("simpson", 2, 2), "no quadrature"),
         (("gauss", 2, 0), "at least 1, not 0"),
         (("gauss", 17, 17), "at most 16 nodes"),
     ],

@@ -1,4 +1,4 @@
-"""The fastest linear oscillation at a state, and the steps that a scheme takes of it."""
+"""The fastest linear oscillation at a state, the strongest damping, and the steps these allow."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from symsimpson.schemes.named import read_scheme
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["largest_frequency", "largest_stable", "warn_of_step"]
+__all__ = ["largest_damping", "largest_frequency", "largest_stable", "warn_of_step"]
 
 #: Limits beyond this are as good as none.
 LARGEST = 12.0
@@ -59,20 +59,62 @@ def largest_frequency(
 def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     """Return a function of q, the parameters and t for (K, M)."""
     plain = system.plain
-    graph, q = plain.graph, plain.numbers(plain.q)
-    derivatives = Derivatives(graph)
+    derivatives, q = Derivatives(plain.graph), plain.numbers(plain.q)
     slopes = [derivatives(plain.V, x) for x in q]
-    entries = [derivatives(slope, x) for slope in slopes for x in q]
-    masses = [plain.entry(i, j) for i in range(len(q)) for j in range(len(q))]
-    outputs: dict[tuple[Hashable, ...], Value] = {("K", k): x for k, x in enumerate(entries)}
-    outputs |= {("M", k): x for k, x in enumerate(masses)}
-    lines, places = Lines(plain, outputs), range(len(entries))
+    return _function(system, {"K": [derivatives(slope, x) for slope in slopes for x in q]}, plain.q)
+
+
+def largest_damping(
+    system: MechanicalSystem,
+    q: Iterable[float],
+    v: Iterable[float],
+    parameters: Iterable[float],
+    t: float = 0.0,
+) -> float:
+    """Return the largest rate of M^-1 D, D = -df/dv, at which forces damp velocities; 0 if none.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    q, v : iterable of float, n of them each
+    parameters : iterable of float
+        Values of all parameters, in the order of the system.
+    t : float
+    """
+    if not system.plain.forces:
+        return 0.0
+    try:
+        drag, mass = _drag(system)(*map(float, (*q, *v, *parameters, t)))
+        rates = np.linalg.eigvals(np.linalg.solve(mass, -drag)).real
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return 0.0
+    return max(0.0, float(rates.max()))
+
+
+@lru_cache(maxsize=64)
+def _drag(system: MechanicalSystem) -> Callable[..., Any]:
+    """Return a function of q, v, the parameters and t for (df/dv, M)."""
+    plain = system.plain
+    derivatives, v = Derivatives(plain.graph), plain.numbers(plain.v)
+    slopes = [derivatives(force, x) for force in plain.f for x in v]
+    return _function(system, {"D": slopes}, (*plain.q, *plain.v))
+
+
+def _function(
+    system: MechanicalSystem, entries: dict[str, list[Value]], state: tuple[sp.Symbol, ...]
+) -> Callable[..., Any]:
+    """Return a function of a state, the parameters and t for n by n matrices, M the last."""
+    plain, size = system.plain, range(system.n)
+    entries["M"] = [plain.entry(i, j) for i in size for j in size]
+    outputs: dict[tuple[Hashable, ...], Value] = {
+        (name, k): x for name, values in entries.items() for k, x in enumerate(values)
+    }
+    lines = Lines(plain, outputs)
     function: Callable[..., Any] = sp.lambdify(
-        [*plain.q, *plain.parameters, plain.t],
-        [lines.value(name, k) for name in "KM" for k in places],
-        modules="math", cse=lambda expressions: (lines.early, expressions),
+        [*state, *plain.parameters, plain.t], [lines.value(*key) for key in outputs],
+        modules="math", cse=lambda expressions: ([*lines.early, *lines.later], expressions),
     )  # fmt: skip
-    return lambda *numbers: np.array(function(*numbers)).reshape(2, len(q), len(q))
+    return lambda *numbers: np.array(function(*numbers)).reshape(-1, system.n, system.n)
 
 
 @cache
@@ -88,13 +130,15 @@ def warn_of_step(
     stepper: Stepper,
     system: MechanicalSystem,
     q: Iterable[float],
+    v: Iterable[float],
     values: Iterable[float],
     h: float,
     t: float,
 ) -> None:
-    """Warn of a step beyond the linear-stability limit at the start."""
+    """Warn of a step that does not resolve what is fast at the start: oscillations, or damping."""
     if system.n > MOST_COORDINATES:
         return
+    _warn_of_damping(stepper, system, (q, v, values, t), h)
     omega = largest_frequency(system, q, values, t)
     if abs(h) * omega < ALWAYS_STABLE:
         return
@@ -109,3 +153,21 @@ def warn_of_step(
             StabilityWarning,
             stacklevel=6,  # where integrate is called
         )
+
+
+def _warn_of_damping(
+    stepper: Stepper, system: MechanicalSystem, state: tuple[Any, ...], h: float
+) -> None:
+    """Warn where momenta would keep a part that damping takes from the motion in no time."""
+    scheme = read_scheme(stepper.scheme)
+    rate = largest_damping(system, *state)
+    if abs(h) * rate <= 2 * scheme.degree or not scheme.symmetric:
+        return
+    warnings.warn(
+        f"{stepper.system}, {stepper.scheme}: h={h:g} does not resolve the strongest damping at "
+        f"the start, of rate {rate:.4g}: momenta keep a part of what it takes away, or change its "
+        f"sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' or 'radau5', "
+        "in which it decays.",
+        StabilityWarning,
+        stacklevel=7,  # where integrate is called
+    )

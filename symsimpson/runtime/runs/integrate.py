@@ -227,7 +227,8 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
     system, tools = stepper._module.declared, stepper._module.tools
     if plain and system is not None and tools is not None and key not in stepper._looked_at:
         stepper._looked_at.add(key)
-        tools.check_step(stepper, system, run.rows("POSITION", stepper.n), values, run.h, run.t0)
+        q, v = (run.rows(name, stepper.n) for name in ("POSITION", "VELOCITY"))
+        tools.check_step(stepper, system, q, v, values, run.h, run.t0)
 
 
 def trajectory_of(
