@@ -325,7 +325,7 @@ def test_radau_schemes_have_odd_orders(name, scheme):
     assert abs(np.log2(errors[0] / errors[1]) - stepper.order) < 0.15
 
 
-@pytest.mark.parametrize("scheme", sweep(RADAU, 1))
+@pytest.mark.parametrize("scheme", sweep(["radau3", "radau5"]))
 @pytest.mark.parametrize("make", sweep([ss.systems.harmonic_oscillator, ss.systems.kepler]))
 def test_radau_steps_are_symplectic_whatever_is_skipped(make, scheme):
     system = make()
