@@ -106,6 +106,19 @@ def test_cyclic_needs_that_no_force_contains_or_moves_it():
         assert declared(**polar, forces=force).structure.cyclic == ()
 
 
+def test_a_force_of_a_cyclic_velocity_takes_the_general_path():
+    """Elimination would need its derivative, which L does not have: corrections shrink slowly."""
+    polar = {"kinetic": (x.diff() ** 2 + x**2 * y.diff() ** 2) / 2, "potential": -k / x}
+    unknowns = {}
+    for name, force in {"of x'": -x.diff() / 9, "of y'": -(y.diff() ** 2) / 9}.items():
+        stepper = ss.compile(declared(**polar, forces={x: force}))
+        unknowns[name] = stepper._module.header.newton_unknowns
+        run = stepper.integrate([1.0, 0.0], [0.1, 1.4], h=0.05, steps=50)
+        assert np.ptp(run["p_y"]) == 0
+        assert run.newton_iterations[10:].max() <= 4
+    assert unknowns == {"of x'": 2, "of y'": 4}
+
+
 def test_prescribed_motion_in_t_is_sorted():
     """T of a pendulum on a moving pivot has terms without the velocity, and linear in it."""
     pivot = sp.sin(w * t) / 10
