@@ -83,19 +83,19 @@ def make_problem(
     stepper = compile_system(system, "simpson")
     q, p = choose_state(stepper, state, stepper._named_values())
     hamilton, newton = canonical(system), second_order(system)
-    start = [mpmath.mpf(float(x)) for x in (*q, *p)]
+    start = hamilton.state([mpmath.mpf(float(x)) for x in (*q, *p)])
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]
     found = truth(hamilton, start, samples, digits=DIGITS)
-    path = np.array([[float(x) for x in y] for y in found.y])
     n = system.n
+    path = np.array([[float(x) for x in y[: 2 * n]] for y in found.y])
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
     scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
     return Problem(
         system, q, _velocity(hamilton, q, p), p, float(t_end), hamilton, newton, path[-1],
-        float(np.max(np.array(found.errors, dtype=np.float64) / scale)), scale,
+        float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)), scale,
     )  # fmt: skip
 
 
 def _velocity(equations: FirstOrder, q: Floats, p: Floats) -> Floats:
-    rates = equations.function("math")(*q, *p, *equations.values(None))
+    rates = equations.function("math")(*equations.state(q, p), *equations.values(None))
     return np.array(rates[: len(q)], dtype=np.float64)

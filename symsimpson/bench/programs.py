@@ -41,7 +41,7 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
     """Explicit methods of our own, compiled with the right-hand side."""
     rates = compiled_rates(problem.canonical)
     parameters = np.array(problem.canonical.values(None), dtype=np.float64)
-    start, n = np.concatenate([problem.q0, problem.p0]), problem.system.n
+    start, n = np.array(problem.canonical.state(problem.q0, problem.p0)), problem.system.n
 
     def making(solve: Callable[[Floats, float], int]) -> Any:
         def make(choice: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
@@ -49,7 +49,7 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
                 y = start.copy()
                 return y, solve(y, choice)
 
-            return run, lambda found: Outcome(found[0][:n], found[0][n:], found[1])
+            return run, lambda found: Outcome(found[0][:n], found[0][n : 2 * n], found[1])
 
         return make
 
@@ -74,7 +74,7 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
 
     rates = compiled_rates(problem.canonical)
     parameters = np.array(problem.canonical.values(None), dtype=np.float64)
-    start, n = np.concatenate([problem.q0, problem.p0]), problem.system.n
+    start, n = np.array(problem.canonical.state(problem.q0, problem.p0)), problem.system.n
 
     def right(t: float, y: Floats) -> Floats:
         out = np.empty_like(y)
@@ -94,7 +94,7 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
 
             def read(found: Any) -> Outcome:
                 end = found.y[:, -1] if found.success else np.full(2 * n, np.nan)
-                return Outcome(end[:n], end[n:], int(found.nfev))
+                return Outcome(end[:n], end[n : 2 * n], int(found.nfev))
 
             return run, read
 
@@ -115,8 +115,9 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
          lambda q, v: problem.momentum(stepper, q, v)),
     )  # fmt: skip
     for form, equations, other, scale, momentum in forms:
+        scale = np.array([*scale, *np.ones(len(equations.unknowns) - 2 * n)])
         written = in_heyoka(hy, equations, scale)
-        start = np.concatenate([problem.q0, other]) / scale
+        start = np.array(equations.state(problem.q0, other)) / scale
         for mode in ("", " compact"):
 
             def make(
@@ -134,7 +135,7 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
                     return integrator.propagate_until(problem.t_end, max_steps=MOST_STEPS)[3]
 
                 def read(steps: Any) -> Outcome:
-                    q, second = np.split(integrator.state * scale, 2)
+                    q, second = np.split((integrator.state * scale)[: 2 * n], 2)
                     return Outcome(q, momentum(q, second), int(steps))
 
                 return run, read
@@ -177,7 +178,8 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
     import numbalsoda
     from numba import carray, cfunc  # type: ignore[attr-defined]
 
-    rates, size, n = compiled_rates(problem.canonical), 2 * problem.system.n, problem.system.n
+    rates, n = compiled_rates(problem.canonical), problem.system.n
+    size = len(problem.canonical.unknowns)
     values = problem.canonical.values(None)
     count = len(values)
 
@@ -188,7 +190,10 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
         rates(carray(y, (size,)), known, carray(out, (size,)))
 
     address = right.address
-    start, times = np.concatenate([problem.q0, problem.p0]), np.array([0.0, problem.t_end])
+    start, times = (
+        np.array(problem.canonical.state(problem.q0, problem.p0)),
+        np.array([0.0, problem.t_end]),
+    )
     for method in ("lsoda", "dop853"):
         solve = getattr(numbalsoda, method)
 
@@ -202,7 +207,7 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
                 )
                 return found[-1] if success else np.full(size, np.nan), data[count]
 
-            return run, lambda found: Outcome(found[0][:n], found[0][n:], int(found[1]))
+            return run, lambda found: Outcome(found[0][:n], found[0][n : 2 * n], int(found[1]))
 
         yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
 
@@ -214,7 +219,7 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
 
     rates, n = problem.canonical.function("jax"), problem.system.n
     values = problem.canonical.values(None)
-    start = np.concatenate([problem.q0, problem.p0])
+    start = np.array(problem.canonical.state(problem.q0, problem.p0))
 
     def solve(y: Any, tolerance: Any) -> Any:
         term = diffrax.ODETerm(lambda t, y, _: jax.numpy.stack(rates(*y, *values)))
@@ -239,7 +244,7 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
 
         def read(found: Any) -> Outcome:
             end = np.asarray(found.ys)[0]
-            return Outcome(end[:n], end[n:], 13 * int(found.stats["num_steps"]))
+            return Outcome(end[:n], end[n : 2 * n], 13 * int(found.stats["num_steps"]))
 
         return run, read
 

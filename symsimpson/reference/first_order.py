@@ -62,6 +62,11 @@ class FirstOrder:
         )  # fmt: skip
         return made
 
+    def state(self, *parts: Any) -> list[Any]:
+        """Join the parts of a state at t = 0; where t is an unknown, it stands last."""
+        joined = [x for part in parts for x in part]
+        return joined + [0 * joined[0]] * (len(self.unknowns) - len(joined))
+
     def values(self, given: Mapping[Any, Any] | None) -> list[Any]:
         """Merge parameter values, by name, into the defaults."""
         found = dict(zip(self.names, self.parameters.values(), strict=True))

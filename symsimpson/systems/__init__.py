@@ -8,7 +8,14 @@ from symsimpson.systems.argon import argon, argon_cluster
 from symsimpson.systems.cart_pole import cart_pole
 from symsimpson.systems.cloth import cloth
 from symsimpson.systems.double_pendulum import double_pendulum
-from symsimpson.systems.driven import damped_pendulum, duffing, kapitza, van_der_pol
+from symsimpson.systems.driven import (
+    damped_oscillator,
+    damped_pendulum,
+    duffing,
+    dust_grain,
+    kapitza,
+    van_der_pol,
+)
 from symsimpson.systems.elastic_pendulum import elastic_pendulum
 from symsimpson.systems.entry import CatalogueSystem
 from symsimpson.systems.fermi_pasta_ulam import fermi_pasta_ulam
@@ -57,7 +64,9 @@ _LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
 #: Models with forces, or a drive.
 _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     damped_pendulum,
+    damped_oscillator,
     duffing,
+    dust_grain,
     kapitza,
     van_der_pol,
 )
@@ -78,9 +87,11 @@ __all__ = [
     "argon_cluster",
     "cart_pole",
     "cloth",
+    "damped_oscillator",
     "damped_pendulum",
     "double_pendulum",
     "duffing",
+    "dust_grain",
     "elastic_pendulum",
     "ellipsoid_geodesic",
     "fermi_pasta_ulam",

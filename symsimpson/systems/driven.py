@@ -7,7 +7,30 @@ import sympy as sp
 from symsimpson.mechanics.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["damped_pendulum", "duffing", "kapitza", "van_der_pol"]
+__all__ = [
+    "damped_oscillator",
+    "damped_pendulum",
+    "duffing",
+    "dust_grain",
+    "kapitza",
+    "van_der_pol",
+]
+
+
+def damped_oscillator() -> CatalogueSystem:
+    """A mass on a spring, with friction in proportion to its velocity."""
+    (x,) = coordinates("x")
+    m, k, c = sp.symbols("m k c", positive=True)
+    return CatalogueSystem(
+        "damped_oscillator",
+        coordinates=(x,),
+        kinetic=m * x.diff() ** 2 / 2,
+        potential=k * x**2 / 2,
+        parameters={m: 1.0, k: 1.0, c: 0.1},
+        dissipation=c * x.diff() ** 2 / 2,
+        reference_state={"q0": (1.0,), "v0": (0.0,)},
+        source="D. Tsang, C. R. Galley, L. C. Stein, A. Turner, Astrophys. J. Lett. 809 (2015) L9",
+    )
 
 
 def damped_pendulum() -> CatalogueSystem:
@@ -42,6 +65,26 @@ def duffing() -> CatalogueSystem:
         dissipation=delta * x.diff() ** 2 / 2,
         reference_state={"q0": (1.0,), "v0": (0.0,)},
         source="J. Guckenheimer and P. Holmes, Nonlinear Oscillations, section 2.2",
+    )
+
+
+def dust_grain() -> CatalogueSystem:
+    """A grain of dust on its way around the sun, which Poynting and Robertson's drag shrinks."""
+    x, y = coordinates("x y")
+    mu, beta, light = sp.symbols("mu beta light", positive=True)
+    r2 = x**2 + y**2
+    along = (x * x.diff() + y * y.diff()) / r2
+    drag = {q: -beta * mu / (light * r2) * (q.diff() + along * q) for q in (x, y)}
+    return CatalogueSystem(
+        "dust_grain",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-(1 - beta) * mu / sp.sqrt(r2),
+        parameters={mu: 1.0, beta: 0.05, light: 100.0},
+        forces={"radiation": drag},
+        positions={"grain": (x, y)},
+        reference_state={"q0": (1.0, 0.0), "v0": (0.0, 0.95)},
+        source="J. A. Burns, P. L. Lamy, S. Soter, Icarus 40 (1979), 1-48",
     )
 
 

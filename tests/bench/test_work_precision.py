@@ -184,3 +184,16 @@ def test_heyoka_reads_fractions_that_are_not_binary():
         known[symbol] = float(value.xreplace(known))
     expected = [float(rate.xreplace(known)) for rate in equations.rates]
     np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_time_is_an_unknown_where_something_depends_on_it():
+    """Programs that solve y' = f(y) take the time as the last component."""
+    system = ss.systems.duffing()
+    problem = make_problem(system, None, 2.0)
+    assert len(problem.canonical.unknowns) == 3
+    run = ss.compile(system, "gauss16").integrate(**system.reference_state, h=0.1, steps=20)
+    assert problem.error(run.q[-1], run.p[-1]) < 1e-13
+    for contender in peers(problem, ("runge-kutta", "scipy")):
+        run, read = contender.make(1e-10 if contender.what == "tolerance" else 2000)
+        outcome = read(run())
+        assert problem.error(outcome.q, outcome.p) < 1e-6
