@@ -154,7 +154,7 @@ def test_forcelist_of_lagranges_method_gives_the_equations_of_sympy():
     system = ss.MechanicalSystem.from_lagranges_method("loaded", method, values)
     method.form_lagranges_equations()
     acceleration = method.rhs()[1].subs(values)
-    run = ss.compile(system, "gauss8").integrate([0.4], [0.5], h=0.01, steps=100)
+    run = ss.compile(system).integrate([0.4], [0.5], h=0.01, steps=100)
     rate = sp.lambdify((theta, theta.diff()), acceleration, "math")
     v = run.v[:, 0]
     found = (v[:-4] - 8 * v[1:-3] + 8 * v[3:-1] - v[4:]) / 0.12

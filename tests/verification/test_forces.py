@@ -191,17 +191,17 @@ def test_momentum_changes_by_what_forces_give(scheme):
     assert np.abs(angular - angular[0] - run["p_z"]).max() < 1e-14 * 100**0.5
 
 
-def test_momentum_of_a_cyclic_coordinate_stays_to_the_bit():
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8"]))
+def test_momentum_of_a_cyclic_coordinate_stays_to_the_bit(scheme):
     theta, phi = ss.coordinates("theta phi")
     kinetic = (theta.diff() ** 2 + sp.sin(theta) ** 2 * phi.diff() ** 2) / 2
     system = ss.MechanicalSystem(
         "braked", coordinates=(theta, phi), kinetic=kinetic, potential=g * sp.cos(theta),
         parameters={g: 9.81, c: 0.3}, dissipation=c * theta.diff() ** 2 / 2,
     )  # fmt: skip
-    for scheme in ("simpson", "gauss8"):
-        run = ss.compile(system, scheme).integrate([1.5, 0.0], [0.2, 2.0], h=0.02, steps=500)
-        assert np.ptp(run["p_phi"]) == 0
-        assert run.energy[-1] < run.energy[0] - 0.1
+    run = ss.compile(system, scheme).integrate([1.5, 0.0], [0.2, 2.0], h=0.02, steps=500)
+    assert np.ptp(run["p_phi"]) == 0
+    assert run.energy[-1] < run.energy[0] - 0.1
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "lobatto6", "gauss8"]))
