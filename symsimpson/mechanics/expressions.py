@@ -15,6 +15,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanFunction
+from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import Reader
@@ -241,6 +242,13 @@ def check_declared(
 ) -> None:
     """Refuse a symbol that was not declared."""
     declared = {str(s): s for s in known if isinstance(s, sp.Symbol)}
+    if declared.get(symbol.name) == dynamicsymbols._t:
+        raise fail(
+            system,
+            f"the {what} contains a symbol {symbol.name} that is not the time: it has other "
+            "assumptions.",
+            "SymPy holds them apart. The time is symsimpson.time.",
+        )
     if symbol.name in declared:
         raise fail(
             system,

@@ -25,6 +25,7 @@ WRONG = {
     "on a velocity": ({"forces": {x.diff(): 1}}, r"no coordinate(.|\n)*Write forces={x: ...}"),
     "second derivative": ({"forces": {x: x.diff(t, 2)}}, "a derivative of order 2"),
     "acceleration in dissipation": ({"dissipation": x.diff(t, 2) ** 2}, "the dissipation contains"),
+    "another t": ({"forces": {x: sp.cos(sp.Symbol("t", real=True))}}, "time is symsimpson.time"),
     "unknown symbol": ({"forces": {x: sp.Symbol("u")}}, "unknown symbol u"),
     "sign": ({"forces": {x: -sp.sign(x.diff())}}, r"sign(.|\n)*tanh\(x/eps\)"),
     "abs": ({"forces": {x: -sp.Abs(x.diff()) * x.diff()}}, r"Abs(.|\n)*sqrt\(x\*\*2 \+ eps"),
