@@ -62,7 +62,7 @@ PROBLEMS = {
     make.__name__: make for make in (double_pendulum, van_der_pol, growing_mass, kepler_with_drag)
 }
 STEPS = {"midpoint": (160, 320), "simpson": (80, 160), "lobatto6": (40, 80), "gauss4": (80, 160),
-         "gauss6": (40, 80), "gauss8": (16, 32), "gauss12": (5, 10)}  # fmt: skip
+         "gauss6": (40, 80), "gauss8": (14, 28), "gauss12": (10, 16)}  # fmt: skip
 
 
 @pytest.mark.parametrize("scheme", sweep(STEPS, 2))
@@ -76,9 +76,11 @@ def test_the_order_is_that_without_forces(name, scheme):
     for steps in STEPS[scheme]:
         run = stepper.integrate(q, p0=p, h=end / steps, steps=steps)
         errors.append(np.abs(np.concatenate([run.q[-1], run.p[-1]]) - exact).max())
-    order = np.log2(errors[0] / errors[1])
-    # the highest order is seen from steps that are not small any more
-    assert order > stepper.order - (1.0 if stepper.order > 8 else 0.15) or errors[1] < 2e-13
+    few, many = STEPS[scheme]
+    order = np.log(errors[0] / errors[1]) / np.log(many / few)
+    # high orders are seen in steps that are not small, and come up from below: rounding is near
+    short = 0.15 if stepper.order < 8 else 0.5 if stepper.order == 8 else 1.0
+    assert order > stepper.order - short or errors[1] < 1e-13
 
 
 def test_explicit_steps_take_forces_of_time_and_position():
@@ -223,7 +225,8 @@ def test_energy_balance_has_the_order_of_the_scheme(name, scheme):
     largest = [
         np.abs(stepper.integrate(q, v, h=2 / n, steps=n).energy_balance).max() for n in (80, 160)
     ]
-    assert np.log2(largest[0] / largest[1]) > stepper.order - 0.4
+    # where energy and work are quadratic, Gauss schemes balance them to rounding
+    assert np.log2(largest[0] / largest[1]) > stepper.order - 0.4 or largest[1] < 1e-14
 
 
 def test_named_forces_do_work_by_themselves():
