@@ -15,7 +15,12 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.template import JetTemplate, Point
-from symsimpson.codegen.terms_of_l import family_functions, power_function, unrolled_functions
+from symsimpson.codegen.terms_of_l import (
+    family_functions,
+    power_function,
+    power_stores,
+    unrolled_functions,
+)
 from symsimpson.codegen.unrolled import (
     STATE,
     increments,
@@ -161,9 +166,10 @@ def _looped(equations: DiscreteEquations) -> Module:
 
 
 def _loops(low: Lowering, storage: Storage) -> LoopKernels:
-    equations = low.equations
-    dragged = bool(equations.rows) and low.template.dragged
-    return LoopKernels(storage, equations.scheme.degree, equations.plain.autonomous, dragged)
+    plain = low.equations.plain
+    return LoopKernels(
+        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged
+    )  # fmt: skip
 
 
 def _module(
@@ -201,7 +207,7 @@ def _module(
         "INVARIANT": len(low.names.invariants),
         "HOISTED": len(low.hoisted),
         "COEFFICIENT": len(low.coefficients),
-        "NODE_F_V": storage.node_size if low.template.dragged else 0,
+        "NODE_F_V": storage.node_size if low.equations.plain.dragged else 0,
         "POWER": len(low.equations.plain.powers),
         "WORK": len(low.equations.plain.powers),
         "NODE_TIME": 0 if low.equations.plain.autonomous else 1,
@@ -262,10 +268,7 @@ def _state(low: Lowering) -> Point:
 
 def _power(low: Lowering, point: Point, before: tuple[Statement, ...] = ()) -> Kernel:
     """The powers of the forces, and what the energy loses by dL/dt."""
-    stores = [
-        Store(Row("POWER", k), low.template.entry(point, "powers", "power", name))
-        for k, name in enumerate(low.equations.plain.powers)
-    ]
+    stores = power_stores(low, point)
     doc = "Power of each force, then dL/dt where L depends on t, at (q, p)."
     return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE))))
 

@@ -74,11 +74,6 @@ class JetTemplate:
         """The coordinates on which a force acts."""
         return self._jet.forced
 
-    @property
-    def dragged(self) -> bool:
-        """Whether forces depend on velocities."""
-        return self._jet.dragged
-
     def vanishes(self, what: str, *index: int) -> bool:
         """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]

@@ -15,7 +15,7 @@ from symsimpson.discrete.jet import derive_jet
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size
 
-__all__ = ["FUNCTIONS", "family_functions", "power_function", "unrolled_functions"]
+__all__ = ["FUNCTIONS", "family_functions", "power_function", "power_stores", "unrolled_functions"]
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
@@ -40,7 +40,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     """
     sparse = not low.equations.plain.conservative
     point = Point("i", low.node_q, low.node_v, low.node_t)
-    dragged = low.template.dragged
+    dragged = low.equations.plain.dragged
     size = range(low.n)
     found = []
     for name in names:
@@ -63,13 +63,17 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     return found
 
 
-def power_function(low: Lowering) -> Function:
-    """Write what changes the energy at a node."""
-    point = Point("i", low.node_q, low.node_v, low.node_t)
-    stores = [
+def power_stores(low: Lowering, point: Point) -> list[Store]:
+    """Store what changes the energy at a point."""
+    return [
         Store(Row("POWER", k), low.template.entry(point, "powers", "power", name))
         for k, name in enumerate(low.equations.plain.powers)
     ]
+
+
+def power_function(low: Lowering) -> Function:
+    """Write what changes the energy at a node."""
+    stores = power_stores(low, Point("i", low.node_q, low.node_v, low.node_t))
     doc = "Power of each force at a node, then dL/dt where L depends on t."
     return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 

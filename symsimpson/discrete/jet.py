@@ -92,11 +92,6 @@ class Jet:
         forces = (key for key in self.program.outputs if key[0] == "F")  # type: ignore[index]
         return tuple(key[1] for key in forces if self[key][0])  # type: ignore[index]
 
-    @property
-    def dragged(self) -> bool:
-        """Whether forces depend on velocities."""
-        return any(key[0] == "f_v" for key in self.program.outputs)  # type: ignore[index]
-
 
 def derive_jet(
     plain: Plain, more: Mapping[Key, Value] = MappingProxyType({}), half_angles: Sequence[int] = ()
@@ -157,7 +152,7 @@ def _derived(
     drag: dict[Key, Value] = {
         ("f_v", i, j): derivatives(force, x) for i, force in f.items() for j, x in enumerate(v)
     }
-    if any(c for c, _ in drag.values()):
+    if plain.dragged:
         every = product(range(n), repeat=2)
         outputs |= {("f_v", i, j): drag.get(("f_v", i, j), ZERO) for i, j in every}
 

@@ -84,6 +84,12 @@ class Plain:
         return all(self.time not in nodes[n].symbols for _, n in (*self.energies, *self.f))
 
     @cached_property
+    def dragged(self) -> bool:
+        """Whether a velocity stands in a force."""
+        nodes, v = self.graph.nodes, set(self.numbers(self.v))
+        return any(not nodes[n].symbols.isdisjoint(v) for _, n in self.f)
+
+    @cached_property
     def conservative(self) -> bool:
         """Whether the energy is constant: there are no forces, and t stands nowhere."""
         return not self.forces and self.autonomous

@@ -10,10 +10,12 @@ from workspace import new_workspace, sweep
 
 import symsimpson as ss
 from symsimpson.binding import bind_float
+from symsimpson.codegen.kernels import lower
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.pipeline import source
-from symsimpson.discrete.equations import discretise
+from symsimpson.discrete.equations import DiscreteEquations, discretise
+from symsimpson.schemes.named import read_scheme
 
 
 def test_values_move_to_the_next_step_in_the_order_of_their_names():
@@ -124,3 +126,14 @@ def test_the_error_function_is_taken(function):
         assert abs(float(run.q[-1, 0] - runs[1].q[-1, 0])) < 1e-14
     exact = mpmath.erf(0.3) if function is sp.erf else mpmath.erfc(0.3)
     assert abs(runs[0].energy[0] - float(exact) - 0.005) < 1e-15
+
+
+def test_loops_over_terms_derive_no_jet_of_the_whole(monkeypatch):
+    """For many bodies it would take longer than all the rest."""
+    equations = discretise(ss.systems.n_body(12), read_scheme("simpson"))
+
+    def derived(self):
+        raise AssertionError("the jet of all coordinates was derived")
+
+    monkeypatch.setattr(DiscreteEquations, "jet", property(derived))
+    assert "FAMILY_1" in lower(equations).tables

@@ -159,8 +159,10 @@ def _warn_of_damping(
     stepper: Stepper, system: MechanicalSystem, state: tuple[Any, ...], h: float
 ) -> None:
     """Warn where momenta would keep a part that damping takes from the motion in no time."""
-    scheme = read_scheme(stepper.scheme)
     rate = largest_damping(system, *state)
+    if rate == 0:
+        return
+    scheme = read_scheme(stepper.scheme)
     if abs(h) * rate <= 2 * scheme.degree or not scheme.symmetric:
         return
     warnings.warn(

@@ -59,6 +59,11 @@ class Header:
         """Whether the energy is constant."""
         return self.autonomous and not self.forces
 
+    @property
+    def powers(self) -> int:
+        """Number of values that change the energy: the powers of forces, and dL/dt behind them."""
+        return len(self.forces) + (not self.autonomous)
+
     @cached_property
     def by_stages(self) -> bool:
         """Whether steps are iterated by velocities and forces at the nodes, which are lanes."""

@@ -23,12 +23,11 @@ Reals = NDArray[Any]
 def powers(run: Trajectory) -> dict[str, Reals]:
     """Return the power of each force at the stored states, and of all."""
     header = run._stepper._module.header
-    count = len(header.forces) + (not header.autonomous)
     if header.conservative:
         return {TOTAL: 0 * run.t}
     found = evaluate(
-        run._stepper, "power", "POWER", count, run.t, run.q, run.p, run._values
-    )  # fmt: skip
+        run._stepper, "power", "POWER", header.powers, run.t, run.q, run.p, run._values
+    )
     return _named(run, found)
 
 
@@ -63,10 +62,9 @@ def integrals(run: Trajectory) -> tuple[dict[str, Reals], Reals]:
             f"{stepper.scheme} is explicit: its steps have no nodes at which forces do work.\n"
             "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
         )
-    count = len(header.forces) + (not header.autonomous)
     with numbers.working():
         W = workspace(header, numbers, numbers.read(run._values))
-        out = numbers.zeros((len(run), count))
+        out = numbers.zeros((len(run), header.powers))
         t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
         reached = numbers.driver("add_up_work")(
             kernels.set("newton"), kernels.address("work"), h.item(), t, W,
