@@ -39,6 +39,8 @@ from .runtime.results.interpolate import DenseOutput as DenseOutput
 from .runtime.results.states import States as States
 from .runtime.results.status import Status as Status
 from .runtime.results.trajectory import Trajectory as Trajectory
+from .runtime.runs.driving import samples as samples
+from .runtime.runs.loop import ControlLoop as ControlLoop
 from .runtime.stepper import Stepper as Stepper
 from .schemes.composition import Composition as Composition
 from .schemes.composition import composition as composition

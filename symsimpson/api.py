@@ -207,6 +207,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
 def resume(
     path: str | os.PathLike[str],
     *,
+    inputs: Any = None,
     checkpoint_every: int | None = None,
     progress: bool | None = None,
     on_failure: Literal["raise", "return"] = "raise",
@@ -218,6 +219,8 @@ def resume(
     path : path
         The file that ``integrate(..., checkpoint=path)`` wrote. The module in it is executed,
         after its digest and its structure were checked: resume only files that you trust.
+    inputs : mapping, optional
+        Those of the run, if the system has any: a checkpoint keeps their digest alone.
     checkpoint_every, progress, on_failure
         As for :meth:`Stepper.integrate`.
 
@@ -250,7 +253,7 @@ def resume(
     parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
     return stepper.integrate(
         asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],
-        parameters=parameters, every=asked["every"] or None, checkpoint=path,
+        parameters=parameters, inputs=inputs, every=asked["every"] or None, checkpoint=path,
         checkpoint_every=checkpoint_every, progress=progress, on_failure=on_failure,
     )  # fmt: skip
 

@@ -57,6 +57,8 @@ BLOCKS = {
     "COEFFICIENT": "factors of the terms of L",
     "NODE_F_V": "derivatives of the forces by v at a node",
     "NODE_TIME": "t at a node",
+    "INPUT": "inputs of the step, of each its values at all nodes",
+    "NODE_INPUT": "inputs at a node",
     "POWER": "power of each force, then dL/dt, at a node or a state",
     "WORK": "integrals of these over steps",
     "STAGE_V": "h b_i v_i",
@@ -76,9 +78,9 @@ BLOCKS = {
     "JACOBIAN": "its derivatives",
 }
 
-#: Blocks of systems that need them: with forces, with t, with stages.
+#: Blocks of systems that need them: with forces, with t, with inputs, with stages.
 OPTIONAL = (
-    "NODE_F_V", "NODE_TIME", "POWER", "WORK",
+    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "POWER", "WORK",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -89,19 +91,20 @@ ADJACENT = (
 )
 
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
-#: unknowns, the number of coordinates, how many of the unknowns are measured, and how many steps
-#: an explicit kernel may take in one call: it is told the time of the first.
+#: unknowns, the number of coordinates, how many of the unknowns are measured, how many steps an
+#: explicit kernel may take in one call, as it is told the time of the first, and from one input to
+#: the next how many rows.
 TOLD = (
     "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
     "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
     "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
-    "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED", "STEPS_A_CALL",
+    "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT", "INPUT_STRIDE",
 )  # fmt: skip
 (
     ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
-    PARAMETER, MASS_PIVOT, ROWS, MEASURED, STEPS_A_CALL,
+    PARAMETER, MASS_PIVOT, ROWS, MEASURED, STEPS_A_CALL, INPUT, INPUT_STRIDE,
 ) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE

@@ -14,6 +14,7 @@ from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.kernels.header import SIGNED, digest, read_header
 
 TEXT = source(ss.systems.pendulum(), "gauss8")
+DRIVEN = source(ss.systems.driven_cart_pole(), "gauss8")
 
 
 def signed(text):
@@ -21,12 +22,13 @@ def signed(text):
     return text.replace(banner[1], digest(text[banner.end() :]), 1)
 
 
-def test_names_and_places_of_what_the_driver_is_told_agree():
+@pytest.mark.parametrize("text", [TEXT, DRIVEN])
+def test_names_and_places_of_what_the_driver_is_told_agree(text):
     assert [getattr(interface, name) for name in interface.TOLD] == list(range(len(interface.TOLD)))
-    told = read_header(TEXT, "here").told
-    layout = read_header(TEXT, "here").layout
+    told, layout = read_header(text, "here").told, read_header(text, "here").layout
+    none = {} if text == DRIVEN else {"INPUT": 0, "INPUT_STRIDE": 0}
     for name in set(interface.TOLD) - {"STATE_END", "DIMENSION", "MEASURED", "STEPS_A_CALL"}:
-        assert told[getattr(interface, name)] == layout[name]
+        assert told[getattr(interface, name)] == {**none, **layout}[name]
     assert told[interface.STATE_END] == layout["PREDICTED"]
     assert told[interface.MEASURED] == layout["PREDICTED"] - layout["INCREMENT"]
 

@@ -21,7 +21,7 @@ from symsimpson.analysis.certificate import Certificate, Check
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
-from symsimpson.analysis.subject import SHORT, Subject
+from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.progress import waiting
 from symsimpson.runtime.evaluator import evaluate_equations
@@ -54,6 +54,7 @@ def certify(
     p0: ArrayLike | None = None,
     h: float | None = None,
     parameters: Mapping[Any, Any] | None = None,
+    inputs: Mapping[Any, float] | None = None,
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
@@ -62,6 +63,7 @@ def certify(
             "a stepper of many digits has no certificate: what is measured are its doubles.\n"
             "Certify the stepper that is compiled without precision; its equations are the same."
         )
+    stepper = with_inputs(stepper, inputs)
     values = stepper._named_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
     step = choose_step(stepper, q, p, values, LONG) if h is None else read_step(h, FLOAT64)
@@ -203,7 +205,7 @@ def _equations(s: Subject) -> Iterator[Check]:
 
     def evaluate(points: Any) -> tuple[Any, Any]:
         return evaluate_equations(
-            precise.stepper, q[0], p[0], points, s.h, precise.parameters, 0
+            precise.stepper, q[0], p[0], points, s.h, precise.parameters, 0, None
         )  # fmt: skip
 
     exact = evaluate(nodes)[1]

@@ -149,6 +149,11 @@ def choose(
             f"{system.name}: the energy is not constant, so that its change is no error.\n"
             "Ask for the error of the state: on='state'."
         )
+    if system.inputs:
+        raise InputError(
+            f"{system.name} has inputs, and what is best depends on what they do.\n"
+            "Declare them as parameters to choose for constant ones."
+        )
     if on not in ("state", "energy"):
         raise InputError(f"on is {on!r}.\nChoose 'state' or 'energy'.")
     for name, value in (("t_end", t_end), ("error", error)):

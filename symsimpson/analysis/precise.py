@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.runtime.kernels.digits import Digits, read_precision
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.stepper import Stepper
 
@@ -33,6 +34,7 @@ class Precise:
         arithmetic = "arb" if importlib.util.find_spec("flint") else "mpmath"
         numbers = read_precision(digits, arithmetic)
         self.stepper = Stepper(stepper.source, stepper.system, numbers=numbers)
+        self.stepper._held = stepper._held
         self.n, self.parameters = stepper.n, parameters
         assert isinstance(numbers, Digits)
         self._numbers, self.context = numbers, numbers.context
@@ -118,9 +120,11 @@ class Precise:
         numbers, stepper = self._numbers, self.stepper
         values = stepper._values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(stepper._module, values, step, 0 * step, 0, 1, ("newton",)
+        run = Run(
+            stepper._module, values, step, 0 * step, 0, 1, ("newton",)
         )  # fmt: skip
         run.begin(start[: self.n], start[self.n :], velocity=False)
+        run.give(read_driving(stepper, None, step, 1))
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
         return run
 

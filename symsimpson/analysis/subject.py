@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -16,15 +17,38 @@ from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.errors import InputError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
+from symsimpson.runtime.inputs import read_number
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.driving import read_driving
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["SHORT", "Subject"]
+__all__ = ["SHORT", "Subject", "with_inputs"]
 
 #: Steps that are taken in many digits.
 SHORT = 50
+
+
+def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
+    """Return a stepper whose inputs have these values, 1 unless given, in all its runs.
+
+    Raises
+    ------
+    InputError
+        If one is unknown or no finite number.
+    """
+    if not stepper.inputs and given is None:
+        return stepper
+    held = dict.fromkeys(stepper.inputs, 1.0)
+    for key, value in (given or {}).items():
+        place = stepper._input_names.get(str(key), len(held))
+        name = stepper.inputs[place] if place < len(held) else str(key)
+        held[name] = read_number(f"input {name}", value, stepper._module.numbers)
+    fixed = copy.copy(stepper)
+    fixed._held = held
+    read_driving(fixed, None, 1.0, 1)
+    return fixed
 
 
 @dataclass(frozen=True)
@@ -73,7 +97,8 @@ class Subject:
             if declared is None:
                 raise InputError("a module by itself does not tell what its forces are")
             equations = canonical(declared).function("mpmath")
-            values = [mpmath.mpf(x) for x in self.precise.parameters.values()]
+            given = (*self.precise.parameters.values(), *(self.stepper._held or {}).values())
+            values = [mpmath.mpf(x) for x in given]
             start += [] if self.stepper._module.header.autonomous else [mpmath.mpf(0)]
 
             def forced(y: Any) -> list[Any]:

@@ -47,7 +47,8 @@ class ComposedSolver(Explicit):
                 for a in self.coordinates:
                     q[a] = define(f"{names[a]}_{k}", low.q[a] + moved[a], section)
                 # time goes with the drifts
-                point = Point(str(k), tuple(q), t=low.time(sp.Add(*self._part.drifts[:k]), str(k)))
+                t = low.time(sp.Add(*self._part.drifts[:k]), str(k))
+                point = Point(str(k), tuple(q), t=t, u=low.inputs(k))
             impulse = self._kicked(impulse, kick, point, section, f"dp_{{}}_{k + 1}")
             momentum = [low.p[a] + impulse.get(a, low.p_low[a]) for a in self.coordinates]
             velocity = constant_mass_velocity(low, self.coordinates, momentum, "v", section)

@@ -101,7 +101,8 @@ def end_point(low: Lowering, dq: Mapping[int, sp.Expr]) -> Point:
 
 def end_of(low: Lowering, q: Sequence[sp.Expr]) -> Point:
     """Return the point q1, of its coordinates."""
-    return Point("end", tuple(q), t=low.time(sp.S.One, "end"))
+    last = low.equations.scheme.stages - 1
+    return Point("end", tuple(q), t=low.time(sp.S.One, "end"), u=low.inputs(last))
 
 
 def end_slope(low: Lowering, a: int) -> sp.Expr:
@@ -145,9 +146,9 @@ def node_point(
             slope = low.increments[-1][a] + combined(B, a)
             v[a] = define(f"v_{names[a]}_{i}", slope / h, section)
     if low.equations.at_start(i):
-        return Point(str(i), low.q, tuple(v), low.start_point().t)
+        return Point(str(i), low.q, tuple(v), low.start_point().t, low.inputs(i))
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
-        return Point(end.suffix, end.q, tuple(v), end.t)
+        return Point(end.suffix, end.q, tuple(v), end.t, end.u)
     q = [NOTHING] * low.n
     place = unit_row(A)
     for a in coordinates:
@@ -156,7 +157,8 @@ def node_point(
         else:
             shift = low.increments[place - 1][a]
         q[a] = define(f"{names[a]}_{i}", low.q[a] + shift, section)
-    return Point(str(i), tuple(q), tuple(v), low.time(scheme.quadrature.nodes[i], str(i)))
+    t = low.time(scheme.quadrature.nodes[i], str(i))
+    return Point(str(i), tuple(q), tuple(v), t, low.inputs(i))
 
 
 class CoupledSolver:

@@ -148,6 +148,9 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
     plain = equations.plain
     facts |= {"FORCES": names.forces} if plain.forces else {}
     facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
+    if names.inputs:  # texts, so that many digits are not lost
+        places = (sp.N(c, 50) for c in scheme.quadrature.nodes)
+        facts |= {"INPUTS": names.inputs, "INPUT_PLACES": tuple(map(str, places))}
     lines = []
     for name, value in facts.items():
         lines += folded(f"{name} = ", _literal(value), "    ")

@@ -44,6 +44,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
     shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
     shown[plain.t] = sp.Symbol("t")
+    shown |= dict(zip(plain.u, map(sp.Symbol, names.inputs), strict=True))
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
@@ -70,6 +71,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         "",
         *folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
         *folded("Parameters: ", ", ".join(names.parameters) or "none", "    "),
+        *(folded("Inputs: ", ", ".join(names.inputs), "    ") if names.inputs else ()),
         "",
         "Kernels take the step h, the time t and a workspace of ROWS x LANES numbers; each lane",
         "holds one trajectory with its own state and parameters. A run is prepare, start, then for",

@@ -8,7 +8,7 @@ import sympy as sp
 
 from symsimpson.codegen.coefficients import coefficient_loops
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
-from symsimpson.codegen.layout import layout
+from symsimpson.codegen.layout import layout, node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels, solve_constants, solve_tables
 from symsimpson.codegen.lower import Lowering
@@ -144,7 +144,8 @@ def _looped(equations: DiscreteEquations) -> Module:
     if equations.plain.invariants:
         kernels.append(_watched(low, loops.before_state()))
     if equations.plain.powers:
-        kernels.append(_power(low, Point("state", low.q, low.v, low.t), loops.before_state()))
+        state = Point("state", low.q, low.v, low.t, low.inputs(0))
+        kernels.append(_power(low, state, loops.before_state()))
     blocks = 0
     own_tables = storage.node_constants()
     if not isinstance(part, Composed):
@@ -158,7 +159,7 @@ def _looped(equations: DiscreteEquations) -> Module:
             **solve_constants(storage, part.columns),
             **solve_tables(part, equations.scheme),
         }
-    elif not loops.autonomous:
+    elif not loops.alike:
         own_tables["REACHED"] = tuple(accumulate(part.drifts))
     tables = own_tables | tables
     unknowns = blocks * low.n
@@ -168,7 +169,7 @@ def _looped(equations: DiscreteEquations) -> Module:
 def _loops(low: Lowering, storage: Storage) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
-        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged
+        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u)
     )  # fmt: skip
 
 
@@ -195,6 +196,9 @@ def _module(
     own = [value.xreplace(low.parameters) for value in low.coefficients]
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
+    inputs = len(low.names.inputs)
+    if inputs:
+        tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
     loops, stores, products = coefficient_loops(low, own)
     tables = {**tables, **products}
     low.statements(stores, (Level.RUN,))
@@ -211,6 +215,8 @@ def _module(
         "POWER": len(low.equations.plain.powers),
         "WORK": len(low.equations.plain.powers),
         "NODE_TIME": 0 if low.equations.plain.autonomous else 1,
+        "INPUT": inputs * node_stride(low.equations.scheme),
+        "NODE_INPUT": inputs,
         **stage_sizes,
     }
     first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)
@@ -263,7 +269,7 @@ def _state(low: Lowering) -> Point:
     """Return the state with its velocities, of a system that is written out."""
     start = low.start_point()
     v, _ = velocity(low, start, low.p, "velocity")
-    return Point(f"{start.suffix}_state", start.q, tuple(v), start.t)
+    return Point(f"{start.suffix}_state", start.q, tuple(v), start.t, start.u)
 
 
 def _power(low: Lowering, point: Point, before: tuple[Statement, ...] = ()) -> Kernel:

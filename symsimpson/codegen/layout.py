@@ -7,8 +7,18 @@ from collections.abc import Mapping
 from symsimpson.codegen.storage import Storage
 from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.interface import BLOCKS, OPTIONAL
+from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["layout"]
+__all__ = ["layout", "node_stride"]
+
+#: Nodes are filled up to a multiple of this: a vector register of the widest machines.
+REGISTER = 8
+
+
+def node_stride(scheme: Scheme) -> int:
+    """Return the rows of a value that all nodes have: more than nodes where these are lanes."""
+    full = -(-scheme.stages // REGISTER) * REGISTER
+    return full if scheme.by_stages else scheme.stages
 
 
 def layout(

@@ -35,22 +35,31 @@ class LoopKernels:
         Whether nothing depends on t.
     dragged : bool
         Whether forces depend on v.
+    driven : bool
+        Whether there are inputs.
     """
 
     storage: Storage
     degree: int
     autonomous: bool
     dragged: bool
+    driven: bool
 
-    def _time(self, time: str) -> tuple[Statement, ...]:
-        """Keep the time of a node, if something depends on it."""
-        return () if self.autonomous else (_call("node_time", "W", time, "lane"),)
+    @property
+    def alike(self) -> bool:
+        """Whether a force is the same at the end of a step and at the start of the next one."""
+        return self.autonomous and not self.driven
+
+    def _time(self, time: str, node: str) -> tuple[Statement, ...]:
+        """Keep the time of a node and the inputs there, if something depends on them."""
+        timed = () if self.autonomous else (_call("node_time", "W", time, "lane"),)
+        return (*timed, *((_call("node_inputs", "W", node, "lane"),) if self.driven else ()))
 
     def _start(self, time: str = "t") -> tuple[Statement, ...]:
-        return (_call("path_start"), *self._time(time))
+        return (_call("path_start"), *self._time(time, "0"))
 
     def _nodes(self, over: str, *body: Statement) -> Loop:
-        time = self._time("t + PLACES[node] * h")
+        time = self._time("t + PLACES[node] * h", "node")
         return Loop("node", over, (_call("path", *_NODE), *time, *body))
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
@@ -158,11 +167,12 @@ class LoopKernels:
         parts = Loop(
             "part", "range(len(DRIFTS))",
             (_call("drift", "W", "h", "part", "lane"),
-             *self._time("t + REACHED[part] * h"), _call("gradient"),
+             *self._time("t + REACHED[part] * h", "part + 1"), _call("gradient"),
              _call("kick", "W", "h", "part + 1", "lane")),
         )  # fmt: skip
         # the force at the end of a step is that at the start of the next one, unless t is rounded
-        again = () if self.autonomous else (*self._start(), _call("gradient"))
+        # or inputs are others there
+        again = () if self.alike else (*self._start(), _call("gradient"))
         closing = (*again, _call("first_kick", "W", "h", "lane"), parts, _call("close_composed"))
         step = lanes((When(closing),))
         return [

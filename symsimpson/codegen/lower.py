@@ -9,6 +9,7 @@ from heapq import heappop, heappush
 import sympy as sp
 
 from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store
+from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Definition, Graph, Level
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import count_operations
@@ -69,6 +70,10 @@ class Lowering:
             [f"v_{q}_i" for q in coordinates], "NODE_VELOCITY", Level.ITERATION
         )
         self.node_t = self._base(["t_i"], "NODE_TIME", Level.ITERATION)[0]
+        self.node_u = self._base(
+            [f"{u}_i" for u in self.names.inputs], "NODE_INPUT", Level.ITERATION
+        )  # fmt: skip
+        self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
         self.parameters = dict(zip(equations.plain.parameters, own, strict=True))
@@ -112,13 +117,23 @@ class Lowering:
         scheme = self.equations.scheme
         at_start = [i for i in range(scheme.stages) if self.equations.at_start(i)]
         suffix = str(at_start[0]) if at_start else "start"
-        return Point(suffix, self.q, t=self.time(sp.S.Zero, suffix))
+        return Point(suffix, self.q, t=self.time(sp.S.Zero, suffix), u=self.inputs(0))
 
     def time(self, part: sp.Expr, suffix: str) -> sp.Expr | None:
         """Return the time after a part of the step; None if nothing depends on it."""
         if self.equations.plain.autonomous:
             return None
         return self.graph.define(f"t_{suffix}", self.t + part * self.h, "times")
+
+    def inputs(self, node: int) -> tuple[sp.Symbol, ...]:
+        """Return the inputs at a node; the first of them stands for the start of the step, too."""
+        if node not in self._inputs:
+            stride, names = node_stride(self.equations.scheme), self.names.inputs
+            self._inputs[node] = tuple(
+                self._base([f"{u}_{node}"], "INPUT", Level.ITERATION, k * stride + node)[0]
+                for k, u in enumerate(names)
+            )
+        return self._inputs[node]
 
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None

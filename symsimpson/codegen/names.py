@@ -86,6 +86,9 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "DEFAULTS",
         "SIGNS",
         "INVARIANTS",
+        "INPUTS",
+        "INPUT_PLACES",
+        "INPUT_STRIDE",
         "REAL_EVERYWHERE",
         "EULER_GAMMA",
         "CATALAN",
@@ -166,6 +169,9 @@ class NameTable:
         )
         self.parameters = tuple(
             self._user(a.name, f"a{i}") for i, a in enumerate(system.parameters)
+        )
+        self.inputs = tuple(
+            self._user(str(u).partition("(")[0], f"u{i}") for i, u in enumerate(system.inputs)
         )
         self.invariants = _shown(system.plain.invariants, "invariant")
         self.forces = _shown(system.plain.forces, "force")

@@ -18,6 +18,7 @@ import sympy as sp
 
 from symsimpson.codegen.coupled import end_of
 from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section, Statement, Store
+from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
@@ -26,8 +27,6 @@ from symsimpson.codegen.unrolled import STATE, lanes, velocity
 
 __all__ = ["StageKernels"]
 
-#: Nodes are filled up to a multiple of this: a vector register of the widest machines.
-REGISTER = 8
 #: An iteration with more operations a node than this is not written out.
 MOST_OPERATIONS = 3000
 #: What is computed in the first half of an iteration.
@@ -49,7 +48,7 @@ class StageKernels:
     def __init__(self, low: Lowering) -> None:
         scheme = low.equations.scheme
         self._low, self._nodes = low, scheme.stages
-        self.stride = -(-scheme.stages // REGISTER) * REGISTER
+        self.stride = node_stride(scheme)
         self.held = 0
         fresh, names = low.names.fresh, low.names.coordinates
         declare = low.graph.declare
@@ -158,7 +157,7 @@ class StageKernels:
             for a in range(n)
         ]  # fmt: skip
         v = [self._velocity(a) for a in range(n)]
-        point = Point("j", tuple(q), tuple(v), self._time())
+        point = Point("j", tuple(q), tuple(v), self._time(), self._inputs())
         kicks = [
             Store(
                 Row("STAGE_F", self._place(a)),
@@ -222,6 +221,14 @@ class StageKernels:
         place = low.graph.declare(low.names.fresh("c_j"), Level.ITERATION)
         low.rows[place] = Row("STAGE_PLACE", "node")
         return low.graph.define("t_j", low.t + place * low.h, "path")
+
+    def _inputs(self) -> tuple[sp.Symbol, ...]:
+        """Return the inputs at a node."""
+        low, names = self._low, self._low.names
+        own = [names.fresh(f"{u}_j") for u in names.inputs]
+        found = tuple(low.graph.declare(u, Level.ITERATION) for u in own)
+        low.rows |= {u: Row("INPUT", self._place(k)) for k, u in enumerate(found)}
+        return found
 
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""

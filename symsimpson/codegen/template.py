@@ -21,13 +21,15 @@ __all__ = ["JetTemplate", "Point"]
 class Point:
     """Where a jet is evaluated: names of q and v there, and a suffix for everything made of them.
 
-    ``v`` is None where only functions of t and q are asked for, ``t`` where nothing depends on it.
+    ``v`` is None where only functions of t, u and q are asked for, ``t`` where nothing depends on
+    it; ``u`` are the inputs there.
     """
 
     suffix: str
     q: tuple[sp.Symbol, ...]
     v: tuple[sp.Expr, ...] | None = None
     t: sp.Expr | None = None
+    u: tuple[sp.Expr, ...] = ()
 
 
 class JetTemplate:
@@ -147,6 +149,8 @@ class JetTemplate:
             return self._momenta[place]
         if kind == "q":
             return point.q[place]
+        if kind == "u":
+            return point.u[place]
         if kind == "t":
             assert point.t is not None
             return point.t

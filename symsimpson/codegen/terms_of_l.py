@@ -39,7 +39,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     Large systems with forces are not families of terms: what is zero is cleared by loops.
     """
     sparse = not low.equations.plain.conservative
-    point = Point("i", low.node_q, low.node_v, low.node_t)
+    point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
     dragged = low.equations.plain.dragged
     size = range(low.n)
     found = []
@@ -73,7 +73,7 @@ def power_stores(low: Lowering, point: Point) -> list[Store]:
 
 def power_function(low: Lowering) -> Function:
     """Write what changes the energy at a node."""
-    stores = power_stores(low, Point("i", low.node_q, low.node_v, low.node_t))
+    stores = power_stores(low, Point("i", low.node_q, low.node_v, low.node_t, low.node_u))
     doc = "Power of each force at a node, then dL/dt where L depends on t."
     return Function("node_power", doc, low.statements(stores, (Level.ITERATION,)))
 

@@ -245,7 +245,7 @@ def _start(
 def _legendre(low: Lowering) -> Kernel:
     """The momentum of a velocity."""
     start = low.start_point()
-    point = Point(f"{start.suffix}_given", low.q, low.v, start.t)
+    point = Point(f"{start.suffix}_given", low.q, low.v, start.t, start.u)
     stores = momentum_stores(low, point)
     return Kernel("legendre", "p = dL/dv from q and v.", lanes(low.statements(stores, STATE)))
 

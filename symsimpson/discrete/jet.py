@@ -135,8 +135,7 @@ def _derived(
     plain: Plain, T: Value, way: Way, more: Mapping[Key, Value], half_angles: Sequence[int]
 ) -> Jet:
     graph, n = Graph(factored=way.factored), len(plain.q)
-    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters, plain.t)
-    places = graph.numbers(symbol.name for symbol in symbols)
+    places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
     given: dict[Key, Value] = {**more, ("V",): plain.V}
     given |= {("a", i): a for i, a in enumerate(plain.a)}

@@ -16,7 +16,7 @@ from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import check_names, fail, spell
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.expressions import read_expression
-from symsimpson.mechanics.forces import read_forces
+from symsimpson.mechanics.forces import check_used, read_forces
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.quadratic import (
     Polynomial,
@@ -61,7 +61,7 @@ def read_energies(
     given: MechanicalSystem,
 ) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
     """Check the energies and read them into a graph."""
-    s = Symbols(coordinates, parameters)
+    s = Symbols(coordinates, parameters, given.inputs)
 
     def read(what: str, expression: Any, *allowed: Sequence[sp.Symbol]) -> Value:
         places = [symbol for group in (*allowed, s.q, s.a) for symbol in group]
@@ -98,9 +98,14 @@ def read_energies(
             f"the gyroscopic term {spell(given.gyroscopic)} is not linear in the velocities.",
             "It must have the form a(q).v; put the rest into T or V.",
         )
+
+    def read_force(what: str, expression: Any) -> Value:
+        return read(what, expression, s.v, (s.t,), s.u)
+
     forces = read_forces(
-        name, coordinates, given.forces, given.dissipation, s, read_timed
+        name, coordinates, given.forces, given.dissipation, s, read_force
     )  # fmt: skip
+    check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, read)
     watch = s.known | {
         user: s.graph.symbol(own.name)
@@ -119,6 +124,7 @@ def read_energies(
     plain = Plain(
         graph=s.graph, q=s.q, v=s.v, p=s.p, parameters=s.a, T=kinetic, M=dict(parts.M),
         a=gyroscopic.a, V=potential, invariants=MappingProxyType(values), t=s.t, forces=forces,
+        u=s.u,
     )  # fmt: skip
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)

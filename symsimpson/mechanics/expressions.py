@@ -110,6 +110,13 @@ def _check_place(
     for one, (_, n) in known.items():
         if n in wrong:
             velocity = isinstance(one, sp.Derivative)
+            if n in symbols.numbers(symbols.u):
+                raise fail(
+                    system,
+                    f"the {what} depends on the input {spell(one)}.",
+                    "Inputs stand in forces: write what it does as one, forces={q: ...}; the force "
+                    "of a potential V is -dV/dq.",
+                )
             raise fail(
                 system,
                 f"the {what} depends on the {'velocity' if velocity else 'symbol'} {spell(one)}.",
@@ -264,5 +271,6 @@ def check_declared(
         f"the {what} contains the unknown symbol {symbol.name}: it is neither a coordinate "
         f"nor a parameter with a value.{hint}",
         f"Give it a value: parameters={{..., {symbol.name}: 1.0}}, "
-        "or make it a coordinate with symsimpson.coordinates.",
+        "or make it a coordinate with symsimpson.coordinates, or an input of forces: "
+        f"inputs=({symbol.name},).",
     )

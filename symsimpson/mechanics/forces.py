@@ -1,19 +1,20 @@
-"""Forces and dissipation: read, checked, by name and by coordinate."""
+"""Forces, dissipation and inputs: read, checked, by name and by coordinate."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
+from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
-__all__ = ["DISSIPATION", "TOTAL", "read_forces"]
+__all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
 
 #: Names of the forces that Rayleigh's function gives, and of the sum of all.
 DISSIPATION, TOTAL = "dissipation", "total"
@@ -78,6 +79,75 @@ def read_forces(
         found[DISSIPATION] = [(-c, n) for c, n in gradient(symbols.graph, value, v)]
     rows = {key: tuple(row) for key, row in found.items()}
     return {key: row for key, row in rows.items() if any(c for c, _ in row)}
+
+
+def read_inputs(
+    name: str, inputs: Any, coordinates: Sequence[AppliedUndef], parameters: Iterable[sp.Symbol]
+) -> tuple[sp.Expr, ...]:
+    """Check that inputs are distinct symbols, or functions of time, with names of their own.
+
+    Raises
+    ------
+    ModelError
+    """
+    if isinstance(inputs, (sp.Symbol, AppliedUndef)):
+        inputs = (inputs,)
+    if isinstance(inputs, (str, set, frozenset, Mapping)) or not isinstance(inputs, Iterable):
+        raise fail(
+            name,
+            f"the inputs are {spell(inputs)!r}, not a tuple of symbols.",
+            "Write u = sympy.Symbol('u') and inputs=(u,): their values are given to each run, in "
+            "integrate(..., inputs={'u': values}).",
+        )
+    taken = {q.func.__name__: "a coordinate" for q in coordinates}
+    taken |= {a.name: "a parameter" for a in parameters}
+    for u in (found := tuple(inputs)):
+        function = isinstance(u, AppliedUndef) and u.args == (dynamicsymbols._t,)
+        if not function and (not isinstance(u, sp.Symbol) or u == dynamicsymbols._t):
+            raise fail(
+                name,
+                f"the input {spell(u)!r} is neither a symbol nor a function of time.",
+                "Make it with sympy.Symbol('u') or sympy's dynamicsymbols('u'), and use it in "
+                "the forces.",
+            )
+        if u.is_real is False or u.is_integer:
+            raise fail(
+                name,
+                f"the input {spell(u)} is declared {'an integer' if u.is_integer else 'not real'}.",
+                "A run may give it any real value. Make it with sympy.Symbol(name, real=True).",
+            )
+        own = u.func.__name__ if function else u.name
+        if own in taken:
+            raise fail(
+                name,
+                f"two symbols of one name, '{own}': an input and {taken[own]}.",
+                "Rename one of them.",
+            )
+        taken[own] = "another input"
+    return found
+
+
+def check_used(
+    name: str,
+    inputs: Sequence[sp.Expr],
+    symbols: Symbols,
+    forces: Mapping[str, tuple[Value, ...]],
+) -> None:
+    """Refuse an input that stands in no force.
+
+    Raises
+    ------
+    ModelError
+    """
+    nodes = symbols.graph.nodes
+    used = {s for force in forces.values() for _, n in force for s in nodes[n].symbols}
+    for u, n in zip(inputs, symbols.numbers(symbols.u), strict=True):
+        if n not in used:
+            raise fail(
+                name,
+                f"the input {spell(u)} stands in no force.",
+                "Its values would change nothing. Write it into forces={...}, or leave it out.",
+            )
 
 
 def _components(

@@ -88,7 +88,7 @@ def _jumps(plain: Plain, value: Value, x: int) -> bool:
 
 def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
     """Return a number for each symbol, parameters with their signs."""
-    symbols = (*plain.q, *plain.v, *plain.p, *plain.parameters, plain.t)
+    symbols = plain.symbols
     own = set(plain.parameters)
     found = {}
     for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True)):

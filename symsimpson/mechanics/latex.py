@@ -46,7 +46,7 @@ def _equations(one: MechanicalSystem) -> str:
     if one.n <= SHOWN:
         lines.append(("M", one.mass_matrix.xreplace(safe)))
         lagrangian = one.lagrangian
-        back = dict(Symbols(one.coordinates, one.parameters).back)
+        back = dict(Symbols(one.coordinates, one.parameters, one.inputs).back)
         for q, own in zip(one.coordinates, one.plain.f, strict=True):
             name = q.xreplace(safe)
             moment = sp.diff(lagrangian, q.diff(t)).xreplace(safe)

@@ -26,11 +26,12 @@ TIME = sp.Symbol("t_0", real=True)
 
 @dataclass(frozen=True)
 class Plain:
-    """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2, and forces f(t, q, v).
+    """A system in a graph: L = T + a(q).v - V(q), T = v.M(q).v/2, and forces f(t, q, v, u).
 
-    ``q``, ``v``, ``p``, ``t`` and ``parameters`` are real symbols with names of our own, which the
-    graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are not zero.
-    ``forces`` has the components of each named force. M, a and V may depend on t as well.
+    ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
+    which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
+    not zero. ``forces`` has the components of each named force, ``u`` the inputs of them.
+    M, a and V may depend on t as well.
     """
 
     graph: Graph
@@ -45,6 +46,12 @@ class Plain:
     invariants: Mapping[str, Value]
     t: sp.Symbol = TIME
     forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
+    u: tuple[sp.Symbol, ...] = ()
+
+    @property
+    def symbols(self) -> tuple[sp.Symbol, ...]:
+        """All symbols: q, v, p, the parameters, the inputs and t."""
+        return (*self.q, *self.v, *self.p, *self.parameters, *self.u, self.t)
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of symbols."""
@@ -117,10 +124,10 @@ class Plain:
     def level(self, graph: Graph) -> Callable[[int], int]:
         """Return a function that tells of nodes what they depend on.
 
-        0 for parameters alone, 1 for t and q, 2 for v or p. The graph may be another one with
+        0 for parameters alone, 1 for t, u and q, 2 for v or p. The graph may be another one with
         symbols of these names.
         """
-        positions = set(graph.numbers(s.name for s in (*self.q, self.t)))
+        positions = set(graph.numbers(s.name for s in (*self.q, *self.u, self.t)))
         moving = set(graph.numbers(s.name for s in (*self.v, *self.p)))
 
         def level(n: int) -> int:
@@ -138,8 +145,8 @@ class Plain:
 
     def written(self, value: Value) -> sp.Expr:
         """Write a value in the plain symbols."""
-        symbols = (*self.q, *self.v, *self.p, *self.parameters, self.t)
-        return written(self.graph, value, dict(zip(self.numbers(symbols), symbols, strict=True)))
+        known = dict(zip(self.numbers(self.symbols), self.symbols, strict=True))
+        return written(self.graph, value, known)
 
     @property
     def mass(self) -> Matrix:
@@ -173,16 +180,19 @@ class Symbols:
 
     Attributes
     ----------
-    q, v, p, a : tuple of sympy.Symbol
+    q, v, p, a, u : tuple of sympy.Symbol
     t : sympy.Symbol
     graph : Graph
-        Its first nodes are q, v, p, a and t, in this order.
+        Its first nodes are q, v, p, a, t and u, in this order.
     known : dict from the user's expression to Value
-        Velocities, coordinates, parameters and the time.
+        Velocities, coordinates, parameters, the time and inputs.
     """
 
     def __init__(
-        self, coordinates: Sequence[AppliedUndef], parameters: Mapping[sp.Symbol, float]
+        self,
+        coordinates: Sequence[AppliedUndef],
+        parameters: Mapping[sp.Symbol, float],
+        inputs: Sequence[sp.Expr] = (),
     ) -> None:
         t = dynamicsymbols._t
         n = len(coordinates)
@@ -190,16 +200,18 @@ class Symbols:
         self.v = tuple(sp.Symbol(f"v_{i}", real=True) for i in range(n))
         self.p = tuple(sp.Symbol(f"p_{i}", real=True) for i in range(n))
         self.a = tuple(_real(f"a_{i}", a) for i, a in enumerate(parameters))
+        self.u = tuple(sp.Symbol(f"u_{i}", real=True) for i in range(len(inputs)))
         self.replace: dict[sp.Basic, sp.Symbol] = {
             **{q.diff(t): v for q, v in zip(coordinates, self.v, strict=True)},
             **dict(zip(coordinates, self.q, strict=True)),
             **dict(zip(parameters, self.a, strict=True)),
             t: TIME,
+            **dict(zip(inputs, self.u, strict=True)),
         }
         self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
         self.t = TIME
         self.graph = Graph()
-        for symbol in (*self.q, *self.v, *self.p, *self.a, TIME):
+        for symbol in (*self.q, *self.v, *self.p, *self.a, TIME, *self.u):
             self.graph.symbol(symbol.name)
         self.known = {user: self.graph.symbol(own.name) for user, own in self.replace.items()}
 

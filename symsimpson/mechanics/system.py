@@ -25,6 +25,7 @@ from symsimpson.mechanics.checks import (
 )
 from symsimpson.mechanics.declaration import LARGE, energies, read_energies
 from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.forces import read_inputs
 from symsimpson.mechanics.loads import generalised
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
@@ -72,10 +73,13 @@ class MechanicalSystem:
     gyroscopic : sympy expression, optional
         Terms linear in the velocities, a(q).v, as a magnetic field or a rotating frame gives.
     forces : mapping, optional
-        Generalised forces f(t, q, v) by coordinate, ``{q: -c*q.diff()}``; or with names of their
+        Generalised forces f(t, q, v, u) by coordinate, ``{q: -c*q.diff()}``; or with names of their
         own, ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. A force has the power f.v.
     dissipation : sympy expression, optional
         Rayleigh's function R(t, q, v): forces -dR/dv beside the others.
+    inputs : sequence of symbols, optional
+        Symbols in forces whose values are given to each run, step by step:
+        ``integrate(..., inputs={"u": values})``.
 
     Raises
     ------
@@ -114,6 +118,7 @@ class MechanicalSystem:
     gyroscopic: sp.Expr = field(kw_only=True, default=sp.S.Zero)
     forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
+    inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -121,6 +126,8 @@ class MechanicalSystem:
         name = read_name(self.name)
         coordinates = read_coordinates(name, self.coordinates)
         parameters = read_parameters(name, self.parameters, coordinates)
+        inputs = read_inputs(name, self.inputs, coordinates, parameters)
+        object.__setattr__(self, "inputs", inputs)
         with _stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         for key, value in {
@@ -149,12 +156,13 @@ class MechanicalSystem:
         invariants: Mapping[str, sp.Expr] | None = None,
         forces: Mapping[Any, Any] | None = None,
         dissipation: sp.Expr | None = None,
+        inputs: Sequence[sp.Expr] = (),
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
         Parameters
         ----------
-        name, coordinates, parameters, positions, invariants, forces, dissipation
+        name, coordinates, parameters, positions, invariants, forces, dissipation, inputs
             As for :class:`MechanicalSystem`.
         lagrangian : sympy expression
             Quadratic in the velocities; linear terms are allowed.
@@ -174,7 +182,9 @@ class MechanicalSystem:
         """
         name = read_name(name)
         functions = read_coordinates(name, coordinates)
-        symbols = Symbols(functions, read_parameters(name, parameters, functions))
+        values = read_parameters(name, parameters, functions)
+        given = read_inputs(name, inputs, functions, values)
+        symbols = Symbols(functions, values, given)
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
         with waiting(f"reading {name}"):
             value = read_expression(
@@ -193,6 +203,7 @@ class MechanicalSystem:
             gyroscopic=gyroscopic,
             forces=forces,
             dissipation=dissipation,
+            inputs=tuple(given),
         )
 
     @classmethod
@@ -206,12 +217,13 @@ class MechanicalSystem:
         invariants: Mapping[str, sp.Expr] | None = None,
         forces: Mapping[Any, Any] | None = None,
         dissipation: sp.Expr | None = None,
+        inputs: Sequence[sp.Expr] = (),
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters, positions, invariants, forces, dissipation
+        name, parameters, positions, invariants, forces, dissipation, inputs
             As for :class:`MechanicalSystem`.
         lm : sympy.physics.mechanics.LagrangesMethod
             Without constraints. Its ``forcelist`` becomes the force named "forcelist": of each
@@ -259,7 +271,7 @@ class MechanicalSystem:
             forces = {**(forces or {}), "forcelist": loads}
         return cls.from_lagrangian(
             name, lagrangian, coordinates, parameters, positions=positions,
-            invariants=invariants, forces=forces, dissipation=dissipation,
+            invariants=invariants, forces=forces, dissipation=dissipation, inputs=inputs,
         )  # fmt: skip
 
     @property
@@ -321,6 +333,7 @@ class MechanicalSystem:
             [(str(c), place[n]) for c, n in values],
             list(plain.invariants),
             *([list(plain.forces)] if plain.forces else []),
+            *([list(map(str, self.inputs))] if self.inputs else []),
         ]
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 

@@ -149,7 +149,8 @@ def _system(
     rates: Sequence[sp.Expr],
 ) -> FirstOrder:
     values = dict(zip(system.plain.parameters, system.parameters.values(), strict=True))
-    names = tuple(str(symbol) for symbol in system.parameters)
+    values |= dict.fromkeys(system.plain.u, 0.0)  # inputs are constants here
+    names = tuple(map(str, (*system.parameters, *system.inputs)))
     if not system.plain.autonomous:
         unknowns, rates = (*unknowns, system.plain.t), (*rates, sp.S.One)
     return FirstOrder(
@@ -166,7 +167,7 @@ class Lines:
         self._outputs = program.outputs
         self.early: list[Definition] = []
         self.later: list[Definition] = []
-        symbols = (*plain.q, *plain.v, *plain.parameters, plain.t)
+        symbols = plain.symbols
         self._done: dict[int, sp.Expr] = dict(zip(plain.numbers(symbols), symbols, strict=True))
         self._done[UNIT] = sp.S.One
         for n in program.order():

@@ -17,6 +17,7 @@ from symsimpson.runtime.kernels.header import equations_of, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.loaded import Loaded, Tools
+from symsimpson.runtime.runs.driving import NO_INPUTS, read_driving
 from symsimpson.runtime.runs.run import Run, workspace
 
 __all__ = ["Evaluator", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
@@ -51,12 +52,19 @@ class Evaluator:
         self.system, self.scheme, self.order = header.system, header.scheme, header.order
         self.coordinates, self.parameters = header.coordinates, header.parameters
         self.invariants, self.reference_state = header.invariants, reference_state
+        self.inputs = header.inputs
+        #: Names of inputs, those that a user gave beside those of the module.
+        self._input_names = {name: i for i, name in enumerate(header.inputs)}
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
+        #: What inputs are in runs that are given none.
+        self._held: Mapping[str, float] | None = None
         if declared is not None:
             users = {q.func.__name__: i for i, q in enumerate(declared.coordinates)}
             self._coordinate_names |= users
+            self._input_names |= {str(u): i for i, u in enumerate(declared.inputs)}
+            self._input_names |= {u.name: i for i, u in enumerate(declared.inputs)}
         self._aliases = {name: i for i, name in enumerate(header.parameters)}
         self._defaults = numbers.read(header.defaults)
         self._given = defaults
@@ -90,6 +98,7 @@ class Evaluator:
         parameters: Parameters | None = None,
         *,
         t: float = 0.0,
+        inputs: Any = None,
     ) -> Reals:
         """Evaluate the discrete Euler-Lagrange equations at given nodes.
 
@@ -102,6 +111,8 @@ class Evaluator:
         parameters : mapping, optional
         t : float, optional
             When the step begins.
+        inputs : mapping or array_like, optional
+            Those of the step, as for one of :meth:`Stepper.integrate`.
 
         Returns
         -------
@@ -116,7 +127,7 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t)[0]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs)[0]
 
     def jacobian(
         self,
@@ -127,6 +138,7 @@ class Evaluator:
         parameters: Parameters | None = None,
         *,
         t: float = 0.0,
+        inputs: Any = None,
     ) -> Reals:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n).
 
@@ -137,7 +149,7 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t)[1]
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs)[1]
 
     def energy(
         self,
@@ -186,13 +198,16 @@ class Evaluator:
 
 def evaluate(
     stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    values: Reals,
+    values: Reals, inputs: Reals = NO_INPUTS,
 ) -> Reals:  # fmt: skip
-    """Evaluate a kernel of the state at many states; shape (len(q), count)."""
+    """Evaluate a kernel of the state at many states; shape (len(q), count).
+
+    ``inputs`` has states in the places of steps; they stand in powers alone.
+    """
     header, numbers = stepper._module.header, stepper._module.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, stepper, kernel, block, count, t, q, p)
+        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs)
 
 
 def evaluate_members(
@@ -216,8 +231,9 @@ def evaluate_members(
 
 
 def evaluate_in(
-    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals
-) -> Reals:
+    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
+    inputs: Reals = NO_INPUTS,
+) -> Reals:  # fmt: skip
     """Evaluate a kernel of the state in a workspace that holds parameters.
 
     Fast sines have no value for huge angles: there the library's are taken.
@@ -225,16 +241,17 @@ def evaluate_in(
     numbers, kernels = stepper._module.numbers, stepper._module.kernels
     place = stepper._module.header.layout[block], count
 
-    def values(t: Reals, q: Reals, p: Reals, *, any_angle: bool) -> Reals:
+    def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
-        return _evaluated(stepper, W, (0, address), place, t, q, p)
+        return _evaluated(stepper, W, (0, address), place, t, q, p, inputs)
 
-    found = values(t, q, p, any_angle=False)
+    found = values(t, q, p, inputs, any_angle=False)
     if stepper._module.header.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
-            found[again] = values(t[again], q[again], p[again], any_angle=True)
+            own = inputs if inputs.shape[1] == 1 else inputs[:, again]
+            found[again] = values(t[again], q[again], p[again], own, any_angle=True)
     return found
 
 
@@ -268,7 +285,7 @@ def watching(
 
 def _evaluated(
     stepper: Evaluator, W: Reals, kernels: tuple[Any, Any], block: tuple[int, int], t: Reals,
-    q: Reals, p: Reals,
+    q: Reals, p: Reals, inputs: Reals = NO_INPUTS,
 ) -> Reals:  # fmt: skip
     """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
     numbers, (first, count) = stepper._module.numbers, block
@@ -276,6 +293,7 @@ def _evaluated(
     numbers.driver("evaluate")(
         stepper._module.kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
         stepper._module.header.told, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
+        inputs,
     )  # fmt: skip
     return numbers.result(out)
 
@@ -309,6 +327,7 @@ def evaluate_equations(
     h: Any,
     given: Mapping[Any, Any] | None,
     t: Any,
+    inputs: Any,
 ) -> tuple[Reals, Reals]:
     """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
     header, n, numbers = stepper._module.header, stepper.n, stepper._module.numbers
@@ -336,7 +355,7 @@ def evaluate_equations(
         numbers.driver("evaluate")(
             kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, header.told,
             numbers.read([t]), q[None, :], p[None, :], header.layout["RESIDUAL"],
-            numbers.zeros((1, 0)),
+            numbers.zeros((1, 0)), read_driving(stepper, inputs, h, 1),
         )  # fmt: skip
         residual, jacobian = map(numbers.result, equations_of(header, run))
     return residual.ravel(), jacobian.reshape(d * n, d * n)

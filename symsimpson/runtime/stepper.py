@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from symsimpson.derivation import Report
 from symsimpson.errors import InputError, Interrupted
-from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
+from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
+from symsimpson.runtime.stepping import Stepping
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Stepper"]
 
 
-class Stepper(Evaluator):
+class Stepper(Stepping):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
     Parameters
@@ -50,7 +51,7 @@ class Stepper(Evaluator):
     ----------
     system, scheme : str
     order : int
-    coordinates, parameters, invariants : tuple of str
+    coordinates, parameters, inputs, invariants : tuple of str
     source : str
 
     Examples
@@ -100,6 +101,7 @@ class Stepper(Evaluator):
         steps: int | None = None,
         t0: Any = 0.0,
         parameters: Parameters | None = None,
+        inputs: Any = None,
         every: int | None = 1,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
@@ -124,6 +126,10 @@ class Stepper(Evaluator):
             Initial time.
         parameters : mapping, optional
             Values by symbol or by name, in place of the defaults.
+        inputs : mapping, optional
+            Values of the system's inputs by symbol or by name: of shape (steps,), held over a step
+            each; of shape (steps, s), at the nodes of each step, whose times are
+            :meth:`node_times`; a number; or :func:`symsimpson.samples`.
         every : int or None
             Store each so-many-th state; None stores only the last.
         checkpoint : path, optional
@@ -166,7 +172,7 @@ class Stepper(Evaluator):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, every)
+        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs)
         return integrate(self, spec, checkpoint, checkpoint_every, progress, on_failure)
 
     def ensemble(
@@ -180,6 +186,7 @@ class Stepper(Evaluator):
         steps: int | None = None,
         t0: float = 0.0,
         parameters: Parameters | None = None,
+        inputs: Any = None,
         every: int | None = None,
         reduce: Mapping[str, tuple[str, Any]] | None = None,
         store: str | os.PathLike[str] | None = None,
@@ -201,6 +208,8 @@ class Stepper(Evaluator):
             As for :meth:`integrate`.
         parameters : mapping, optional
             Numbers, or arrays of shape (K,), by symbol or by name.
+        inputs : mapping, optional
+            As for :meth:`integrate`; with an axis of K members before the others, each has its own.
         every : int or None
             Store each so-many-th state; None stores only the last.
         reduce : mapping from str to (kind, expression), optional
@@ -251,7 +260,7 @@ class Stepper(Evaluator):
         read_failure(on_failure)
         task = read_task(
             self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress,
-            on_disk=store is not None,
+            inputs=inputs, on_disk=store is not None,
         )  # fmt: skip
         found, interrupted = run_ensemble(self, task, store, client)
         if interrupted and on_failure == "raise":
@@ -272,6 +281,7 @@ class Stepper(Evaluator):
         direction: int = 0,
         wrap: Any = (),
         parameters: Parameters | None = None,
+        inputs: Any = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Events:
@@ -281,7 +291,7 @@ class Stepper(Evaluator):
         ----------
         expression, direction, wrap
             As for :meth:`Trajectory.events`.
-        q0, v0, p0, h, t_end, steps, t0, parameters, progress, on_failure
+        q0, v0, p0, h, t_end, steps, t0, parameters, inputs, progress, on_failure
             As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
 
         Returns
@@ -304,7 +314,7 @@ class Stepper(Evaluator):
         """
         from symsimpson.runtime.runs.section import poincare
 
-        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None)
+        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
         return poincare(self, expression, spec, direction, wrap, progress, on_failure)
 
     def certify(
@@ -315,6 +325,7 @@ class Stepper(Evaluator):
         p0: ArrayLike | None = None,
         h: float | None = None,
         parameters: Parameters | None = None,
+        inputs: Mapping[Any, float] | None = None,
     ) -> Certificate:
         """Measure whether this stepper is what it should be.
 
@@ -329,6 +340,8 @@ class Stepper(Evaluator):
         h : float, optional
             The step; found by trial if left out.
         parameters : mapping, optional
+        inputs : mapping, optional
+            A number for each input, which is held; 1 unless given.
 
         Returns
         -------
@@ -352,45 +365,5 @@ class Stepper(Evaluator):
                 f"this stepper of {self.system} came with a stored result.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
-        return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters)
-
-    def step(
-        self,
-        q: ArrayLike,
-        v: ArrayLike | None = None,
-        *,
-        p: ArrayLike | None = None,
-        h: float,
-        t: float = 0.0,
-        parameters: Parameters | None = None,
-    ) -> tuple[Reals, Reals]:
-        """Take one step from (q, v), or from (q, p).
-
-        Parameters
-        ----------
-        q, v, p : array_like, shape (n,)
-            One of ``v`` and ``p`` is left out.
-        h : float
-        t : float
-            The time at the start.
-        parameters : mapping, optional
-
-        Returns
-        -------
-        q1, p1 : ndarray, shape (n,)
-
-        Raises
-        ------
-        InputError, ConvergenceError
-            As :meth:`integrate`.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
-        >>> q1, p1 = stepper.step([1.0], p=[0.0], h=0.01)
-        >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
-        (True, True)
-        """
-        end = self.integrate(q, v, p0=p, h=h, steps=1, t0=t, parameters=parameters, every=None)
-        return end.q[0], end.p[0]
+        return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters,
+                                          inputs=inputs)  # fmt: skip

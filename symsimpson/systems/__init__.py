@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from symsimpson.systems.argon import argon, argon_cluster
-from symsimpson.systems.cart_pole import cart_pole
+from symsimpson.systems.cart_pole import cart_pole, driven_cart_pole
 from symsimpson.systems.cloth import cloth
-from symsimpson.systems.double_pendulum import double_pendulum
+from symsimpson.systems.double_pendulum import double_pendulum, driven_double_pendulum
 from symsimpson.systems.driven import (
+    charged_particle,
     damped_oscillator,
     damped_pendulum,
     duffing,
@@ -61,7 +62,7 @@ _LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
     outer_solar_system,
     cloth,
 )
-#: Models with forces, or a drive.
+#: Models with forces, a drive or inputs.
 _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     damped_pendulum,
     damped_oscillator,
@@ -69,6 +70,9 @@ _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     dust_grain,
     kapitza,
     van_der_pol,
+    driven_double_pendulum,
+    charged_particle,
+    driven_cart_pole,
 )
 
 #: Name of each function of the catalogue, and the function.
@@ -86,10 +90,13 @@ __all__ = [
     "argon",
     "argon_cluster",
     "cart_pole",
+    "charged_particle",
     "cloth",
     "damped_oscillator",
     "damped_pendulum",
     "double_pendulum",
+    "driven_cart_pole",
+    "driven_double_pendulum",
     "duffing",
     "dust_grain",
     "elastic_pendulum",

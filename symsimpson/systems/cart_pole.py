@@ -7,7 +7,7 @@ import sympy as sp
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["cart_pole"]
+__all__ = ["cart_pole", "driven_cart_pole"]
 
 
 def cart_pole() -> CatalogueSystem:
@@ -25,4 +25,25 @@ def cart_pole() -> CatalogueSystem:
         invariants={"p_x": (cart + pole) * x.diff() + pole * l * theta.diff() * sp.cos(theta)},
         reference_state={"q0": (0.0, 2.0), "v0": (0.1, 0.0)},
         source="R. Tedrake, Underactuated Robotics, chapter 3",
+    )
+
+
+def driven_cart_pole() -> CatalogueSystem:
+    """The cart with a pole, a motor of force u at its wheels and friction in wheels and joint."""
+    free = cart_pole()
+    x, theta = free.coordinates
+    u = sp.Symbol("u", real=True)
+    c, b = sp.symbols("c b", positive=True)
+    return CatalogueSystem(
+        "driven_cart_pole",
+        coordinates=free.coordinates,
+        kinetic=free.kinetic,
+        potential=free.potential,
+        parameters={**free.parameters, c: 0.1, b: 0.01},
+        forces={"motor": {x: u}},
+        dissipation=c * x.diff() ** 2 / 2 + b * theta.diff() ** 2 / 2,
+        inputs=(u,),
+        positions=free.positions,
+        reference_state={"q0": (0.0, 0.1), "v0": (0.0, 0.0)},
+        source=free.source,
     )

@@ -6,10 +6,10 @@ import math
 
 import sympy as sp
 
-from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.mechanics.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["double_pendulum"]
+__all__ = ["double_pendulum", "driven_double_pendulum"]
 
 
 def double_pendulum() -> CatalogueSystem:
@@ -34,4 +34,23 @@ def double_pendulum() -> CatalogueSystem:
         reference_state={"q0": (math.pi / 4, math.pi / 3), "p0": (0.0, 0.0)},
         source="J. A. Rojas-Quintero, F. Dubois, F. Jourdan, arXiv:2512.03330, table 1, with "
         "l = g/omega_0^2",
+    )
+
+
+def driven_double_pendulum() -> CatalogueSystem:
+    """The double pendulum with friction in both joints, and a torque at the first that swings."""
+    free = double_pendulum()
+    q1, q2 = free.coordinates
+    c1, c2, a, w = sp.symbols("c1 c2 a w", positive=True)
+    return CatalogueSystem(
+        "driven_double_pendulum",
+        coordinates=free.coordinates,
+        kinetic=free.kinetic,
+        potential=free.potential,
+        parameters={**free.parameters, c1: 0.05, c2: 0.05, a: 2.0, w: 5.0},
+        forces={"motor": {q1: a * sp.cos(w * time)}},
+        dissipation=c1 * q1.diff() ** 2 / 2 + c2 * (q2.diff() - q1.diff()) ** 2 / 2,
+        positions=free.positions,
+        reference_state=free.reference_state,
+        source=f"{free.source}; friction and torque are ours",
     )

@@ -8,6 +8,7 @@ from symsimpson.mechanics.coordinates import coordinates, time
 from symsimpson.systems.entry import CatalogueSystem
 
 __all__ = [
+    "charged_particle",
     "damped_oscillator",
     "damped_pendulum",
     "duffing",
@@ -15,6 +16,25 @@ __all__ = [
     "kapitza",
     "van_der_pol",
 ]
+
+
+def charged_particle() -> CatalogueSystem:
+    """A charge in a uniform magnetic field, which the drag of its own radiation slows down."""
+    x, y, z = coordinates("x y z")
+    m, e, B, k = sp.symbols("m e B k", positive=True)
+    return CatalogueSystem(
+        "charged_particle",
+        coordinates=(x, y, z),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+        gyroscopic=e * B * (x * y.diff() - y * x.diff()) / 2,
+        potential=sp.S.Zero,
+        parameters={m: 1.0, e: 1.0, B: 1.0, k: 0.02},
+        # its rate is e^2 B^2 2 e^2/(3 m^3 c^3): what is left of the third derivative of x
+        forces={"radiation": {x: -k * m * x.diff(), y: -k * m * y.diff()}},
+        positions={"charge": (x, y, z)},
+        reference_state={"q0": (0.0, 1.0, 0.0), "v0": (1.0, 0.0, 0.2)},
+        source="L. D. Landau and E. M. Lifshitz, The Classical Theory of Fields, sections 21, 75",
+    )
 
 
 def damped_oscillator() -> CatalogueSystem:

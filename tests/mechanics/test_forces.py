@@ -10,6 +10,7 @@ import symsimpson as ss
 t = ss.time
 x, y = ss.coordinates("x y")
 c, k, w = sp.symbols("c k w", positive=True)
+u = sp.Symbol("u")
 T, V = (x.diff() ** 2 + y.diff() ** 2) / 2, k * x**2 / 2 + y**4
 VALUES = {c: 0.1, k: 2.0, w: 3.0}
 
@@ -35,6 +36,17 @@ WRONG = {
     "taken": ({"forces": {"total": {x: 1}}}, "two forces would have the name 'total'"),
     "twice": ({"forces": {x: 1, "x": {y: 1}}}, "two forces would have the name 'x'"),
     "two dissipations": ({"forces": {"dissipation": {x: 1}}}, "the name 'dissipation'"),
+    "input in T": ({"kinetic": (1 + u) * T, "forces": {x: u}, "inputs": (u,)},
+                   "kinetic energy depends on the input u(.|\\n)*write what it does as one"),
+    "input in V": ({"potential": u * x, "forces": {x: u}, "inputs": (u,)}, "the input u"),
+    "idle input": ({"inputs": (u,)}, "the input u stands in no force"),
+    "text as input": ({"forces": {x: u}, "inputs": "u"}, "inputs are 'u', not a tuple of symbols"),
+    "a number as input": ({"inputs": (1,)}, "neither a symbol nor a function of time"),
+    "input like a parameter": ({"inputs": (sp.Symbol("c"),)}, "an input and a parameter"),
+    "input twice": ({"forces": {x: u}, "inputs": (u, u)}, "an input and another input"),
+    "whole input": ({"inputs": (sp.Symbol("n", integer=True),)}, "declared an integer"),
+    "acceleration of an input": ({"forces": {x: me.dynamicsymbols("u").diff()},
+                                  "inputs": (me.dynamicsymbols("u"),)}, "an unknown velocity"),
     "position of time": ({"positions": {"bob": (x + t, y)}}, "depends on the symbol t"),
 }  # fmt: skip
 
@@ -55,6 +67,13 @@ def test_forces_by_coordinate_and_by_name():
     q, v, a = system.plain.q, system.plain.v, system.plain.parameters
     assert sp.expand(written[0] - sp.cos(a[2] * system.plain.t) + a[0] * v[0]) == 0
     assert sp.expand(written[1] - 1 + a[2] * q[0]) == 0
+
+
+def test_inputs_are_symbols_or_functions_of_time():
+    function = me.dynamicsymbols("torque")
+    system = declared(forces={x: u * sp.cos(y), y: function}, inputs=(u, function))
+    assert ss.compile(system).inputs == ("u", "torque")
+    assert system != declared(forces={x: u * sp.cos(y), y: function}, inputs=(function, u))
 
 
 def test_a_force_changes_the_digest():

@@ -44,7 +44,7 @@ def largest_frequency(
     system : MechanicalSystem
     q : iterable of float, n of them
     parameters : iterable of float
-        Values of all parameters, in the order of the system.
+        Values of all parameters, in the order of the system, then those of inputs.
     t : float
     """
     try:
@@ -78,7 +78,7 @@ def largest_damping(
     system : MechanicalSystem
     q, v : iterable of float, n of them each
     parameters : iterable of float
-        Values of all parameters, in the order of the system.
+        Values of all parameters, in the order of the system, then those of inputs.
     t : float
     """
     if not system.plain.forces:
@@ -103,7 +103,7 @@ def _drag(system: MechanicalSystem) -> Callable[..., Any]:
 def _function(
     system: MechanicalSystem, entries: dict[str, list[Value]], state: tuple[sp.Symbol, ...]
 ) -> Callable[..., Any]:
-    """Return a function of a state, the parameters and t for n by n matrices, M the last."""
+    """Return a function of a state, parameters, inputs and t for n by n matrices, M the last."""
     plain, size = system.plain, range(system.n)
     entries["M"] = [plain.entry(i, j) for i in size for j in size]
     outputs: dict[tuple[Hashable, ...], Value] = {
@@ -111,7 +111,7 @@ def _function(
     }
     lines = Lines(plain, outputs)
     function: Callable[..., Any] = sp.lambdify(
-        [*state, *plain.parameters, plain.t], [lines.value(*key) for key in outputs],
+        [*state, *plain.parameters, *plain.u, plain.t], [lines.value(*key) for key in outputs],
         modules="math", cse=lambda expressions: ([*lines.early, *lines.later], expressions),
     )  # fmt: skip
     return lambda *numbers: np.array(function(*numbers)).reshape(-1, system.n, system.n)

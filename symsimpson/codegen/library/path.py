@@ -61,6 +61,13 @@ def node_time(W, t, lane):
 
 
 @compiled
+def node_inputs(W, node, lane):
+    """Keep the inputs at a node."""
+    for k in range(len(INPUTS)):
+        W[NODE_INPUT + k, lane] = W[INPUT + k * INPUT_STRIDE + node, lane]
+
+
+@compiled
 def straight_path(W, h, lane):
     """Increments of a path with the constant velocity v."""
     for k in range(DEGREE):

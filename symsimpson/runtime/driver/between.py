@@ -21,12 +21,14 @@ from symsimpson.interface import (
 from symsimpson.runtime.driver.explicit import finite
 from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
+    INPUTS,
     SET,
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
     begin,
     call,
+    give,
     solve,
 )
 
@@ -36,14 +38,16 @@ SIGNATURES |= {
     "between": types.void(
         SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
         types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
-        types.boolean[::1],
+        types.boolean[::1], types.int64, INPUTS, INPUTS,
     ),
 }  # fmt: skip
 
 
 @njit(**DRIVER_OPTIONS)
-def take(kernels, h, t, W, at, count, q, p):
+def take(kernels, h, t, W, at, count, q, p, inputs, first):
     """Take steps from (q, p), and leave there the state after them; tells whether all went well.
+
+    The first has the inputs of this number.
 
     Steps in doubt are not recovered here: that is rare, and would make this slow to compile.
     """
@@ -55,6 +59,7 @@ def take(kernels, h, t, W, at, count, q, p):
         W[at[MOMENTUM] + a, 0] = p[a]
     begin(kernels, 0, h, t, W, at)
     for step in range(count):
+        give(W, at, inputs, first + step)
         if not direct:
             W[at[ACTIVE], 0] = 1.0
             if solve(kernels[ITERATE], h, t + h * step, W, at) != 0:
@@ -71,14 +76,15 @@ def take(kernels, h, t, W, at, count, q, p):
 
 @njit(**DRIVER_OPTIONS)
 def between(
-    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine
+    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine, every, inputs, rests
 ):  # fmt: skip
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; where that and the whole
-    steps go up, no step is taken twice. ``q_out`` and ``p_out`` have one row more than there are
-    states to give: the state after the whole steps stands there. ``fine`` tells of each whether its
-    steps went well.
+    steps go up, no step is taken twice. ``every`` whole steps lie between stored states; they have
+    ``inputs``, and those of size ``rest[i]`` have ``rests``. ``q_out`` and ``p_out`` have one row
+    more than there are states to give: the state after the whole steps stands there. ``fine`` tells
+    of each whether its steps went well.
     """
     n, last = at[DIMENSION], len(start)
     stored, done, well = -1, 0, True
@@ -90,7 +96,8 @@ def between(
         now = t[stored] + h * done
         if whole[i] > done and well:
             well = take(
-                kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last]
+                kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last], inputs,
+                stored * every + done,
             )  # fmt: skip
             done = whole[i]
             now = t[stored] + h * done
@@ -98,4 +105,4 @@ def between(
             q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         fine[i] = well
         if well and rest[i] != 0.0:
-            fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i])
+            fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i], rests, i)

@@ -25,6 +25,7 @@ from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover
 from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
+    INPUTS,
     LANES,
     SET,
     SIGNATURES,
@@ -47,6 +48,7 @@ SIGNATURES |= {
         types.int64[::1], types.int64, types.int64, types.int64, types.int64,
         MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
         STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
+        INPUTS,
     ),
 }  # fmt: skip
 
@@ -126,7 +128,7 @@ def finish_block(
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(
     kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
-    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds,
+    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs,
 ):  # fmt: skip
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
@@ -139,6 +141,7 @@ def advance_blocks(
     watched = kinds.shape[0] > 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
+        own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
             load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
             for lane in range(LANES):
@@ -158,16 +161,27 @@ def advance_blocks(
             until = min(steps, step + 1 if watched else step + budget)
             if kernels[MODE] == EXPLICIT:
                 take_explicit_steps(
-                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted
+                    kernels,
+                    h,
+                    t0,
+                    W,
+                    at,
+                    progress,
+                    until,
+                    every,
+                    buffer_q,
+                    buffer_p,
+                    counted,
+                    own,
                 )
             else:
                 take_steps(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
-                    counted)  # fmt: skip
+                    counted, own)  # fmt: skip
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is taken and not yet counted: take_steps does that first
                     take_steps(kernels, h, t0, W, at, progress, progress[0] + 1, every,
-                        buffer_q, buffer_p, counted)  # fmt: skip
+                        buffer_q, buffer_p, counted, own)  # fmt: skip
             alive = False
             for lane in range(LANES):
                 if W[at[STATUS], lane] == 0.0:

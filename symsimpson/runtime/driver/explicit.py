@@ -23,6 +23,7 @@ from symsimpson.runtime.driver.steps import (
     COUNTS,
     DRIVER_OPTIONS,
     INLINE,
+    INPUTS,
     LANES,
     SET,
     SIGNATURES,
@@ -30,6 +31,7 @@ from symsimpson.runtime.driver.steps import (
     TOLD_ROWS,
     WORKSPACE,
     call,
+    give,
     keep,
     put_back,
     store,
@@ -38,11 +40,12 @@ from symsimpson.runtime.driver.steps import (
 SIGNATURES |= {
     "take_explicit_steps": types.void(
         SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1], types.int64,
-        types.int64, STATES, STATES, COUNTS,
+        types.int64, STATES, STATES, COUNTS, INPUTS,
     ),
     "evaluate": types.void(
         types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS,
         types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
+        INPUTS,
     ),
     "steady": types.boolean(
         types.int64, types.float64, WORKSPACE, TOLD_ROWS, STATES, STATES, types.int64, types.int64,
@@ -63,7 +66,9 @@ def finite(W, first, last, lane):
 
 
 @njit(**DRIVER_OPTIONS)
-def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out):
+def take_explicit_steps(
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out, inputs
+):  # fmt: skip
     """Take steps that need no iteration, all up to the next state to store in one call.
 
     Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that
@@ -86,6 +91,7 @@ def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_o
             alive += W[status, lane] == 0.0
         if alive == 0:
             break
+        give(W, at, inputs, before + step)
         call(kernels[ADVANCE], h, t0 + h * (before + step), W)
         lost = 0
         for lane in range(lanes):
@@ -113,9 +119,10 @@ def take_explicit_steps(kernels, h, t0, W, at, progress, stop, every, q_out, p_o
 
 
 @njit(**DRIVER_OPTIONS)
-def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
+def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out, inputs):
     """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
 
+    ``inputs`` has steps in the places of states.
     Another kernel comes before it, if its address is not 0.
     """
     n = at[DIMENSION]
@@ -124,6 +131,7 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out):
         for a in range(n):
             W[at[POSITION] + a, 0] = q[i, a]
             W[at[MOMENTUM] + a, 0] = p[i, a]
+        give(W, at, inputs, i)
         if before != 0:
             call(before, h, t[i], W)
         call(kernel, h, t[i], W)

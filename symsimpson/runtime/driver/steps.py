@@ -21,6 +21,8 @@ from symsimpson.interface import (
     IN_DOUBT,
     INCREMENT,
     INCREMENT_SQUARED,
+    INPUT,
+    INPUT_STRIDE,
     ITERATE,
     ITERATIONS,
     LARGEST_SQUARED,
@@ -62,13 +64,15 @@ DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy"}
 INLINE = {"inline": "always", **DRIVER_OPTIONS}
 SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
+#: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
+INPUTS = types.Array(types.float64, 4, "A", readonly=True)
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
     "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "take_steps": types.void(
         SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1],
-        types.int64, types.int64, STATES, STATES, COUNTS,
+        types.int64, types.int64, STATES, STATES, COUNTS, INPUTS,
     ),
 }  # fmt: skip
 
@@ -128,6 +132,19 @@ def keep(W, first, last, lane, copy):
     """Copy rows of a lane."""
     for row in range(first, last):
         copy[row - first, lane] = W[row, lane]
+
+
+@njit(**INLINE)
+def give(W, at, inputs, step):
+    """Let the inputs of a step stand in the workspace, of each its values at all nodes."""
+    members, steps, nodes, count = inputs.shape
+    for k in range(count):
+        for i in range(at[INPUT_STRIDE]):
+            row = at[INPUT] + k * at[INPUT_STRIDE] + i
+            for lane in range(LANES):
+                W[row, lane] = inputs[
+                    min(lane, members - 1), min(step, steps - 1), min(i, nodes - 1), k
+                ]
 
 
 @njit(**DRIVER_OPTIONS)
@@ -205,15 +222,15 @@ def watch(kernels, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def take_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out,
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out, inputs,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left.
 
     ``progress`` is (step, event, before), the last the steps that were taken before all of these.
 
-    States are stored after each ``every`` steps, none for ``every = 0``. A lane with a status
-    other than 0 is not touched. At an event the step is not finished: ``recover`` does that, and
-    ``take_steps`` goes on.
+    ``inputs`` are those of all steps. States are stored after each ``every`` steps, none for
+    ``every = 0``. A lane with a status other than 0 is not touched. At an event the step is not
+    finished: ``recover`` does that, and ``take_steps`` goes on.
     """
     lanes = LANES
     active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
@@ -233,6 +250,7 @@ def take_steps(
                 alive += W[status, lane] == 0.0
             if alive == 0:
                 break
+            give(W, at, inputs, before + step)
             if solve(kernels[ITERATE], h, t, W, at) != 0:
                 progress[1] = FAILED
                 break

@@ -17,19 +17,21 @@ from symsimpson.interface import (
 from symsimpson.runtime.driver.between import GIVEN, TIMES
 from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
+    INPUTS,
     SET,
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
     begin,
     call,
+    give,
     solve,
 )
 
 SIGNATURES |= {
     "add_up_work": types.int64(
         SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64, types.int64, WORKSPACE,
+        types.int64, types.int64, WORKSPACE, INPUTS,
     ),
 }  # fmt: skip
 #: Another solution of a step ends elsewhere by more than so much of the way, beside rounding.
@@ -48,12 +50,12 @@ def reached(W, at, before, after):
 
 
 @njit(**DRIVER_OPTIONS)
-def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out):
+def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
     """Integrate powers from stored state to stored state, ``every`` steps apart.
 
-    Integrals are found from ``row`` of the workspace on; ``out`` takes their sums from the first
-    state on. Returns how many states could be reached: whether a step was the run's is seen where
-    it ends.
+    ``inputs`` are those of all steps. Integrals are found from ``row`` of the workspace on; ``out``
+    takes their sums from the first state on. Returns how many states could be reached: whether a
+    step was the run's is seen where it ends.
     """
     n, count = at[DIMENSION], out.shape[1]
     low = np.zeros(count)
@@ -68,6 +70,7 @@ def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out):
         begin(kernels, 0, h, t[i - 1], W, at)
         for step in range(every):
             now = t[i - 1] + h * step
+            give(W, at, inputs, (i - 1) * every + step)
             W[at[ACTIVE], 0] = 1.0
             if solve(kernels[ITERATE], h, now, W, at) != 0:
                 return i

@@ -56,6 +56,11 @@ class Task(RunSpec):
         """Number of members."""
         return len(self.q0)
 
+    def inputs_of(self, member: Any) -> Floats | None:
+        """Return the inputs of a member as a run of its own takes them."""
+        own = self.inputs[min(member, len(self.inputs) - 1)]
+        return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
+
     @property
     def times(self) -> Floats:
         """Times of the stored states."""
@@ -69,6 +74,7 @@ class Task(RunSpec):
             self, q0=np.ascontiguousarray(self.q0[members]),
             other0=np.ascontiguousarray(self.other0[members]),
             parameters=np.ascontiguousarray(self.parameters[members]),
+            inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
         )  # fmt: skip
 
 
@@ -194,6 +200,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
                 step, more, task.h, task.t0, W, header.told, cursor, last, budget,
                 task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
                 counted, results.q, results.p, results.codes, lost, results.seen, kinds,
+                task.inputs,
             )  # fmt: skip
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
@@ -232,6 +239,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
                 run = stepper.integrate(
                     task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
                     parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
+                    inputs=task.inputs_of(member),
                     every=1 if task.reductions else task.every or None, on_failure="return",
                 )  # fmt: skip
         except InputError:

@@ -23,6 +23,7 @@ from symsimpson.runtime.ensembles.store import Store, members_of, said, write_ch
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.runs.driving import NO_INPUTS
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -144,7 +145,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
     task = Task(
         q0, other0, asked["given"], parameters, asked["h"], asked["t0"],
-        asked["steps"], asked["every"], reductions, threads=1, progress=False,
+        asked["steps"], asked["every"], NO_INPUTS, reductions, threads=1, progress=False,
         lanes=lanes_for(stepper._module.header),
     )  # fmt: skip
     found, _ = run_blocks(stepper, task, lambda done: None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from symsimpson.errors import InputError
 from symsimpson.progress import Progress
 from symsimpson.runtime.ensembles.blocks import Task, run_blocks
 from symsimpson.runtime.ensembles.cluster import check_client, run_on_cluster
@@ -20,6 +21,11 @@ def run_ensemble(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple
     """Run an ensemble; tells whether Ctrl-C stopped it."""
     if client is not None:
         check_client(client, store)
+        if task.inputs.size:
+            raise InputError(
+                f"{stepper.system} has inputs, which a store does not hand to workers.\n"
+                "Run the ensemble on this machine: leave client out."
+            )
     if store is None:
         with Progress(task.members, task.progress) as progress:
             return run_blocks(stepper, task, progress.add)

@@ -20,6 +20,7 @@ from symsimpson.runtime.inputs import (
 )
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.observed import read_reductions
+from symsimpson.runtime.runs.driving import read_driving
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -41,6 +42,7 @@ def read_task(
     threads: int | None,
     progress: bool | None,
     *,
+    inputs: Any = None,
     on_disk: bool,
 ) -> Task:
     """Read the arguments of ``ensemble``.
@@ -66,6 +68,8 @@ def read_task(
     columns = _parameters(stepper, parameters)
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
+    driving = read_driving(stepper, inputs, h, count, max(sizes.values(), default=1))
+    sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
     members = max(sizes.values(), default=1)
     for name, size in sizes.items():
         if size != members:
@@ -92,7 +96,8 @@ def read_task(
     for k, name in enumerate(stepper.parameters):
         values[:, k] = columns[name]
     return Task(
-        q, other, second, values, h, t0, count, stride, reductions, workers, progress, lanes
+        q, other, second, values, h, t0, count, stride, driving, reductions, workers, progress,
+        lanes,
     )  # fmt: skip
 
 

@@ -46,6 +46,8 @@ class Header:
     coordinate_order: tuple[int, ...]
     forces: tuple[str, ...]
     autonomous: bool
+    inputs: tuple[str, ...]
+    input_places: tuple[str, ...]
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -85,9 +87,11 @@ class Header:
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
             "DIMENSION": self.n, "MEASURED": self.degree * self.n,
-            "ROWS": self.rows, "STEPS_A_CALL": 1 << 62 if self.autonomous else 1,
+            "ROWS": self.rows,
+            "STEPS_A_CALL": 1 << 62 if self.autonomous and not self.inputs else 1,
         }  # fmt: skip
-        return np.array([{**self.layout, **more}[name] for name in TOLD], dtype=np.int64)
+        none = {"INPUT": 0, "INPUT_STRIDE": 0}
+        return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
 
 
 def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -146,7 +150,7 @@ def read_header(text: str, where: str) -> Header:
         )
     # explicit steps have no loops over coordinates, and so no order of them
     constants.setdefault("COORDINATE", tuple(range(len(constants["COORDINATES"]))))
-    constants = {"FORCES": (), "AUTONOMOUS": True, **constants}
+    constants = {"FORCES": (), "AUTONOMOUS": True, "INPUTS": (), "INPUT_PLACES": (), **constants}
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
         "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
@@ -155,6 +159,7 @@ def read_header(text: str, where: str) -> Header:
         "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
+        "inputs": "INPUTS", "input_places": "INPUT_PLACES",
     }  # fmt: skip
     blocks = {
         name: value

@@ -15,6 +15,7 @@ from symsimpson.files import check_folder, read_path
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.driving import NO_INPUTS
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -50,6 +51,9 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    if run._inputs.size:
+        about = {"long_name": "inputs of steps, at their nodes"}
+        found["inputs"] = (("step", "node", "input"), run._inputs[0], about)
     found.attrs |= {
         "every": run.every or 0, "parameter_values": run._values.tolist(), "sha256": _digest(run),
     }  # fmt: skip
@@ -140,7 +144,7 @@ def _digest(run: Trajectory) -> str:
     """Return a digest of all that a trajectory is made of."""
     about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
     content = hashlib.sha256(repr(about).encode())
-    for array in (run.t, run.q, run.p, run._values, run.newton_iterations):
+    for array in (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs):
         content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()
 
@@ -162,8 +166,15 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
     exact = t[0] + h * every * np.arange(stored)
     if not np.abs(t - exact).max() <= 16 * np.finfo(float).eps * np.abs(exact).max():
         raise ValueError("times are not steps apart")
+    inputs = NO_INPUTS
+    if stepper.inputs:
+        inputs = np.ascontiguousarray(found["inputs"], dtype=np.float64)[None]
+        if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(stepper.inputs):
+            raise ValueError(f"inputs have shape {inputs.shape[1:]}")
+        if inputs.shape[2] not in (1, len(stepper._module.header.input_places)):
+            raise ValueError(f"inputs have {inputs.shape[2]} nodes")
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
         status=Status[str(about["status"])], message=str(about["message"]), _stepper=stepper,
-        _values=values,
+        _values=values, _inputs=inputs,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.driving import at_places, places, since
 from symsimpson.runtime.runs.run import Run, workspace
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ class DenseOutput:
         numbers = run._stepper._module.numbers
         with numbers.working():  # float64 as it is, without a copy
             whole = [np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
-                     for x in (run.t, run.q, run.p)]  # fmt: skip
-        self._t, self._q, self._p = whole
+                     for x in (run.t, run.q, run.p, run._inputs)]  # fmt: skip
+        self._t, self._q, self._p, self._inputs = whole
         self._sign = 1.0 if run.h > 0 else -1.0
         self._forward = self._sign * np.asarray(run.t, dtype=float)
         digits = getattr(numbers, "digits", None)
@@ -132,6 +133,9 @@ class DenseOutput:
             W = workspace(header, numbers, numbers.read(run._values))
             t, q, p, step = self._t, self._q, self._p, numbers.read(h)
             rest = numbers.read(np.where(none, 0 * rest, rest))
+            first = start * (run.every or 1)
+            at = (rest / step)[:, None] * places(stepper)
+            rests = at_places(stepper, self._inputs, first + whole, at)
             found_q, found_p = numbers.zeros((2, len(order), header.n))
             fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
@@ -141,38 +145,46 @@ class DenseOutput:
                 well = np.zeros(some.size, dtype=np.bool_)
                 between(
                     kernels.set(kernels.fallbacks[0]), step.item(), t, W, header.told, q, p,
-                    start[some], whole[some], rest[some], q_out, p_out, well,
+                    start[some], whole[some], rest[some], q_out, p_out, well, run.every or 1,
+                    self._inputs, rests[:, some],
                 )  # fmt: skip
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
             codes = np.zeros(len(order), dtype=np.int64)
             for i in np.flatnonzero(~fine):
-                state, codes[i] = self._robustly(q[start[i]], p[start[i]], int(whole[i]), rest[i])
+                state, codes[i] = self._robustly(int(start[i]), int(whole[i]), rest[i])
                 found_q[i], found_p[i] = state
             return numbers.result(found_q), numbers.result(found_p), codes
 
-    def _robustly(self, q: Reals, p: Reals, whole: int, rest: Any) -> tuple[Any, Status]:
+    def _robustly(self, start: int, whole: int, rest: Any) -> tuple[Any, Status]:
         """Take the steps with all that a run has against what goes wrong.
 
         Where part of a step does not resolve the motion it is divided further.
         """
-        h = self._run._stepper._module.numbers.read(self._run.h).item()
-        (q, p), status = self._run_on(q, p, h, whole)
+        stepper = self._run._stepper
+        h, first = stepper._module.numbers.read(self._run.h).item(), start * (self._run.every or 1)
+        t, state = self._t[start], (self._q[start], self._p[start])
+        (q, p), status = self._run_on(t, state, h, whole, since(self._inputs, first))
         if status is not Status.SUCCESS or rest == 0:
             return (q, p), status
+        t, last = t + whole * h, first + whole
         for parts in DIVISIONS:
-            state, status = self._run_on(q, p, rest / parts, parts)
+            at = (np.arange(parts)[:, None] + places(stepper)) * (rest / h / parts)
+            inputs = at_places(stepper, self._inputs, np.full(parts, last), at)
+            state, status = self._run_on(t, (q, p), rest / parts, parts, inputs)
             if status is Status.SUCCESS:
                 return state, status
         if abs(float(rest / h)) < LITTLE:  # near enough to the line to the next state
-            ahead, status = self._run_on(q, p, h, 1)
+            ahead, status = self._run_on(t, (q, p), h, 1, since(self._inputs, last))
             part = rest / h
             return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 
-    def _run_on(self, q: Reals, p: Reals, h: Any, steps: int) -> tuple[Any, Status]:
+    def _run_on(
+        self, t: Any, state: Any, h: Any, steps: int, inputs: Reals
+    ) -> tuple[Any, Status]:  # fmt: skip
         stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
-        one = Run(stepper._module, values, h, 0 * h, 0, 1)
-        one.begin(q, p, velocity=False)
+        one = Run(stepper._module, values, h, t, 0, 1, inputs=inputs)
+        one.begin(*state, velocity=False)
         one.advance(steps)
         return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

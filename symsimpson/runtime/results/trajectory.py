@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -64,11 +64,20 @@ class Trajectory(States):
     every: int | None
     status: Status
     message: str
+    _inputs: NDArray[Any] = field(repr=False)
 
     @property
     def success(self) -> bool:
         """Whether the run reached its end."""
         return self.status is Status.SUCCESS
+
+    @property
+    def inputs(self) -> dict[str, NDArray[Any]]:
+        """Values of the inputs by name: shape (N,) of steps, or (N, s) at their nodes."""
+        names, (given,) = self._stepper.inputs, self._inputs
+        values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
+        shown = values[:, 0] if values.shape[1] == 1 else values
+        return {name: shown[..., k] for k, name in enumerate(names)}
 
     @cached_property
     def energy_scale(self) -> Any:
@@ -133,7 +142,10 @@ class Trajectory(States):
 
     @cached_property
     def power(self) -> dict[str, NDArray[Any]]:
-        """The power f.v of each force at the stored states, and of all under "total"."""
+        """The power f.v of each force at the stored states, and of all under "total".
+
+        Inputs are those of the step that begins there; of the last state, of the one before it.
+        """
         from symsimpson.runtime.results.work import powers
 
         return powers(self)

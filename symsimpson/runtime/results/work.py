@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import evaluate
+from symsimpson.runtime.runs.driving import at_places
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
@@ -26,9 +28,22 @@ def powers(run: Trajectory) -> dict[str, Reals]:
     if header.conservative:
         return {TOTAL: 0 * run.t}
     found = evaluate(
-        run._stepper, "power", "POWER", header.powers, run.t, run.q, run.p, run._values
-    )
+        run._stepper, "power", "POWER", header.powers, run.t, run.q, run.p, run._values,
+        _at_states(run),
+    )  # fmt: skip
     return _named(run, found)
+
+
+def _at_states(run: Trajectory) -> Reals:
+    """Return the inputs at stored states, which stand in the places of steps."""
+    numbers = run._stepper._module.numbers
+    last = max(run.steps - 1, 0)
+    number = np.arange(len(run)) * run.every if run.every else np.array([run.steps])
+    ended = number > last
+    with numbers.working():
+        inputs = numbers.read(run._inputs)
+        place = numbers.read(ended.astype(int))[:, None]
+        return at_places(run._stepper, inputs, np.minimum(number, last), place)
 
 
 def _named(run: Trajectory, found: Reals) -> dict[str, Reals]:
@@ -68,7 +83,7 @@ def integrals(run: Trajectory) -> tuple[dict[str, Reals], Reals]:
         t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
         reached = numbers.driver("add_up_work")(
             kernels.set("newton"), kernels.address("work"), h.item(), t, W,
-            header.told, q, p, run.every, header.layout["WORK"], out,
+            header.told, q, p, run.every, header.layout["WORK"], out, numbers.read(run._inputs),
         )  # fmt: skip
         found = numbers.result(out)
     if reached < len(run):

@@ -26,9 +26,9 @@ from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.signals import undisturbed
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.runs.run import Run
     from symsimpson.runtime.runs.spec import RunSpec
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
 
@@ -48,7 +48,7 @@ def buffered(every: int, stored: int, n: int) -> int:
     return min(stored, max(2, BUFFER // (8 * (2 * n + 1)))) if every else 1
 
 
-def asked(stepper: Stepper, run: Run, spec: RunSpec) -> dict[str, Any]:
+def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
     """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
         "source": stepper.source, "parameters": spec.parameters.tolist(), **spec.said(),
@@ -192,6 +192,12 @@ class Checkpoint:
     def _go_on(self) -> None:
         """Put the run where the file says, if it is asked for the same."""
         record = read_record(self.path)
+        own, given = record.asked.get("inputs"), self._asked.get("inputs")
+        if own != given and {**record.asked, "inputs": given} == self._asked:
+            raise InputError(
+                f"{self.path} holds a run with other inputs.\nPass those that it began with: "
+                "symsimpson.resume(path, inputs=...)."
+            )
         if record.asked != self._asked:
             raise InputError(
                 f"{self.path} holds another run.\nGo on with that one by symsimpson.resume, delete "

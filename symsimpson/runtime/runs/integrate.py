@@ -32,8 +32,8 @@ from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.results.events import Events
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["integrate"]
 
@@ -44,7 +44,7 @@ BRIEF = 10_000
 
 
 def integrate(
-    stepper: Stepper,
+    stepper: Evaluator,
     spec: RunSpec,
     checkpoint: str | os.PathLike[str] | None,
     checkpoint_every: int | None,
@@ -70,7 +70,7 @@ def integrate(
         q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
         check_start(stepper, spec.t0, q, p, values)
         if count:
-            look_at_step(stepper, run, values)
+            look_at_step(stepper, run, spec)
         keeper = None
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)
@@ -91,7 +91,7 @@ def integrate(
         status = run.status if ended is None else ended
         stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
         trajectory = trajectory_of(
-            stepper, run, count, status, values, stored_states, spec.every, keeper
+            stepper, run, count, status, spec, stored_states, spec.every, keeper
         )
         if count and status is not Status.INTERRUPTED and problem is None:
             trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
@@ -103,7 +103,9 @@ def integrate(
     return trajectory
 
 
-def looked_at(stepper: Stepper, run: Run, trajectory: Trajectory, q: Reals, p: Reals) -> Trajectory:
+def looked_at(
+    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+) -> Trajectory:
     """Look at the energy of a run; ``q`` and ``p`` are states on its way.
 
     Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
@@ -179,7 +181,9 @@ def _checkpoint(
     return Checkpoint(path, what, run, steps)
 
 
-def new_run(stepper: Stepper, spec: RunSpec, stride: int, stored: int) -> Run:
+def new_run(
+    stepper: Evaluator, spec: RunSpec, stride: int, stored: int, inputs: Reals | None = None
+) -> Run:
     """Make a run that has room for so many states.
 
     Raises
@@ -189,7 +193,7 @@ def new_run(stepper: Stepper, spec: RunSpec, stride: int, stored: int) -> Run:
     """
     try:
         return Run(stepper._module, spec.parameters, spec.h, spec.t0,
-            stride, stored,
+            stride, stored, inputs=spec.inputs if inputs is None else inputs,
         )  # fmt: skip
     except (MemoryError, ValueError):
         raise InputError(
@@ -199,7 +203,7 @@ def new_run(stepper: Stepper, spec: RunSpec, stride: int, stored: int) -> Run:
         ) from None
 
 
-def begin_run(stepper: Stepper, run: Run, spec: RunSpec) -> None:
+def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     """Put the initial state into a run.
 
     Raises
@@ -220,8 +224,9 @@ def begin_run(stepper: Stepper, run: Run, spec: RunSpec) -> None:
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
 
 
-def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
+def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
+    values = np.concatenate([spec.parameters, spec.inputs[0, 0, 0]])
     key = (run.h, values.tobytes())
     plain = run.W.dtype == np.float64
     system, tools = stepper._module.declared, stepper._module.tools
@@ -232,11 +237,11 @@ def look_at_step(stepper: Stepper, run: Run, values: Reals) -> None:
 
 
 def trajectory_of(
-    stepper: Stepper,
+    stepper: Evaluator,
     run: Run,
     count: int,
     status: Status,
-    values: Reals,
+    spec: RunSpec,
     stored: tuple[Reals, Reals, NDArray[np.int64]],
     every: int,
     keeper: Checkpoint | None = None,
@@ -260,12 +265,12 @@ def trajectory_of(
         if keeper is not None and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
     result = stepper._module.numbers.result
-    t, q, p, values = result(t), result(q), result(p), result(values)
+    t, q, p, values = result(t), result(q), result(p), result(spec.parameters)
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=stepper._module.numbers.single(run.h),
         steps=done,
         every=every or None, status=status, message=message,
-        _stepper=stepper, _values=values,
+        _stepper=stepper, _values=values, _inputs=result(spec.inputs),
     )  # fmt: skip
 
 

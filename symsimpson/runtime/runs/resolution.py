@@ -15,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import evaluate, evaluate_in
+from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
 
 if TYPE_CHECKING:
     from symsimpson.runtime.runs.run import Run
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Energies", "check_start", "energies_at", "look_at_energy", "sampling_stride"]
 
@@ -39,7 +38,7 @@ Places = NDArray[np.int64]
 Reals = NDArray[Any]
 
 
-def sampling_stride(stepper: Stepper, count: int) -> int:
+def sampling_stride(stepper: Evaluator, count: int) -> int:
     """Return the steps between the states to keep of a run that stores none.
 
     None, 0, are kept of a short one, unless its energy need not be real.
@@ -93,7 +92,7 @@ class Energies:
 
 
 def energies_at(
-    stepper: Stepper, run: Run, t: Reals, q: Reals, p: Reals, places: Places
+    stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals, places: Places
 ) -> Energies:  # fmt: skip
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, *(x[places] for x in (t, q, p)))
@@ -101,7 +100,7 @@ def energies_at(
     return Energies(total, kinetic, places, stepper._module.header.conservative)
 
 
-def check_start(stepper: Stepper, t: Any, q: Reals, p: Reals, values: Reals) -> None:
+def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not real, if there may be such states.
 
     Raises
@@ -122,7 +121,7 @@ def check_start(stepper: Stepper, t: Any, q: Reals, p: Reals, values: Reals) -> 
 
 
 def look_at_energy(
-    stepper: Stepper, run: Run, t: Reals, q: Reals, p: Reals
+    stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals
 ) -> Energies | None:  # fmt: skip
     """Evaluate the energy at stored states of a run that is over.
 

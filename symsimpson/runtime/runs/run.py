@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.driving import NO_INPUTS
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
@@ -50,10 +51,12 @@ class Run:
         every: int,
         stored: int,
         fallbacks: Sequence[str] | None = None,
+        inputs: NDArray[Any] = NO_INPUTS,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
+        self._inputs = inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self.W = workspace(header, numbers, parameters)
         self._column = self.W[:, 0]
@@ -84,6 +87,14 @@ class Run:
         self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.header.told)
         if self.every:
             self.store(0)
+
+    def give(self, inputs: NDArray[Any]) -> None:
+        """Let inputs of one step stand in the workspace."""
+        _, _, nodes, count = inputs.shape
+        for k in range(count):
+            stride = self.header.layout["INPUT_STRIDE"]
+            places = np.minimum(np.arange(stride), nodes - 1)
+            self.rows("INPUT", count * stride)[k * stride :][:stride] = inputs[0, 0, places, k]
 
     def store(self, place: int) -> None:
         """Store the present state."""
@@ -197,14 +208,14 @@ class Run:
         if self.header.newton_unknowns == 0:
             self._driver("take_explicit_steps")(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
-                self.iterations,
+                self.iterations, self._inputs,
             )  # fmt: skip
             return
         take_steps = self._driver("take_steps")
         while True:
             take_steps(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every,
-                self.q, self.p, self.iterations,
+                self.q, self.p, self.iterations, self._inputs,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:

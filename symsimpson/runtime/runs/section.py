@@ -11,6 +11,7 @@ from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.events import Events, Zeros, gather, read_zeros, zeros
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.driving import since
 from symsimpson.runtime.runs.integrate import (
     begin_run,
     look_at_step,
@@ -52,7 +53,7 @@ def poincare(
     values, count, h = spec.parameters, spec.steps, spec.h
     run = new_run(stepper, spec, 1, PIECE + 1)
     begin_run(stepper, run, spec)
-    look_at_step(stepper, run, values)
+    look_at_step(stepper, run, spec)
     run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
     check_start(stepper, spec.t0, q, p, values)
@@ -61,7 +62,7 @@ def poincare(
     try:
         while run.step < count and run.alive:
             run.advance(min(run.step + PIECE, count))
-            found.append(_zeros(stepper, run, values, wanted))
+            found.append(_zeros(stepper, run, spec, wanted))
             if stride:  # states to look at, behind those of the piece before
                 first = stride - run.first % stride
                 here = slice(first, run.step - run.first + 1, stride)
@@ -75,7 +76,7 @@ def poincare(
     run.every = stride
     q, p = (np.concatenate(states) for states in zip(*seen, strict=True))
     none = np.zeros(0, dtype=np.int64)
-    last = trajectory_of(stepper, run, count, ended or run.status, values, (q, p, none), 0)
+    last = trajectory_of(stepper, run, count, ended or run.status, spec, (q, p, none), 0)
     if stride and ended is None and count:
         last = looked_at(stepper, run, last, q, p)
         sign = 1 if h > 0 else -1
@@ -86,11 +87,12 @@ def poincare(
     return events
 
 
-def _zeros(stepper: Stepper, run: Run, values: Any, wanted: Zeros) -> tuple[Any, ...]:
+def _zeros(stepper: Stepper, run: Run, spec: RunSpec, wanted: Zeros) -> tuple[Any, ...]:
     kept = run.step - run.first + 1
     piece = Trajectory(
         t=run.t0 + np.arange(run.first, run.step + 1) * run.h, q=run.q[:kept, :, 0],
         p=run.p[:kept, :, 0], newton_iterations=run.iterations[:kept, 0], h=run.h, steps=kept - 1,
-        every=1, status=Status.SUCCESS, message="", _stepper=stepper, _values=values,
+        every=1, status=Status.SUCCESS, message="", _stepper=stepper,
+        _values=spec.parameters, _inputs=since(spec.inputs, run.first),
     )  # fmt: skip
     return zeros(piece, wanted, begins=run.first == 0)

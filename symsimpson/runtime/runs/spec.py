@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.runtime.inputs import read_every, read_given, read_steps, read_vector
+from symsimpson.runtime.runs.driving import read_driving
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.evaluator import Evaluator
 
 __all__ = ["RunSpec", "read_run"]
 
@@ -33,6 +36,8 @@ class RunSpec:
     steps : int
     every : int
         Each so-many-th state is stored; 0 for the last one alone.
+    inputs : ndarray, shape (K, N, s, u)
+        By member, step, node and input; an axis of one entry stands for all.
     """
 
     q0: Reals
@@ -43,6 +48,7 @@ class RunSpec:
     t0: Any
     steps: int
     every: int
+    inputs: Reals
 
     @property
     def velocities(self) -> bool:
@@ -56,15 +62,23 @@ class RunSpec:
 
     def said(self) -> dict[str, Any]:
         """Return the numbers that are the same for all members, for files."""
-        return {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+        said = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+        return said | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
+
+    @property
+    def digest_of_inputs(self) -> str:
+        """SHA-256 of the inputs and their shape."""
+        content = repr(self.inputs.shape).encode() + np.ascontiguousarray(self.inputs).tobytes()
+        return hashlib.sha256(content).hexdigest()
 
 
 def read_run(
-    stepper: Stepper,
+    stepper: Evaluator,
     start: tuple[ArrayLike, ArrayLike | None, ArrayLike | None],
     times: tuple[Any, Any, Any, Any],
     parameters: Mapping[Any, Any] | None,
     every: int | None,
+    inputs: Any = None,
 ) -> RunSpec:
     """Read what a single run is asked for.
 
@@ -77,6 +91,7 @@ def read_run(
         h, t_end, steps and t0; one of ``t_end`` and ``steps`` is None.
     parameters : mapping or None
     every : int or None
+    inputs : mapping, array_like or None
 
     Raises
     ------
@@ -93,5 +108,6 @@ def read_run(
         given, other = read_given("a run", how, v0, p0)
         q = read_vector("q0", q0, names, numbers)
         return RunSpec(
-            q, read_vector(given, other, names, numbers), given, values, h, t0, steps, stride
-        )
+            q, read_vector(given, other, names, numbers), given, values, h, t0, steps, stride,
+            read_driving(stepper, inputs, h, steps),
+        )  # fmt: skip

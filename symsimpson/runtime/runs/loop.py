@@ -1,0 +1,135 @@
+"""A run that is taken step by step, with inputs given as it goes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from symsimpson.runtime.runs.driving import read_driving
+from symsimpson.runtime.runs.integrate import (
+    begin_run,
+    look_at_step,
+    new_run,
+    raise_failure,
+    stored_by,
+    trajectory_of,
+)
+from symsimpson.runtime.runs.resolution import check_start
+from symsimpson.runtime.runs.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepping import Stepping
+
+__all__ = ["ControlLoop"]
+
+Reals = NDArray[Any]
+
+
+class ControlLoop:
+    """A run under way; made by :meth:`Stepper.start`.
+
+    Attributes
+    ----------
+    t : number
+        The time after the last step.
+    q, p, v : ndarray, shape (n,)
+        Positions, conjugate momenta and velocities there.
+    steps : int
+        Steps taken.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> loop = ss.compile(ss.systems.pendulum()).start([1.0], v0=[0.0], h=0.01)
+    >>> loop.step()
+    >>> loop.steps, loop.t
+    (1, 0.01)
+    """
+
+    def __init__(self, stepper: Stepping, spec: RunSpec) -> None:
+        self._stepper, self._spec = stepper, spec
+        numbers = stepper._module.numbers
+        nodes, count = len(stepper._module.header.input_places), len(stepper.inputs)
+        with numbers.working():
+            # one step's inputs: the driver takes them for all steps, and they change in between
+            self._inputs = numbers.zeros((1, 1, nodes or 1, count))
+            self._run = new_run(stepper, spec, 0, 1, self._inputs)
+            begin_run(stepper, self._run, spec)
+            q, p = (self._run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
+            check_start(stepper, spec.t0, q, p, spec.parameters)
+            look_at_step(stepper, self._run, spec)
+
+    def step(self, u: Any = None) -> None:
+        """Take a step.
+
+        Parameters
+        ----------
+        u : number, array_like or mapping, optional
+            The inputs of the step: of shape (m,), held over it; of shape (s, m), at its nodes; a
+            number for a single input; or a mapping from each of them. None for a system without
+            inputs.
+
+        Raises
+        ------
+        InputError
+            If an input is missing or not finite.
+        ConvergenceError
+            If the step could not be taken; the loop stays where it was.
+        """
+        from symsimpson.runtime.stepping import of_a_step
+
+        stepper, run = self._stepper, self._run
+        numbers = stepper._module.numbers
+        with numbers.working():
+            self._inputs[:] = read_driving(stepper, of_a_step(stepper, u), run.h, 1)
+            before = run.step
+            run.advance(before + 1)
+            if not run.alive:
+                ended = trajectory_of(
+                    stepper, run, before + 1, run.status, self._spec, stored_by(run), 0
+                )  # fmt: skip
+                raise_failure(run, ended, ended)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps taken."""
+        return self._run.step
+
+    @property
+    def t(self) -> Any:
+        """The time after the last step."""
+        return self._stepper._module.numbers.single(self._run.t0 + self._run.h * self._run.step)
+
+    @property
+    def q(self) -> Reals:
+        """Positions, shape (n,)."""
+        return self._state("POSITION")
+
+    @property
+    def p(self) -> Reals:
+        """Conjugate momenta, shape (n,)."""
+        return self._state("MOMENTUM")
+
+    @property
+    def v(self) -> Reals:
+        """Velocities, shape (n,)."""
+        from symsimpson.runtime.evaluator import evaluate
+
+        stepper, run = self._stepper, self._run
+        numbers = stepper._module.numbers
+        with numbers.working():
+            t = numbers.read([run.t0 + run.h * run.step])
+            q, p = (run.rows(name, stepper.n)[None] for name in ("POSITION", "MOMENTUM"))
+            values = self._spec.parameters
+            return evaluate(stepper, "start", "VELOCITY", stepper.n, t, q, p, values)[0]
+
+    def _state(self, block: str) -> Reals:
+        return self._stepper._module.numbers.result(self._run.rows(block, self._stepper.n).copy())
+
+    def __repr__(self) -> str:
+        stepper = self._stepper
+        return (
+            f"ControlLoop({stepper.system}, {stepper.scheme}: {self.steps} steps of "
+            f"h={float(self._run.h):g}, t = {float(self.t):g})"
+        )

@@ -1,0 +1,165 @@
+"""Steps one at a time: a single one, and control loops that give inputs as they go."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
+from symsimpson.runtime.inputs import read_count, read_number, read_step
+from symsimpson.runtime.runs.driving import places
+from symsimpson.runtime.runs.integrate import integrate
+from symsimpson.runtime.runs.spec import read_run
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.runs.loop import ControlLoop
+
+__all__ = ["Stepping"]
+
+
+class Stepping(Evaluator):
+    """What a stepper does step by step; :class:`Stepper` is one that also runs."""
+
+    def step(
+        self,
+        q: ArrayLike,
+        v: ArrayLike | None = None,
+        *,
+        p: ArrayLike | None = None,
+        h: float,
+        t: float = 0.0,
+        inputs: Any = None,
+        parameters: Parameters | None = None,
+    ) -> tuple[Reals, Reals]:
+        """Take one step from (q, v), or from (q, p).
+
+        Parameters
+        ----------
+        q, v, p : array_like, shape (n,)
+            One of ``v`` and ``p`` is left out.
+        h : float
+        t : float
+            The time at the start.
+        inputs : mapping, optional
+            A number for each input, or one for each node of the step.
+        parameters : mapping, optional
+
+        Returns
+        -------
+        q1, p1 : ndarray, shape (n,)
+
+        Raises
+        ------
+        InputError, ConvergenceError
+            As :meth:`integrate`.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> q1, p1 = stepper.step([1.0], p=[0.0], h=0.01)
+        >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
+        (True, True)
+        """
+        spec = read_run(self, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(self, inputs))
+        end = integrate(self, spec, None, None, None, "raise")
+        return end.q[0], end.p[0]
+
+    def node_times(self, h: Any, steps: int, t0: Any = 0.0) -> Reals:
+        """Return the times at which inputs given at nodes are taken.
+
+        Parameters
+        ----------
+        h : float
+        steps : int
+        t0 : float, optional
+
+        Returns
+        -------
+        ndarray, shape (steps, s)
+            t0 + (j + c_i) h for the nodes c_i of step j.
+
+        Raises
+        ------
+        InputError
+            If the system has no inputs.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> cart = ss.compile(ss.systems.driven_cart_pole())
+        >>> cart.node_times(0.1, 2).round(12).tolist()
+        [[0.0, 0.05, 0.1], [0.1, 0.15, 0.2]]
+        """
+        if not self.inputs:
+            raise InputError(
+                f"{self.system} has no inputs, so there are no times to take them at.\n"
+                "Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,))."
+            )
+        numbers = self._module.numbers
+        with numbers.working():
+            step, start = read_step(h, numbers), read_number("t0", t0, numbers)
+            count = read_count("steps", steps, least=0)
+            place = numbers.counted(0, count, 1)[:, None] + places(self)
+            return numbers.result(start + step * place)
+
+    def start(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float,
+        t0: float = 0.0,
+        parameters: Parameters | None = None,
+    ) -> ControlLoop:
+        """Begin a run that is taken step by step, with inputs that may depend on what it does.
+
+        Parameters
+        ----------
+        q0, v0, p0, h, t0, parameters
+            As for :meth:`integrate`.
+
+        Returns
+        -------
+        ControlLoop
+            ``loop.step(u)`` takes a step; ``loop.t``, ``.q``, ``.p`` and ``.v`` tell where it is.
+            Its steps are those of :meth:`integrate`, to the last bit.
+
+        Raises
+        ------
+        InputError
+            If the arguments make no sense.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> cart = ss.systems.driven_cart_pole()
+        >>> loop = ss.compile(cart).start([0.0, 0.1], v0=[0.0, 0.0], h=0.01)
+        >>> for _ in range(100):
+        ...     loop.step(-2.0 * loop.q[0] - 1.0 * loop.v[0])
+        >>> round(loop.t, 12), bool(abs(loop.q[0]) < 0.5)
+        (1.0, True)
+        """
+        from symsimpson.runtime.runs.loop import ControlLoop
+
+        zeros = np.zeros(len(self.inputs)) if self.inputs else None
+        spec = read_run(
+            self, (q0, v0, p0), (h, None, 1, t0), parameters, None, of_a_step(self, zeros)
+        )  # fmt: skip
+        return ControlLoop(self, spec)
+
+
+def of_a_step(stepper: Evaluator, inputs: Any) -> Any:
+    """Return inputs of one step as those of a run of one step."""
+    if isinstance(inputs, dict):
+        return {key: _first_axis(value) for key, value in inputs.items()}
+    return inputs if inputs is None else _first_axis(inputs)
+
+
+def _first_axis(value: Any) -> Any:
+    array = np.asarray(value)
+    return array[None] if array.ndim else value
