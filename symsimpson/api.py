@@ -62,8 +62,10 @@ def compile(
         :func:`symsimpson.galerkin`.
     exploit : "all" or iterable of str
         What the generator may make use of: "decoupled", "cyclic", "constant_mass", "linear",
-        "sparse" (see :attr:`MechanicalSystem.structure`). All of it gives the same trajectory up
-        to rounding; ``()`` keeps the general path, for comparison.
+        "sparse", "conformal" (see :attr:`MechanicalSystem.structure`). All of it gives the same
+        trajectory up to rounding, but for the last: damping f = -2 gamma p by weights that grow,
+        which shrinks areas of phase space by exp(-2 gamma t) exactly; as a force it does so to the
+        order of the scheme. ``()`` keeps the general path, for comparison.
     precision : int, optional
         Decimal digits. The same module then runs in Python, states are numbers of mpmath, and
         Newton's method goes on to all digits. Numbers can be given as strings (``"0.1"``), as

@@ -59,6 +59,7 @@ BLOCKS = {
     "NODE_TIME": "t at a node",
     "INPUT": "inputs of the step, of each its values at all nodes",
     "NODE_INPUT": "inputs at a node",
+    "GROWTH": "by how much the weights of nodes have grown, and those of the end of the step",
     "POWER": "power of each force, then dL/dt, at a node or a state",
     "WORK": "integrals of these over steps",
     "STAGE_V": "h b_i v_i",
@@ -78,9 +79,9 @@ BLOCKS = {
     "JACOBIAN": "its derivatives",
 }
 
-#: Blocks of systems that need them: with forces, with t, with inputs, with stages.
+#: Blocks of systems that need them: with forces, t, inputs, damped momenta, stages.
 OPTIONAL = (
-    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "POWER", "WORK",
+    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 

@@ -135,8 +135,9 @@ def coefficient_digits(source: str) -> int | None:
 
 
 def _symplectic(s: Subject) -> Iterator[Check]:
-    """symplectic: the derivative of a step, Newton's method included."""
-    if s.forced:
+    """symplectic: the derivative of a step, Newton's method included; damped momenta shrink it."""
+    conformal = s.stepper._module.header.conformal
+    if s.forced and not conformal:
         what = "not asked: forces change it, as they change that of the flow"
         reason = "Without forces a step would be symplectic."
         yield Check("symplectic", float("nan"), "at most", EXACT, what, reason, exempt=True)
@@ -151,11 +152,12 @@ def _symplectic(s: Subject) -> Iterator[Check]:
     J = np.zeros((2 * n, 2 * n), dtype=object)
     J[:n, n:] += np.eye(n, dtype=int)
     J[n:, :n] -= np.eye(n, dtype=int)
-    defect = max(map(abs, (D.T @ J @ D - J).ravel()))
+    factor = s.precise.decay(s.z, s.h) if conformal else 1
+    defect = max(map(abs, (D.T @ J @ D - factor * J).ravel()))
     size = max(map(abs, D.ravel()))
     yield Check(
-        "symplectic", float(defect / size**2), "at most", EXACT,
-        "D^T J D - J of one step, relative to D^2",
+        "conformal" if conformal else "symplectic", float(defect / size**2), "at most", EXACT,
+        f"D^T J D - {'exp(-2 gamma h) ' if conformal else ''}J of one step, relative to D^2",
         f"Zero, but for the differences that give D, in {DIGITS} digits.",
     )  # fmt: skip
 

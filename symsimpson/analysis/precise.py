@@ -116,6 +116,13 @@ class Precise:
                     worst = max(worst, float(max(map(abs, now - solution)) / step))
         return worst
 
+    def decay(self, z: Vector, h: Any) -> Any:
+        """Return exp(-2 gamma h), by which a step shrinks momenta that are damped alike."""
+        nodes = self.stepper._module.header.layout["NODES"]
+        with self._numbers.working():
+            last = self._begun(z, h).rows("GROWTH", nodes + 1)[-1:]
+            return 1 / self._numbers.result(last)[0]
+
     def _begun(self, z: Vector, h: Any) -> Run:
         numbers, stepper = self._numbers, self.stepper
         values = stepper._values(self.parameters)

@@ -180,13 +180,16 @@ class CoupledSolver:
         def entry(i: int, what: str, *index: int) -> sp.Expr:
             return low.template.entry(points[i], f"node {i}", what, *index)
 
+        def grown(i: int, what: str, *index: int) -> sp.Expr:
+            return low.growth(eqs.scheme.quadrature.nodes[i]) * entry(i, what, *index)
+
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
         right = weighted_residual(low, weighted, part.rows, group)
         matrix = [
             [
                 define(
                     f"J_{k}_{names[a]}_{m}_{names[b]}",
-                    eqs.second_derivative(k, a, m, b, entry),
+                    eqs.second_derivative(k, a, m, b, grown),
                     "Jacobian D_m D_k L_d",
                 )
                 for m, b in self.increments
@@ -199,10 +202,11 @@ class CoupledSolver:
         return dict(zip(self.increments, found, strict=True))
 
     def close(self) -> Closing:
-        """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i)."""
+        """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i), less what is damped."""
         low = self._low
         dq = {a: low.increments[-1][a] for a in self.coordinates}
-        return Closing(dq, impulses(low, self.coordinates, end_point(low, dq), moving=True))
+        found = impulses(low, self.coordinates, end_point(low, dq), moving=True)
+        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in found.items()})
 
 
 def impulses(

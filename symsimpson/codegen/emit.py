@@ -147,6 +147,7 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
     }
     plain = equations.plain
     facts |= {"FORCES": names.forces} if plain.forces else {}
+    facts |= {"CONFORMAL": True} if plain.rate is not None else {}
     facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
     if names.inputs:  # texts, so that many digits are not lost
         places = (sp.N(c, 50) for c in scheme.quadrature.nodes)

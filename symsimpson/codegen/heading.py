@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from dataclasses import replace
 
 import sympy as sp
 
@@ -48,7 +49,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
-    forces = zip(names.coordinates, plain.f, strict=True)
+    forces = zip(names.coordinates, replace(plain, rate=None).f, strict=True)
     formulas |= {f"f_{q}": value for q, value in forces if value[0]}
     lines = [
         f"{system.name}: {scheme.name}, a variational integrator of order {scheme.order}.",
@@ -59,6 +60,9 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         lines[-1] = lines[-1].replace("L(q", "L(t, q")
     if plain.forces:
         lines[-1] += ", with forces f: L_q + f stands wherever L_q does"
+        if plain.rate is not None:
+            lines[-1] = lines[-1].partition(", with")[0] + ", with forces f = -2 gamma L_v:"
+            lines.append("    b_i is multiplied by exp(2 gamma c_i h), then p1 by exp(-2 gamma h)")
     for name, value in formulas.items():
         if tree_size(plain.graph, value) > _SHOWN:
             lines += [f"    {name} has {len(plain.graph.reached([value[1]]))} operations, below"]

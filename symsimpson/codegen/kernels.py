@@ -169,7 +169,8 @@ def _looped(equations: DiscreteEquations) -> Module:
 def _loops(low: Lowering, storage: Storage) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
-        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u)
+        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
+        plain.rate is not None,
     )  # fmt: skip
 
 
@@ -186,7 +187,8 @@ def _module(
     """Add what is computed once a run, when it is known what that is; lay out the workspace."""
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
-    if low.equations.scheme.by_stages and low.n <= STAGE_COORDINATES:
+    scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
+    if scheme.by_stages and low.n <= STAGE_COORDINATES and not damped:
         stages = StageKernels(low)
         kernels = [*kernels, *stages.kernels]
         stage_sizes = stages.sizes
@@ -201,6 +203,9 @@ def _module(
         tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
     loops, stores, products = coefficient_loops(low, own)
     tables = {**tables, **products}
+    if damped:
+        places = (*scheme.quadrature.nodes, sp.S.One)
+        stores += [Store(Row("GROWTH", i), low.growth(c)) for i, c in enumerate(places)]
     low.statements(stores, (Level.RUN,))
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
@@ -217,6 +222,7 @@ def _module(
         "NODE_TIME": 0 if low.equations.plain.autonomous else 1,
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
+        "GROWTH": scheme.stages + 1 if damped else 0,
         **stage_sizes,
     }
     first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)

@@ -37,6 +37,8 @@ class LoopKernels:
         Whether forces depend on v.
     driven : bool
         Whether there are inputs.
+    damped : bool
+        Whether the weights of nodes grow.
     """
 
     storage: Storage
@@ -44,6 +46,7 @@ class LoopKernels:
     autonomous: bool
     dragged: bool
     driven: bool
+    damped: bool
 
     @property
     def alike(self) -> bool:
@@ -73,10 +76,11 @@ class LoopKernels:
 
     def _all_rows(self) -> tuple[Statement, ...]:
         drag = (_call("assemble_drag", "W", "node", "lane"),) if self.dragged else ()
+        grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
         return (
             _call("clear_residual"),
             _call("clear_matrix", "W", "lane", str(self.storage.size(self.degree))),
-            self._nodes("range(NODES)", _call("jet"), _call("assemble", *_NODE), *drag),
+            self._nodes("range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag),
         )
 
     def pivoted(self, *, following: bool) -> Kernel:

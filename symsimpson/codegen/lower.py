@@ -135,6 +135,28 @@ class Lowering:
             )
         return self._inputs[node]
 
+    def growth(self, part: sp.Expr) -> sp.Expr:
+        """Return by how much what is weighted has grown after a part of the step; 1 for most."""
+        rate = self.equations.plain.rate
+        if rate is None:
+            return sp.S.One
+        gamma = self.equations.plain.written(rate).xreplace(self.parameters)
+        return self.graph.define("growth", sp.exp(2 * gamma * part * self.h), "constants")
+
+    def decayed(self, momentum: sp.Expr, impulse: sp.Expr) -> sp.Expr:
+        """Return p1 - p0 from what p0 is at the start and the weighted impulse of the step.
+
+        p1 = exp(-2 gamma h) (p0 + impulse); the difference from p0 is taken without cancellation.
+        """
+        rate = self.equations.plain.rate
+        if rate is None:
+            return impulse
+        shrink = self.growth(sp.S.NegativeOne)
+        half = self.growth(-sp.S.Half)
+        gamma = self.equations.plain.written(rate).xreplace(self.parameters)
+        lost = self.graph.define("lost", -2 * half * sp.sinh(gamma * self.h), "constants")
+        return lost * momentum + shrink * impulse
+
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None
     ) -> tuple[Statement, ...]:

@@ -86,6 +86,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "DEFAULTS",
         "SIGNS",
         "INVARIANTS",
+        "CONFORMAL",
         "INPUTS",
         "INPUT_PLACES",
         "INPUT_STRIDE",

@@ -65,6 +65,8 @@ def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit)
+        if not unrolled(equations):  # in loops, forces damp
+            equations = discretise(system, scheme, exploit - {"conformal"})
         with timed("text"):
             module = lower(equations)
             text = emit(equations, module)

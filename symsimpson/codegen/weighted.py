@@ -56,7 +56,8 @@ class WeightedRows:
 
     def _weighted(self, name: str, i: int, a: int, value: sp.Expr) -> sp.Expr:
         low = self._low
-        weight = low.equations.h * self._scheme.quadrature.weights[i]
+        quadrature = self._scheme.quadrature
+        weight = low.equations.h * quadrature.weights[i] * low.growth(quadrature.nodes[i])
         return low.graph.define(
             f"{name}_{low.names.coordinates[a]}_{i}_w", weight * value, f"node {i}, weighted"
         )

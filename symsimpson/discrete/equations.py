@@ -17,7 +17,7 @@ zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import sympy as sp
@@ -160,6 +160,11 @@ def discretise(
     _check_explicit(system, scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
+    if "conformal" in wanted and structure.damping is not None and not explicit:
+        # nodes have weights of their own, so that M is not the same at all of them
+        plain = replace(plain, rate=structure.damping)
+        parts = tuple(Coupled(part.coordinates, *elimination_order(scheme.degree)) for part in
+                      reduce(structure, scheme, wanted & {"decoupled"}))  # fmt: skip
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts)

@@ -46,7 +46,7 @@ Table = tuple[tuple[sp.Expr, ...], ...]
 #: Mass matrices with entries of more nodes than this are not factorised in symbols.
 LONGEST_ENTRY = 500
 #: What ``exploit`` can name.
-EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse")
+EXPLOITABLE = ("decoupled", "cyclic", "constant_mass", "linear", "sparse", "conformal")
 
 
 class BasePart:

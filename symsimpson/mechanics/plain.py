@@ -30,8 +30,9 @@ class Plain:
 
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
     which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
-    not zero. ``forces`` has the components of each named force, ``u`` the inputs of them.
-    M, a and V may depend on t as well.
+    not zero. M, a and V may depend on t as well. ``forces`` has the components of each named force,
+    ``u`` the inputs of them. Where there is a ``rate``, they are -2 rate L_v, left to weights of
+    a step.
     """
 
     graph: Graph
@@ -47,6 +48,7 @@ class Plain:
     t: sp.Symbol = TIME
     forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     u: tuple[sp.Symbol, ...] = ()
+    rate: Value | None = None
 
     @property
     def symbols(self) -> tuple[sp.Symbol, ...]:
@@ -75,9 +77,9 @@ class Plain:
 
     @cached_property
     def f(self) -> tuple[Value, ...]:
-        """The sum of all forces, by coordinate."""
-        size = range(len(self.q))
-        return tuple(self.graph.add(force[i] for force in self.forces.values()) for i in size)
+        """The sum of all forces in the equations, by coordinate."""
+        forces = () if self.rate is not None else self.forces.values()
+        return tuple(self.graph.add(force[i] for force in forces) for i in range(len(self.q)))
 
     @cached_property
     def time(self) -> int:

@@ -16,6 +16,7 @@ from symsimpson.graph.derive import gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
+from symsimpson.mechanics.conformal import damping_rate
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected, quadratic_form
@@ -75,6 +76,8 @@ class Structure:
         Neither L nor a force depends on the time.
     forced : tuple of str
         Coordinates on which a force acts beside those of L.
+    damping : Value or None
+        gamma where forces are f = -2 gamma L_v, in all coordinates.
     periodic : tuple of str
         Coordinates that enter L and the forces through sines and cosines of whole multiples only:
         angles.
@@ -100,6 +103,7 @@ class Structure:
     cyclic: tuple[str, ...]
     autonomous: bool
     forced: tuple[str, ...]
+    damping: Value | None
     periodic: tuple[str, ...]
     subsystems: tuple[Subsystem, ...]
     zeros: dict[str, tuple[int, int]]
@@ -155,6 +159,7 @@ def analyse(system: MechanicalSystem) -> Structure:
         linear=all(s.linear for s in subsystems),
         cyclic=tuple(names[i] for s in subsystems for i in s.cyclic),
         autonomous=plain.autonomous,
+        damping=damping_rate(plain),
         forced=tuple(name for name, (c, _) in zip(names, plain.f, strict=True) if c),
         periodic=tuple(names[i] for i, x in enumerate(look.q) if _angle(plain, x)),
         subsystems=subsystems,

@@ -40,6 +40,9 @@ def rows(found: Structure) -> list[Row]:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
     if found.forced:
         table.append(("forces", _some(found.forced), "they are declared beside L", ""))
+    if found.damping is not None:
+        table.append(("damping", "f = -2 gamma p", "all forces are in proportion to the momenta",
+                      "the forces: weights of the nodes grow by exp(2 gamma c_i h)"))  # fmt: skip
     if not found.autonomous:
         table.append(("time", "yes", "t stands in L or in a force", ""))
     if found.separable:

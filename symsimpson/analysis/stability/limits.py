@@ -78,7 +78,10 @@ def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
     found = read_scheme(scheme)
 
     def stable(x: float) -> bool:
-        return bool(abs(np.trace(found.oscillator(x))) - 2 <= 1e-12)
+        try:
+            return bool(abs(np.trace(found.oscillator(x))) - 2 <= 1e-12)
+        except np.linalg.LinAlgError:  # a pole of the map
+            return False
 
     return _edges(stable, largest, 1e-12)
 

@@ -16,6 +16,7 @@ NODE_L_QQ: int
 NODE_L_QV: int
 NODE_L_VV: int
 NODE_F_V: int
+GROWTH: int
 MASS: int
 BLOCKS: int
 BAND: int
@@ -45,6 +46,19 @@ COLUMN_ORDER: tuple[int, ...]
 WEIGHTS: tuple[float, ...]
 BASIS: tuple[tuple[float, ...], ...]
 BASIS_SLOPE: tuple[tuple[float, ...], ...]
+
+
+@compiled
+def grow_node(W, node, lane):
+    """Multiply what a node contributes by what its weight has grown to."""
+    growth = W[GROWTH + node, lane]
+    for a in range(DIMENSION):
+        W[NODE_L_Q + a, lane] *= growth
+        W[NODE_L_V + a, lane] *= growth
+    for entry in range(NODE_L_QV - NODE_L_QQ):
+        W[NODE_L_QQ + entry, lane] *= growth
+        W[NODE_L_QV + entry, lane] *= growth
+        W[NODE_L_VV + entry, lane] *= growth
 
 
 @compiled

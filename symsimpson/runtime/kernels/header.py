@@ -48,6 +48,7 @@ class Header:
     autonomous: bool
     inputs: tuple[str, ...]
     input_places: tuple[str, ...]
+    conformal: bool
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -150,7 +151,14 @@ def read_header(text: str, where: str) -> Header:
         )
     # explicit steps have no loops over coordinates, and so no order of them
     constants.setdefault("COORDINATE", tuple(range(len(constants["COORDINATES"]))))
-    constants = {"FORCES": (), "AUTONOMOUS": True, "INPUTS": (), "INPUT_PLACES": (), **constants}
+    constants = {
+        "FORCES": (),
+        "AUTONOMOUS": True,
+        "INPUTS": (),
+        "INPUT_PLACES": (),
+        "CONFORMAL": False,
+        **constants,
+    }
     names = {
         "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
         "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
@@ -159,7 +167,7 @@ def read_header(text: str, where: str) -> Header:
         "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
-        "inputs": "INPUTS", "input_places": "INPUT_PLACES",
+        "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
     }  # fmt: skip
     blocks = {
         name: value
