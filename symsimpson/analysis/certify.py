@@ -17,6 +17,7 @@ import mpmath
 import numpy as np
 from numpy.typing import ArrayLike
 
+from symsimpson.analysis.balance import momentum_balance
 from symsimpson.analysis.certificate import Certificate, Check
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
@@ -179,6 +180,15 @@ def _reversible(s: Subject) -> Iterator[Check]:
 def _momenta(s: Subject) -> Iterator[Check]:
     """momenta: what linear symmetries conserve."""
     reason = "A linear symmetry of L conserves its momentum exactly, at any h."
+    if s.forced:
+        worst, found = momentum_balance(s)
+        if found:
+            names = ", ".join(symmetry.name for symmetry in found)
+            yield Check(
+                "momenta", worst, "at most", EXACT, f"change of {names} less what forces gave",
+                "Forces change the momentum of a linear symmetry of L by h sum_i b_i f_i.xi(q_i).",
+            )  # fmt: skip
+            return
     if not s.symmetries:
         header = s.stepper._module.header
         what = "none: there is no linear symmetry"

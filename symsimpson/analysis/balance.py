@@ -1,0 +1,99 @@
+"""What forces add to the momenta of symmetries: Noether's theorem with forces, in a step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mpmath
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from symsimpson.analysis.subject import Subject
+from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.reference.first_order import Lines
+from symsimpson.runtime.evaluator import evaluate_equations
+from symsimpson.schemes.named import read_scheme
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["momentum_balance"]
+
+#: So many steps are looked at, and so often Newton's method corrects each.
+STEPS, ITERATIONS = 5, 8
+Vector = NDArray[Any]
+
+
+def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
+    """Measure p1.xi(q1) - p0.xi(q0) less h sum_i b_i f_i.xi(q_i), relative to p.xi.
+
+    It vanishes for each linear symmetry xi of L (J. E. Marsden and M. West, Discrete mechanics and
+    variational integrators, section 3.2.4).
+
+    Returns
+    -------
+    defect : float
+    symmetries : list of Symmetry
+        Those of L; none where it is not known, or depends on the time.
+    """
+    system, header = s.stepper._module.declared, s.stepper._module.header
+    if system is None or header.conformal or "equations" not in header.functions:
+        return 0.0, []
+    plain = system.plain
+    if any(plain.time in plain.graph.nodes[n].symbols for _, n in plain.energies):
+        return 0.0, []
+    found = linear_symmetries(s.precise, s.z)
+    scheme, force = read_scheme(s.stepper.scheme), _force(system)
+    given = (*s.precise.parameters.values(), *(s.stepper._held or {}).values())
+    values = [s.precise.context.mpf(x) for x in given]
+    worst = 0.0
+    for j in range(STEPS if found else 0):
+        q, v, t = _nodes(s, scheme, j)
+        with mpmath.workdps(s.precise.context.dps):  # the functions of SymPy's text are global
+            f = [force(*q[i], *v[i], *values, t[i]) for i in range(scheme.stages)]
+        b = [_number(s, x) for x in scheme.quadrature.weights]
+        ends = s.path.q[j : j + 2], s.path.p[j : j + 2]
+        for symmetry in found:
+            before, after = symmetry.momentum(*ends)
+            given = symmetry.momentum(q, np.array(f, dtype=object))
+            change = s.h * sum(x * y for x, y in zip(b, given, strict=True))
+            size = symmetry.size(*ends) or 1.0
+            worst = max(worst, abs(float(after - before - change)) / size)
+    return worst, found
+
+
+def _force(system: MechanicalSystem) -> Any:
+    """Return the forces as a function of q, v, parameters, inputs and t, in many digits."""
+    plain = system.plain
+    lines = Lines(plain, {("f", i): f for i, f in enumerate(plain.f)})
+    return sp.lambdify(
+        [*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t],
+        [lines.value("f", i) for i in range(system.n)],
+        modules="mpmath", cse=lambda expressions: ([*lines.early, *lines.later], expressions),
+    )  # fmt: skip
+
+
+def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
+    """Solve the equations of a step once more; return q, v and t at its nodes."""
+    context, d, n = s.precise.context, scheme.degree, s.n
+    q, p, t = s.path.q[j], s.path.p[j], j * context.mpf(s.h)
+    share = np.array([context.mpf(k) / d for k in range(1, d + 1)])
+    points = q + share[:, None] * (s.path.q[j + 1] - q)
+    for _ in range(ITERATIONS):
+        left, slope = evaluate_equations(
+            s.precise.stepper, q, p, points, s.h, s.precise.parameters, t, None
+        )
+        change = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
+        points = points - np.array(list(change), dtype=object).reshape(d, n)
+    moved = points - q
+
+    def combined(table: Any) -> Vector:
+        rows = [[_number(s, x) for x in row[1:]] for row in table]
+        return np.array(rows, dtype=object) @ moved
+
+    c = np.array([_number(s, x) for x in scheme.quadrature.nodes], dtype=object)
+    return q + combined(scheme.A), combined(scheme.B) / s.h, t + c * s.h
+
+
+def _number(s: Subject, exact: sp.Expr) -> Any:
+    return s.precise.context.mpf(str(sp.N(exact, s.precise.context.dps + 5)))

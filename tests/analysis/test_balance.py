@@ -1,0 +1,51 @@
+"""What forces give to momenta, as a certificate measures it."""
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.analysis import balance
+
+x, y = ss.coordinates("x y")
+c, w = sp.symbols("c w", positive=True)
+SPEED, R2 = sp.sqrt(x.diff() ** 2 + y.diff() ** 2), x**2 + y**2
+
+
+def kepler():
+    """Drag, and a swirl that turns with time."""
+    swirl = w / R2 * sp.cos(ss.time)
+    drag = {x: -c * SPEED * x.diff() - swirl * y, y: -c * SPEED * y.diff() + swirl * x}
+    return ss.MechanicalSystem(
+        "kepler_with_drag", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(R2), parameters={c: 0.001, w: 0.002}, forces={"drag": drag},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("scheme", ["simpson", "gauss6"])
+def test_forces_give_what_the_quadrature_says(scheme):
+    certificate = ss.compile(kepler(), scheme).certify([1.0, 0.0], v0=[0.0, 1.1], h=0.1)
+    assert certificate.passed, certificate
+    assert certificate["momenta"].measured < 1e-45
+    assert "p_x*y" in certificate["momenta"].what
+
+
+def test_other_forces_would_be_seen(monkeypatch):
+    exact = balance._force
+
+    def doubled(system):
+        force = exact(system)
+        return lambda *given: [2 * f for f in force(*given)]
+
+    monkeypatch.setattr(balance, "_force", doubled)
+    certificate = ss.compile(kepler()).certify([1.0, 0.0], v0=[0.0, 1.1], h=0.1)
+    assert not certificate.passed
+    assert certificate["momenta"].measured > 1e-6
+
+
+def test_where_l_depends_on_the_time_nothing_is_asked():
+    system = ss.MechanicalSystem(
+        "in_time", coordinates=(x,), kinetic=(2 + sp.sin(ss.time)) * x.diff() ** 2 / 2,
+        potential=0 * x, parameters={c: 0.1}, forces={x: -c * x.diff() ** 3},
+    )  # fmt: skip
+    certificate = ss.compile(system).certify([0.3], v0=[0.5], h=0.1)
+    assert certificate["momenta"].exempt
