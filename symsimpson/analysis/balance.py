@@ -55,8 +55,8 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
         ends = s.path.q[j : j + 2], s.path.p[j : j + 2]
         for symmetry in found:
             before, after = symmetry.momentum(*ends)
-            given = symmetry.momentum(q, np.array(f, dtype=object))
-            change = s.h * sum(x * y for x, y in zip(b, given, strict=True))
+            rates = symmetry.momentum(q, np.array(f, dtype=object))
+            change = s.h * sum(x * y for x, y in zip(b, rates, strict=True))
             size = symmetry.size(*ends) or 1.0
             worst = max(worst, abs(float(after - before - change)) / size)
     return worst, found

@@ -26,7 +26,14 @@ class ComposedSolver(Explicit):
         self._low, self._part, self.coordinates = low, part, part.coordinates
         self._kicks = self._shares("KICKS", part.kicks)
         self._drifts = self._shares("DRIFTS", part.drifts)
-        self._forced = [a for a in part.coordinates if a in low.template.forced]
+        plain = low.equations.plain
+        damped = {
+            a: plain.written(rate).xreplace(low.parameters)
+            for a, rate in enumerate(plain.rates) if rate[0]
+        }  # fmt: skip
+        self._damped = {a: rate for a, rate in damped.items() if a in part.coordinates}
+        forced = {*low.template.forced, *self._damped}
+        self._forced = [a for a in part.coordinates if a in forced]
 
     def _shares(self, table: str, values: Sequence[sp.Expr]) -> list[sp.Expr]:
         """Return h times the entries of a table of the module, equal ones by the same name."""
@@ -64,9 +71,20 @@ class ComposedSolver(Explicit):
     def _kicked(
         self, impulse: Mapping[int, sp.Expr], share: sp.Expr, point: Point, section: str, hint: str
     ) -> dict[int, sp.Expr]:
-        """Return impulses with that of the forces at a point added."""
+        """Return impulses with that of the forces at a point added.
+
+        Friction of the rate G makes of p in a kick exp(-G share) p + (1 - exp(-G share))/G F.
+        """
         low, added = self._low, {}
         for a in self._forced:
-            value = impulse[a] + share * low.template.entry(point, section, "F", a)
+            force = low.template.entry(point, section, "F", a)
+            if a in self._damped:
+                rate = self._damped[a]
+                half = low.graph.define("half", sp.exp(-rate * share / 2), "constants")
+                whole = -2 * half * sp.sinh(rate * share / 2)
+                lost = low.graph.define("lost", whole, "constants")
+                value = impulse[a] + lost * (low.p[a] + impulse[a]) - lost / rate * force
+            else:
+                value = impulse[a] + share * force
             added[a] = low.graph.define(hint.format(low.names.coordinates[a]), value, section)
         return added

@@ -49,7 +49,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
-    forces = zip(names.coordinates, replace(plain, rate=None).f, strict=True)
+    forces = zip(names.coordinates, replace(plain, acting=None).f, strict=True)
     formulas |= {f"f_{q}": value for q, value in forces if value[0]}
     lines = [
         f"{system.name}: {scheme.name}, a variational integrator of order {scheme.order}.",
@@ -60,6 +60,8 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         lines[-1] = lines[-1].replace("L(q", "L(t, q")
     if plain.forces:
         lines[-1] += ", with forces f: L_q + f stands wherever L_q does"
+        if plain.rates:
+            lines.append("    what is linear in v damps p in each kick, as its own motion does")
         if plain.rate is not None:
             lines[-1] = lines[-1].partition(", with")[0] + ", with forces f = -2 gamma L_v:"
             lines.append("    b_i is multiplied by exp(2 gamma c_i h), then p1 by exp(-2 gamma h)")

@@ -10,6 +10,7 @@ from symsimpson.codegen.kernels import lower, unrolled
 from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
+from symsimpson.errors import SchemeError
 from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
@@ -65,6 +66,11 @@ def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit)
+        if not unrolled(equations) and equations.plain.rates:
+            raise SchemeError(
+                f"{system.name} is so large that steps of {scheme.name} are loops, whose kicks "
+                "have no friction yet.\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
+            )
         if not unrolled(equations):  # in loops, forces damp
             equations = discretise(system, scheme, exploit - {"conformal"})
         with timed("text"):

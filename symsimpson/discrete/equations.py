@@ -35,8 +35,9 @@ from symsimpson.discrete.reductions import (
 )
 from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
-from symsimpson.graph.nodes import Value
+from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
+from symsimpson.mechanics.damping import damping_rates, undamped
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
@@ -44,6 +45,9 @@ from symsimpson.schemes.scheme import Scheme
 
 #: Gives an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
 Entry = Callable[..., sp.Expr]
+
+#: Up to here symmetric compositions for kicks without friction keep their order with it.
+LOW_ORDER = 4
 
 __all__ = ["DiscreteEquations", "Entry", "discretise"]
 
@@ -160,9 +164,13 @@ def discretise(
     _check_explicit(system, scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
+    if explicit and plain.dragged:
+        rates = damping_rates(plain)
+        assert rates is not None
+        plain = replace(plain, rates=rates, acting=undamped(plain))
     if "conformal" in wanted and structure.damping is not None and not explicit:
         # nodes have weights of their own, so that M is not the same at all of them
-        plain = replace(plain, rate=structure.damping)
+        plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)
         parts = tuple(Coupled(part.coordinates, *elimination_order(scheme.degree)) for part in
                       reduce(structure, scheme, wanted & {"decoupled"}))  # fmt: skip
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
@@ -175,7 +183,17 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
-    for subsystem in system.structure.subsystems:
+    structure = system.structure
+    linear = plain.dragged and structure.constant_mass and not structure.gyroscopic
+    if linear and damping_rates(structure.plain):
+        if scheme.order > LOW_ORDER and not scheme.of_verlet:
+            raise SchemeError(
+                f"{scheme.name} has order {scheme.order} for forces of positions alone; with "
+                f"friction it would fall to order {LOW_ORDER}.\nChoose a composition of steps of "
+                "Verlet, as 'kahan_li6', or a scheme of the family, as 'gauss8'."
+            )
+        return
+    for subsystem in structure.subsystems:
         if not subsystem.separable:
             own = ", ".join(names[i] for i in subsystem.coordinates)
             moving = plain.mass.free_symbols & {*plain.q, plain.t}
@@ -183,6 +201,7 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
             what = f"mass matrix depends on {on}" if moving else "force depends on velocities"
             raise SchemeError(
                 f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
-                f"depend on positions alone, but the {what} in {own}.\n"
+                f"depend on positions alone, beside friction in proportion to each momentum by a "
+                f"positive rate, but the {what} in {own}.\n"
                 "Choose a scheme of the family, as 'simpson' or 'gauss8'."
             )

@@ -31,8 +31,8 @@ class Plain:
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
     which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
     not zero. M, a and V may depend on t as well. ``forces`` has the components of each named force,
-    ``u`` the inputs of them. Where there is a ``rate``, they are -2 rate L_v, left to weights of
-    a step.
+    ``u`` the inputs of them. A step may take damping into account by itself: -2 ``rate`` L_v by its
+    weights, ``rates`` times M v in its kicks. Then ``acting`` are the forces that are left.
     """
 
     graph: Graph
@@ -49,6 +49,8 @@ class Plain:
     forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     u: tuple[sp.Symbol, ...] = ()
     rate: Value | None = None
+    rates: tuple[Value, ...] = ()
+    acting: tuple[Value, ...] | None = None
 
     @property
     def symbols(self) -> tuple[sp.Symbol, ...]:
@@ -78,8 +80,10 @@ class Plain:
     @cached_property
     def f(self) -> tuple[Value, ...]:
         """The sum of all forces in the equations, by coordinate."""
-        forces = () if self.rate is not None else self.forces.values()
-        return tuple(self.graph.add(force[i] for force in forces) for i in range(len(self.q)))
+        if self.acting is not None:
+            return self.acting
+        size, forces = range(len(self.q)), self.forces.values()
+        return tuple(self.graph.add(force[i] for force in forces) for i in size)
 
     @cached_property
     def time(self) -> int:

@@ -16,7 +16,7 @@ from symsimpson.graph.derive import gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
-from symsimpson.mechanics.conformal import damping_rate
+from symsimpson.mechanics.damping import damping_rate
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected, quadratic_form

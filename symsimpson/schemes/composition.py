@@ -63,6 +63,15 @@ class Composition(Scheme):
         return self.quadrature.weights
 
     @property
+    def of_verlet(self) -> bool:
+        """Whether it is made of steps of Verlet, so that kicks may be any flow, not a shear."""
+        between = zip((0, *self.drifts), (*self.drifts, 0), strict=True)
+        return all(
+            sp.simplify(kick - (a + b) / 2) == 0
+            for kick, (a, b) in zip(self.kicks, between, strict=True)
+        )
+
+    @property
     def order(self) -> int:
         """Order of consistency."""
         return self.quadrature.order

@@ -109,6 +109,41 @@ def test_explicit_steps_take_forces_of_time_and_position():
         ss.compile(growing_mass()[0], "suzuki4")
 
 
+@pytest.mark.parametrize("scheme", sweep(["suzuki4", "blanes_moan4", "kahan_li6"], 1))
+def test_kicks_damp_as_friction_does_by_itself(scheme):
+    x, y = ss.coordinates("x y")
+    u = x.diff() + y.diff() / 2
+    system = ss.MechanicalSystem(
+        "damped_kicks", coordinates=(x, y), kinetic=(2 * x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**4 / 4 + x**2 * y + y**2, parameters={c: 0.3, k: 0.2, w: 3.0},
+        forces={x: sp.cos(w * t) * y - c * x.diff(), y: -k * y.diff()},
+    )  # fmt: skip
+    stepper, q, v = ss.compile(system, scheme), [0.5, 0.2], [0.1, 0.0]
+    p = stepper.integrate(q, v, h=0.1, steps=0).p[0]
+    exact = truth(system, q, p, 2.0)
+
+    def error(steps):
+        run = stepper.integrate(q, p0=p, h=2 / steps, steps=steps)
+        return np.abs(np.concatenate([run.q[-1], run.p[-1]]) - exact).max()
+
+    assert abs(np.log2(error(20) / error(40)) - stepper.order) < 0.15
+    precise = ss.compile(system, scheme, precision=30).integrate(q, p0=p, h=0.1, steps=5)
+    run = stepper.integrate(q, p0=p, h=0.1, steps=5)
+    assert np.abs((run.p - precise.p).astype(float)).max() < 1e-15
+    # not in proportion to each momentum, of no positive rate, or of another order
+    for force, message in (({x: -c * u, y: -c * u / 2}, "force depends on velocities"),
+                           ({x: c * x.diff()}, "friction in proportion to each momentum"),
+                           ({x: -c * x * x.diff()}, "force depends on velocities")):  # fmt: skip
+        other = ss.MechanicalSystem(
+            "other_kicks", coordinates=(x, y), kinetic=system.kinetic, parameters={c: 0.3},
+            potential=system.potential, forces=force,
+        )  # fmt: skip
+        with pytest.raises(ss.SchemeError, match=message):
+            ss.compile(other, scheme)
+    with pytest.raises(ss.SchemeError, match="it would fall to order 4"):
+        ss.compile(system, "blanes_moan6")
+
+
 def simpson_by_hand(rate, wrong, h, steps, q, p):
     """Simpson's forced step for L = v^2/2 - V written down anew, with a mistake or without.
 

@@ -115,6 +115,26 @@ def test_kicks_take_inputs_where_they_stand(scheme):
     assert (loop.q == held.q[-1]).all()
 
 
+def test_loops_over_kicks_take_inputs_where_they_stand():
+    q = ss.coordinates(" ".join(f"x{i}" for i in range(20)))
+    u = sp.Symbol("u")
+    bends = [a - b for a, b in zip(q[1:], q, strict=False)]
+    system = ss.MechanicalSystem(
+        "kicked_chain", coordinates=q, kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum(x**2 / 2 + x**4 / 4 for x in bends), forces={q[0]: u, q[3]: -u * q[3]},
+        inputs=(u,),
+    )  # fmt: skip
+    state = {"q0": np.sin(np.arange(20.0)), "v0": np.zeros(20)}
+
+    def end(scheme, steps):
+        made = ss.compile(system, scheme)
+        inputs = {"u": np.sin(3 * made.node_times(1 / steps, steps))}
+        return made.integrate(**state, h=1 / steps, steps=steps, inputs=inputs).q[-1]
+
+    assert not ss.compile(system, "kahan_li8")._module.header.unrolled
+    assert np.abs(end("kahan_li8", 20) - end("gauss8", 20)).max() < 1e-9
+
+
 def test_ensembles_give_each_member_its_inputs():
     made = stepper()
     own = rng.normal(size=(11, STEPS))
