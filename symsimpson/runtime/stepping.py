@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -155,7 +156,7 @@ class Stepping(Evaluator):
 
 def of_a_step(stepper: Evaluator, inputs: Any) -> Any:
     """Return inputs of one step as those of a run of one step."""
-    if isinstance(inputs, dict):
+    if isinstance(inputs, Mapping):
         return {key: _first_axis(value) for key, value in inputs.items()}
     return inputs if inputs is None else _first_axis(inputs)
 
