@@ -14,6 +14,7 @@ from symsimpson.codegen.pipeline import source
 from symsimpson.interface import NEWTON
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.kernels.cache import compiled
+from symsimpson.runtime.runs.driving import NO_INPUTS
 
 
 def kernels(text, lanes):
@@ -71,10 +72,10 @@ def test_lanes_do_not_know_of_each_other():
         at = stepper._module.header.told
         stored = np.empty((1, 2, 8))
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
-        progress = np.zeros(2, dtype=np.int64)
+        progress = np.zeros(3, dtype=np.int64)
         driver("take_steps", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
-                      stored.copy(), np.zeros((1, 8), dtype=np.int64))  # fmt: skip
-        assert progress.tolist() == [200, 0]
+                      stored.copy(), np.zeros((1, 8), dtype=np.int64), NO_INPUTS)  # fmt: skip
+        assert progress.tolist() == [200, 0, 0]
         return W[module.POSITION : module.POSITION + 4]
 
     whole = run(q, p)
