@@ -13,6 +13,7 @@ from .api import resume as resume
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
 from .derivation import Report as Report
+from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError
 from .errors import GenerationError as GenerationError
 from .errors import InputError as InputError
@@ -26,9 +27,14 @@ from .errors import StorageError as StorageError
 from .errors import SymsimpsonError as SymsimpsonError
 from .mechanics.arms import Link as Link
 from .mechanics.arms import serial_arm as serial_arm
+from .mechanics.bodies import RigidBody as RigidBody
 from .mechanics.coordinates import coordinates as coordinates
 from .mechanics.coordinates import momenta as momenta
 from .mechanics.coordinates import time as time
+from .mechanics.rotations import body_rates as body_rates
+from .mechanics.rotations import coincide as coincide
+from .mechanics.rotations import quaternion as quaternion
+from .mechanics.rotations import rotation_matrix as rotation_matrix
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation

@@ -72,6 +72,10 @@ class ResolutionWarning(UserWarning):
     """A run passed something faster than its steps resolve: what follows is another motion."""
 
 
+class ConstraintWarning(UserWarning):
+    """A run came close to a state at which constraints follow from one another."""
+
+
 class InputError(SymsimpsonError, ValueError):
     """A run was asked for with states, steps or parameters that make no sense."""
 

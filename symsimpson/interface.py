@@ -75,13 +75,24 @@ BLOCKS = {
     "STAGE_HELD": "values between the two halves of an iteration",
     "STAGE_EXPECTED": "iterations before convergence is checked",
     "STAGE_COUNT": "iterations of the step",
+    "MULTIPLIER": "multipliers of constraints at a control point, or of a state",
+    "CONSTRAINT": "phi at a point",
+    "CONSTRAINT_Q": "Phi = dphi/dq there, row after row",
+    "CONSTRAINT_QQ": "second derivatives of lambda.phi there",
+    "CONSTRAINT_WEIGHT": "how much of each constraint was added to M",
+    "HELD_Q": "M^-1 Phi^T",
+    "HELD": "Phi M^-1 Phi^T, factorised",
+    "CURVATURE": "Phi v, or Phi v', as constraints ask for it",
+    "DEPENDENCE": "how far constraints are from following from one another: 0 to 1",
     "RESIDUAL": "residual, then the correction",
     "JACOBIAN": "its derivatives",
 }
 
-#: Blocks of systems that need them: with forces, t, inputs, damped momenta, stages.
+#: Blocks of systems that need them: with forces, t, inputs, damped momenta, constraints, stages.
 OPTIONAL = (
-    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
+    "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_Q", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD_Q",
+    "HELD", "CURVATURE", "DEPENDENCE", "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT",
+    "GROWTH", "POWER", "WORK",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -111,6 +122,7 @@ TOLD = (
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
+SINGULAR_CONSTRAINTS = 10
 
 # values in IN_DOUBT
 ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
@@ -135,4 +147,5 @@ PIVOTED = "newton_pivoted"
 KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
+    "multipliers",
 )  # fmt: skip

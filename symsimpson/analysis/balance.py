@@ -66,11 +66,8 @@ def _force(system: MechanicalSystem) -> Any:
     """Return the forces as a function of q, v, parameters, inputs and t, in many digits."""
     plain = system.plain
     lines = Lines(plain, {("f", i): f for i, f in enumerate(plain.f)})
-    return sp.lambdify(
-        [*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t],
-        [lines.value("f", i) for i in range(system.n)],
-        modules="mpmath", cse=lambda expressions: ([*lines.early, *lines.later], expressions),
-    )  # fmt: skip
+    arguments = [*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t]
+    return lines.function(arguments, [lines.value("f", i) for i in range(system.n)], "mpmath")
 
 
 def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:

@@ -68,7 +68,9 @@ def certify(
     values = stepper._named_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
     step = choose_step(stepper, q, p, values, LONG) if h is None else read_step(h, FLOAT64)
-    subject = Subject(stepper, Precise(stepper, values, DIGITS), np.concatenate([q, p]), step)
+    precise, z = Precise(stepper, values, DIGITS), np.concatenate([q, p])
+    held = bool(stepper._module.header.constraints)
+    subject = Subject(stepper, precise, precise.placed(z) if held else z, step)
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
         stepper.system, stepper.scheme, stepper.order,
@@ -144,21 +146,24 @@ def _symplectic(s: Subject) -> Iterator[Check]:
         yield Check("symplectic", float("nan"), "at most", EXACT, what, reason, exempt=True)
         return
     n = s.n
-    D = s.precise.tangent(s.z, s.h)
+    D, E = s.precise.tangent(s.z, s.h)
     # units of q and p in which both halves of the derivative are of like size
     p_by_q, q_by_p = (max(map(abs, block.ravel())) for block in (D[n:, :n], D[:n, n:]))
     ratio = (p_by_q / q_by_p) ** 0.5 if p_by_q and q_by_p else 1
-    D[:n, n:] *= ratio
-    D[n:, :n] /= ratio
+    for matrix in (D, E):
+        matrix[:n, n:] *= ratio
+        matrix[n:, :n] /= ratio
     J = np.zeros((2 * n, 2 * n), dtype=object)
     J[:n, n:] += np.eye(n, dtype=int)
     J[n:, :n] -= np.eye(n, dtype=int)
     factor = s.precise.decay(s.z, s.h) if conformal else 1
-    defect = max(map(abs, (D.T @ J @ D - factor * J).ravel()))
+    defect = max(map(abs, (D.T @ J @ D - factor * (E.T @ J @ E)).ravel()))
     size = max(map(abs, D.ravel()))
+    what = f"D^T J D - {'exp(-2 gamma h) ' if conformal else ''}J of one step, relative to D^2"
+    if s.stepper._module.header.constraints:
+        what += "; for all displacements that constraints allow"
     yield Check(
-        "conformal" if conformal else "symplectic", float(defect / size**2), "at most", EXACT,
-        f"D^T J D - {'exp(-2 gamma h) ' if conformal else ''}J of one step, relative to D^2",
+        "conformal" if conformal else "symplectic", float(defect / size**2), "at most", EXACT, what,
         f"Zero, but for the differences that give D, in {DIGITS} digits.",
     )  # fmt: skip
 
@@ -272,7 +277,8 @@ def _invariants(s: Subject) -> Iterator[Check]:
         for run in runs:
             values = run.invariants[name]
             changes.append(float(max(abs(values - values[0]))))
-        kept = changes[-1] < EXACT * float(max(map(abs, values)) or 1)
+        size = float(max(map(abs, values)))
+        kept = changes[-1] < EXACT * size or size < EXACT
         order = float(s.stepper.order) if kept else float(observed_orders(changes[1:])[0])
         what = f"{name}: " + ("does not change" if kept else f"changes by {changes[0]:.1e} at h")
         yield Check(
@@ -281,11 +287,35 @@ def _invariants(s: Subject) -> Iterator[Check]:
         )  # fmt: skip
 
 
+def _constraints(s: Subject) -> Iterator[Check]:
+    """constraints: of positions and of velocities, along compiled steps."""
+    held = s.stepper._module.header.constraints
+    if not held:
+        return
+    run = s.compiled(1000, every=10)
+    slopes = run._held("CONSTRAINT_Q", s.n).reshape(len(run), len(held), s.n)
+    size = np.linalg.norm(slopes, axis=2)
+    reach = np.maximum(1.0, np.abs(run.q).max(axis=1))[:, None]
+    off = float((np.abs(run.constraint_error) / (size * reach)).max())
+    yield Check(
+        "constraints", off, "at most", 4 * FLOAT64.epsilon,
+        "phi(q) in 1000 steps, relative to its slope and to q",
+        "Imposed anew in each step: a rounding, and no drift.",
+    )  # fmt: skip
+    pulls = run._evaluated("start", "MULTIPLIER", len(held))
+    part = np.abs((pulls[..., None] * slopes).sum(axis=1)).max()
+    yield Check(
+        "velocities", float(part / np.abs(run.p).max()), "at most", 1e-13,
+        "what constraints would take from p in 1000 steps, relative to p",
+        "Momenta are projected in each step, so that Phi v = 0.",
+    )  # fmt: skip
+
+
 def _rounding(s: Subject) -> Iterator[Check]:
     """rounding: compiled code against many digits."""
     run = s.compiled(SHORT, every=None)
     end = np.concatenate([s.path.q[-1], s.path.p[-1]])
-    nearby = s.z + 1e-9 * s.scale
+    nearby = s.precise.placed(s.z + 1e-9 * s.scale)
     moved = s.precise.flow(nearby, s.h, SHORT)
     growth = max(1.0, s.distance(moved, end) / 1e-9)
     difference = s.distance(np.concatenate([run.q[-1], run.p[-1]]), end) / growth
@@ -353,6 +383,6 @@ def _balance(s: Subject) -> Iterator[Check]:
 
 
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
-    _order, _symplectic, _reversible, _momenta, _invariants, _equations, _jacobian, _newton,
-    _iterations, _rounding, _drift,
+    _order, _symplectic, _reversible, _momenta, _constraints, _invariants, _equations, _jacobian,
+    _newton, _iterations, _rounding, _drift,
 )  # fmt: skip

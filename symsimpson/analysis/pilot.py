@@ -24,7 +24,7 @@ State = tuple[Floats, Floats]
 #: A step is taken whose energy error is at most so much of the kinetic energy.
 ENOUGH = 1e-4
 #: Halving the step moves the path of eight steps by at most so much of its length.
-CLOSE = 0.05
+CLOSE = 0.01
 TRIES = 30
 #: More iterations a step than this, and it is too large.
 NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 9.0
@@ -61,7 +61,10 @@ def choose_state(
     for attempt in range(TRIES):
         random = np.random.default_rng(attempt)
         q, v = random.uniform(0.3, 1.2, stepper.n), random.uniform(-0.6, 0.6, stepper.n)
+        declared = stepper._module.declared
         try:
+            if declared is not None:
+                q, v = declared.consistent(q, v, parameters=parameters)
             run = stepper.integrate(q, v0=v, h=1e-6, steps=2, parameters=parameters)
         except (InputError, ConvergenceError):
             continue
@@ -94,9 +97,9 @@ def choose_step(
             continue
         # some schemes keep the energy of some systems at any step: the path must be right, too
         finer = stepper.integrate(
-            q, p0=p, h=h / 2, steps=16, parameters=parameters, every=None, on_failure="return"
+            q, p0=p, h=h / 2, steps=16, parameters=parameters, every=2, on_failure="return"
         )
-        if np.abs(finer.q[0] - run.q[8]).max() > CLOSE * np.ptp(run.q[:9], axis=0).max():
+        if finer.steps < 16 or apart(finer.q, run.q[:9]) > CLOSE:
             continue
         far = stepper.integrate(
             q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
@@ -107,3 +110,11 @@ def choose_step(
         f"{stepper.system}: no step is small enough at this state.\n"
         "Pass h, or another state: look where T or V are singular."
     )
+
+
+def apart(one: Floats, other: Floats) -> float:
+    """Return how far two paths are apart at worst, as a part of the length of the second.
+
+    Their ends alone say nothing where friction brings every path to rest.
+    """
+    return float(np.abs(one - other).max() / np.ptp(other, axis=0).max())

@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.evaluator import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
+from symsimpson.runtime.runs.held import allowed
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Precise"]
 
 Vector = NDArray[Any]
+#: States that are placed on constraints may miss them by so much.
+NEARBY = 1e-3
 
 
 class Precise:
@@ -55,13 +59,42 @@ class Precise:
         end = self.run(z, h, steps, every=None, t0=t0)
         return np.concatenate([end.q[0], end.p[0]])
 
-    def tangent(self, z: Vector, h: Any, steps: int = 1) -> Vector:
-        """Differentiate the map of some steps by differences, Newton's method included."""
-        columns = [
-            (self.flow(up, h, steps) - self.flow(down, h, steps)) / (2 * self.small)
-            for up, down in self._moved(z)
-        ]
-        return np.array(columns, dtype=object).T
+    def placed(self, z: Iterable[Any]) -> Vector:
+        """Return a state without what constraints do not allow; as it is, where there are none."""
+        point = np.array([self.context.convert(x) for x in z], dtype=object)
+        held, n = self.stepper._module.header.constraints, self.n
+        if not held:
+            return point
+        q, p = point[:n], point[n:]
+        values = self.stepper._values(self.parameters)[None]
+        q = allowed(self.stepper, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
+        taken = self._at("start", "MULTIPLIER", len(held), q, p)
+        return np.concatenate([q, p - taken @ self.slopes(q)])
+
+    def slopes(self, q: Vector) -> Vector:
+        """Return dphi/dq of all constraints, shape (m, n)."""
+        count = len(self.stepper._module.header.constraints)
+        return self._at("multipliers", "CONSTRAINT_Q", count * self.n, q, 0 * q).reshape(-1, self.n)
+
+    def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector) -> Vector:
+        """Evaluate a kernel at a state."""
+        t, values = self._numbers.zeros(1), self.stepper._values(self.parameters)
+        found: Vector = evaluate(self.stepper, kernel, block, count, t, q[None], p[None], values)
+        return found[0]
+
+    def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
+        """Differentiate the map of some steps by differences, Newton's method included.
+
+        Returns the derivatives of the end and of the start by a displacement that is placed on the
+        constraints; without any, the latter is the identity.
+        """
+        starts = [(self.placed(up), self.placed(down)) for up, down in self._moved(z)]
+        ends = [(self.flow(up, h, steps), self.flow(down, h, steps)) for up, down in starts]
+        of_end, of_start = (
+            np.array([(up - down) / (2 * self.small) for up, down in pairs], dtype=object).T
+            for pairs in (ends, starts)
+        )
+        return of_end, of_start
 
     def gradient(self, z: Iterable[Any]) -> Vector:
         """Differentiate the energy by differences: (dH/dq, dH/dp)."""
@@ -131,7 +164,8 @@ class Precise:
             stepper._module, values, step, 0 * step, 0, 1, ("newton",)
         )  # fmt: skip
         run.begin(start[: self.n], start[self.n :], velocity=False)
-        run.give(read_driving(stepper, None, step, 1))
+        inputs = read_driving(stepper, None, step, 1)
+        numbers.driver("give")(run.W, stepper._module.header.told, inputs, 0)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
         return run
 

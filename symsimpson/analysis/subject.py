@@ -57,7 +57,7 @@ class Subject:
 
     stepper: Stepper
     precise: Precise
-    z: NDArray[np.float64]
+    z: NDArray[Any]
     h: float
 
     @property
@@ -105,12 +105,15 @@ class Subject:
                 return list(equations(*y, *values))
 
             rates = forced
-        return extrapolate(rates, start, [end], mpmath.mpf(10) ** -30)[0][: 2 * self.n]
+        # with constraints p has a part that has no effect, of which the last line gets rid
+        found = extrapolate(rates, start, [end], mpmath.mpf(10) ** -30)[0][: 2 * self.n]
+        return list(self.precise.placed(found))
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:
         """Integrate in double precision."""
+        z = self.z.astype(np.float64)
         return self.stepper.integrate(
-            self.z[: self.n], p0=self.z[self.n :], h=self.h, steps=steps, every=every,
+            z[: self.n], p0=z[self.n :], h=self.h, steps=steps, every=every,
             parameters=self.precise.parameters,
         )  # fmt: skip
 

@@ -20,6 +20,8 @@ __all__ = ["Symmetry", "linear_symmetries"]
 
 #: Relative singular values below this are zeros; the matrix has 16 digits.
 RANK = 1e-12
+#: Points on constraints are looked for so near, relative to q.
+NEARBY = 1e-4
 #: Entries closer to a number of few digits than this are that number, in a name.
 ROUND = 1e-9
 
@@ -75,6 +77,7 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
         q, p, H_q, H_p = point[:n], point[n:], gradient[:n], gradient[n:]
         turning = np.outer(H_q, q) - np.outer(p, H_p)
         rows.append(np.concatenate([H_q, turning.ravel()]))
+    rows += _of_constraints(precise, middle, random)
     exact = np.array(rows)
     matrix = exact.astype(np.float64)
     scale = np.abs(matrix).max(axis=0)
@@ -88,6 +91,19 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
         generator = np.column_stack([full[n:].reshape(n, n), full[:n]])
         found.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
     return found
+
+
+def _of_constraints(
+    precise: Precise, z: NDArray[np.float64], random: np.random.Generator
+) -> list[NDArray[Any]]:
+    """Ask that a symmetry moves along the constraints: Phi (A q + b) = 0 where phi = 0."""
+    n, held = precise.n, len(precise.stepper._module.header.constraints)
+    rows = []
+    for _ in range(n * (n + 1) // held + 4 if held else 0):
+        point = z + NEARBY * (1 + np.abs(z)) * random.uniform(-1, 1, 2 * n)
+        q = precise.placed(point)[:n]
+        rows += [np.concatenate([slope, np.outer(slope, q).ravel()]) for slope in precise.slopes(q)]
+    return rows
 
 
 def _refined(row: NDArray[np.float64], matrix: NDArray[Any], context: Any) -> NDArray[Any]:

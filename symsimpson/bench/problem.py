@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.pilot import choose_state
 from symsimpson.api import compile as compile_system
+from symsimpson.errors import InputError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
 from symsimpson.runtime.stepper import Stepper
@@ -82,6 +83,12 @@ def make_problem(
     """
     stepper = compile_system(system, "simpson")
     q, p = choose_state(stepper, state, stepper._named_values())
+    if system.constraints:
+        raise InputError(
+            f"{system.name} has constraints, which the other programs do not keep to: their states "
+            "could not be measured.\nCompare in coordinates without, or schemes among themselves: "
+            "ss.choose."
+        )
     hamilton, newton = canonical(system), second_order(system)
     start = hamilton.state([mpmath.mpf(float(x)) for x in (*q, *p)])
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]

@@ -80,9 +80,7 @@ class ComposedSolver(Explicit):
             force = low.template.entry(point, section, "F", a)
             if a in self._damped:
                 rate = self._damped[a]
-                half = low.graph.define("half", sp.exp(-rate * share / 2), "constants")
-                whole = -2 * half * sp.sinh(rate * share / 2)
-                lost = low.graph.define("lost", whole, "constants")
+                lost = low.lost(rate * share)
                 value = impulse[a] + lost * (low.p[a] + impulse[a]) - lost / rate * force
             else:
                 value = impulse[a] + share * force

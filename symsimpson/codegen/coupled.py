@@ -11,7 +11,13 @@ import sympy as sp
 from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
-from symsimpson.codegen.weighted import WeightedRows, bend, unit_row, weighted_residual
+from symsimpson.codegen.weighted import (
+    Increments,
+    WeightedRows,
+    bend,
+    unit_row,
+    weighted_residual,
+)
 from symsimpson.discrete.reductions import Coupled
 
 __all__ = [
@@ -19,6 +25,7 @@ __all__ = [
     "CoupledSolver",
     "Explicit",
     "Increment",
+    "Path",
     "Solver",
     "constant_mass_velocity",
     "correction_names",
@@ -26,11 +33,21 @@ __all__ = [
     "end_point",
     "end_slope",
     "impulses",
+    "newton_correction",
+    "newton_rows",
     "node_point",
 ]
 
 #: Stands where a point must not be asked for a coordinate of another part.
 NOTHING = sp.Symbol("nothing", real=True)
+
+
+@dataclass(frozen=True)
+class Path:
+    """Increments of a step, and a suffix for the names of what is made of them."""
+
+    increments: Increments
+    suffix: str = ""
 
 
 #: Control point and coordinate of an increment.
@@ -74,6 +91,11 @@ class Solver(Protocol):
         """The increments that an iteration changes; none if the step is explicit."""
         ...
 
+    @property
+    def multipliers(self) -> Sequence[Increment]:
+        """What else it changes: unknowns behind the control points."""
+        ...
+
     def corrections(self) -> Mapping[Increment, sp.Expr]:
         """Return what one Newton iteration adds to each of these increments."""
         ...
@@ -88,6 +110,7 @@ class Explicit:
 
     cyclic: tuple[int, ...] = ()
     increments: tuple[Increment, ...] = ()
+    multipliers: tuple[Increment, ...] = ()
 
     def corrections(self) -> Mapping[Increment, sp.Expr]:
         """Return nothing to correct."""
@@ -127,8 +150,9 @@ def constant_mass_velocity(
 
 
 def node_point(
-    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None
-) -> Point:
+    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None,
+    path: Path | None = None,
+) -> Point:  # fmt: skip
     """Return the point of node i in terms of the increments; ``end`` stands for a node at q1.
 
     Velocities are there if it is ``moving``.
@@ -136,35 +160,38 @@ def node_point(
     scheme, define, h = low.equations.scheme, low.graph.define, low.equations.h
     A, B, d = scheme.A[i], scheme.B[i], scheme.degree
     section, names = f"node {i}", low.names.coordinates
+    path = path or Path(low.increments)
+    X, suffix = path.increments, f"{i}{path.suffix}"
 
     def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
-        return sp.Add(*(row[k] * bend(low, k, a) for k in range(1, d) if row[k] != 0))
+        return sp.Add(*(row[k] * bend(low, k, a, X) for k in range(1, d) if row[k] != 0))
 
     v = [NOTHING] * low.n
     if moving:
         for a in coordinates:
-            slope = low.increments[-1][a] + combined(B, a)
-            v[a] = define(f"v_{names[a]}_{i}", slope / h, section)
+            slope = X[-1][a] + combined(B, a)
+            v[a] = define(f"v_{names[a]}_{suffix}", slope / h, section)
     if low.equations.at_start(i):
-        return Point(str(i), low.q, tuple(v), low.start_point().t, low.inputs(i))
+        return Point(suffix, low.q, tuple(v), low.start_point().t, low.inputs(i))
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
         return Point(end.suffix, end.q, tuple(v), end.t, end.u)
     q = [NOTHING] * low.n
     place = unit_row(A)
     for a in coordinates:
         if place is None:
-            shift = scheme.quadrature.nodes[i] * low.increments[-1][a] + combined(A, a)
+            shift = scheme.quadrature.nodes[i] * X[-1][a] + combined(A, a)
         else:
-            shift = low.increments[place - 1][a]
-        q[a] = define(f"{names[a]}_{i}", low.q[a] + shift, section)
+            shift = X[place - 1][a]
+        q[a] = define(f"{names[a]}_{suffix}", low.q[a] + shift, section)
     t = low.time(scheme.quadrature.nodes[i], str(i))
-    return Point(str(i), tuple(q), tuple(v), t, low.inputs(i))
+    return Point(suffix, tuple(q), tuple(v), t, low.inputs(i))
 
 
 class CoupledSolver:
     """All increments are unknowns: D_k L_d = 0 for 0 < k < d and p0 + D_0 L_d = 0."""
 
     cyclic: tuple[int, ...] = ()
+    multipliers: tuple[Increment, ...] = ()
 
     def __init__(self, low: Lowering, part: Coupled) -> None:
         self._low, self._part = low, part
@@ -174,32 +201,9 @@ class CoupledSolver:
     def corrections(self) -> Mapping[Increment, sp.Expr]:
         """Return what one Newton iteration adds to each increment."""
         low, part, eqs = self._low, self._part, self._low.equations
-        define, names, group = low.graph.define, low.names.coordinates, part.coordinates
+        group = part.coordinates
         points = [node_point(low, i, group, moving=True) for i in range(eqs.scheme.stages)]
-
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
-            return low.template.entry(points[i], f"node {i}", what, *index)
-
-        def grown(i: int, what: str, *index: int) -> sp.Expr:
-            return low.growth(eqs.scheme.quadrature.nodes[i]) * entry(i, what, *index)
-
-        weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
-        right = weighted_residual(low, weighted, part.rows, group)
-        matrix = [
-            [
-                define(
-                    f"J_{k}_{names[a]}_{m}_{names[b]}",
-                    eqs.second_derivative(k, a, m, b, grown),
-                    "Jacobian D_m D_k L_d",
-                )
-                for m, b in self.increments
-            ]
-            for k in part.rows
-            for a in group
-        ]
-        hints = correction_names(low, self.increments)
-        found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
-        return dict(zip(self.increments, found, strict=True))
+        return newton_correction(low, points, part.rows, self.increments, group)
 
     def close(self) -> Closing:
         """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i), less what is damped."""
@@ -209,12 +213,60 @@ class CoupledSolver:
         return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in found.items()})
 
 
+def newton_correction(
+    low: Lowering,
+    points: Sequence[Point],
+    rows: Sequence[int],
+    increments: Sequence[Increment],
+    group: Sequence[int],
+) -> dict[Increment, sp.Expr]:
+    """Return what Newton's method adds to increments, from the points of a path at its nodes."""
+    matrix, right = newton_rows(low, points, rows, increments, group)
+    hints = correction_names(low, increments)
+    found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+    return dict(zip(increments, found, strict=True))
+
+
+def newton_rows(
+    low: Lowering,
+    points: Sequence[Point],
+    rows: Sequence[int],
+    increments: Sequence[Increment],
+    group: Sequence[int],
+) -> tuple[list[list[sp.Expr]], list[sp.Expr]]:
+    """Return the matrix and the right-hand side of an iteration, a row for each of D_k L_d."""
+    eqs, define, names = low.equations, low.graph.define, low.names.coordinates
+
+    def entry(i: int, what: str, *index: int) -> sp.Expr:
+        return low.template.entry(points[i], f"node {i}", what, *index)
+
+    def grown(i: int, what: str, *index: int) -> sp.Expr:
+        return low.growth(eqs.scheme.quadrature.nodes[i]) * entry(i, what, *index)
+
+    weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
+    right = weighted_residual(low, weighted, rows, group)
+    matrix = [
+        [
+            define(
+                f"J_{k}_{names[a]}_{m}_{names[b]}",
+                eqs.second_derivative(k, a, m, b, grown),
+                "Jacobian D_m D_k L_d",
+            )
+            for m, b in increments
+        ]
+        for k in rows
+        for a in group
+    ]
+    return matrix, right
+
+
 def impulses(
-    low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool
-) -> Mapping[int, sp.Expr]:
+    low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool,
+    path: Path | None = None,
+) -> Mapping[int, sp.Expr]:  # fmt: skip
     """Return h sum_i b_i L_q at the nodes of the path that ends at ``end``."""
     points = [
-        node_point(low, i, coordinates, moving=moving, end=end)
+        node_point(low, i, coordinates, moving=moving, end=end, path=path)
         for i in range(low.equations.scheme.stages)
     ]
     weighted = WeightedRows(

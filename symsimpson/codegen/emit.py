@@ -149,6 +149,7 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
     facts |= {"FORCES": names.forces} if plain.forces else {}
     facts |= {"CONFORMAL": True} if plain.rate is not None else {}
     facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
+    facts |= {"HELD_BY": names.constraints} if names.constraints else {}
     if names.inputs:  # texts, so that many digits are not lost
         places = (sp.N(c, 50) for c in scheme.quadrature.nodes)
         facts |= {"INPUTS": names.inputs, "INPUT_PLACES": tuple(map(str, places))}

@@ -37,6 +37,13 @@ def banner(equations: DiscreteEquations) -> str:
     )
 
 
+#: What constraints add to the equations of a scheme.
+_HELD = (
+    "    with D_k L_d - Phi^T mu_k for D_k L_d, k < d, and phi(X_k) = 0, k > 0;",
+    "    p1 is projected, so that Phi v1 = 0",
+)
+
+
 def docstring(equations: DiscreteEquations, module: Module) -> str:
     """Write what the module integrates, by which scheme, and how it is run."""
     system, scheme = equations.system, equations.scheme
@@ -71,9 +78,14 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         elif name != "a" or value[0]:
             text = sp.sstr(plain.written(value).xreplace(shown))
             lines += folded(f"    {name} = ", text, "        ")
+    for name, value in zip(names.constraints, plain.constraints.values(), strict=True):
+        if tree_size(plain.graph, value) <= _SHOWN:
+            text = sp.sstr(plain.written(value).xreplace(shown))
+            lines += folded(f"    {name}: 0 = ", text, "        ")
     lines += [
         "",
         *scheme.formula,
+        *(_HELD if plain.constraints else ()),
         "",
         *folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
         *folded("Parameters: ", ", ".join(names.parameters) or "none", "    "),

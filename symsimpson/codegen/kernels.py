@@ -16,6 +16,7 @@ from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import (
+    constraint_functions,
     family_functions,
     power_function,
     power_stores,
@@ -31,7 +32,15 @@ from symsimpson.codegen.unrolled import (
 )
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.families import families, neighbours, ordering
-from symsimpson.discrete.reductions import Composed, Linear, Part, Routh, Separable
+from symsimpson.discrete.reductions import (
+    Affine,
+    Composed,
+    Constrained,
+    Linear,
+    Part,
+    Routh,
+    Separable,
+)
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
@@ -40,6 +49,8 @@ __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 MOST_LINES = 4000
 #: Parts with more unknowns are not written out, whatever they are made of.
 UNROLLED_UNKNOWNS = 16
+#: Those with constraints are sparse, and longer unrolled than others are.
+CONSTRAINED_UNKNOWNS = 32
 #: Nor are explicit steps with more forces, one for each kick and coordinate.
 UNROLLED_FORCES = 270
 #: Loops over families of terms are worth their indices from so many members on, on average.
@@ -66,6 +77,8 @@ def lower(equations: DiscreteEquations) -> Module:
 def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether the parts are written out one by one, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
+    if equations.plain.constraints:
+        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS
     return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
 
 
@@ -77,6 +90,9 @@ def _lines(equations: DiscreteEquations) -> float:
     operations, stages = equations.jet.operations, equations.scheme.stages
     if any(isinstance(part, Composed) for part in equations.parts):
         return operations + equations.jet.force_operations * stages
+    if equations.plain.constraints:  # half of the matrix is zero
+        size = equations.unknowns.size
+        return (2 * stages + 1.5) * operations + size**2 + size**3 / 12
     unknowns = [part_unknowns(part) for part in equations.parts]
     elimination = sum(u**2 + u**3 / 12 for u in unknowns)
     return (2 * stages + 1.5) * operations + 2 * elimination
@@ -84,28 +100,37 @@ def _lines(equations: DiscreteEquations) -> float:
 
 def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
-    storage, degree = Storage.dense(low.n), equations.scheme.degree
+    storage = Storage.dense(low.n, equations.unknowns.behind)
+    degree = equations.scheme.degree
     loops = _loops(low, storage)
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
     kernels += [_power(low, _state(low))] if equations.plain.powers else []
-    unknowns = sum(part_unknowns(part) for part in equations.parts)
+    unknowns = sum(part_unknowns(part) for part in equations.parts) + equations.unknowns.behind
     functions: list[Function] = []
     tables: dict[str, object] = {}
     follow = False
     if equations.rows:
         functions = unrolled_functions(low, ("jet",))
+        if equations.plain.constraints:
+            functions = [*unrolled_functions(low, ("jet", "mass")), *constraint_functions(low)]
+            kernels.append(loops.multipliers())
+            (part,) = equations.parts
+            assert isinstance(part, Constrained)
+            tables |= solve_tables(part, equations.scheme)
         kernels.append(loops.equations())
-        tables = storage.node_constants() | storage.constants("EQUATION", degree)
-    if unknowns:
+        tables |= storage.node_constants() | storage.constants("EQUATION", degree)
+    works = bool(equations.rows and equations.plain.powers)
+    if unknowns or works:
         solved = {a for _, a in increments(part_solvers(low))}
         following = tuple(int(a not in solved) for a in range(low.n))
-        kernels.append(loops.pivoted(following=any(following)))
         tables |= solve_constants(storage, equations.columns)
         follow = any(following)
         tables |= {"FOLLOWING": following} if follow else {}
-    if unknowns and equations.plain.powers:
+    if unknowns:
+        kernels.append(loops.pivoted(following=follow))
+    if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
@@ -116,9 +141,10 @@ def _looped(equations: DiscreteEquations) -> Module:
     part, degree = equations.joined(), equations.scheme.degree
     constant = isinstance(part, (Separable, Composed))
     # terms are told apart by coordinates alone, and those of a force have no L
-    alike = equations.plain.conservative
+    plain = equations.plain
+    alike = plain.conservative and not plain.constraints
     found = families(equations.plain) if alike else ()
-    storage = Storage.dense(low.n)
+    storage = Storage.dense(low.n, equations.unknowns.behind)
     if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
         met = (
@@ -141,6 +167,9 @@ def _looped(equations: DiscreteEquations) -> Module:
     loops = _loops(low, storage)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
+    if plain.constraints:
+        functions = [*functions, *constraint_functions(low)]
+        kernels.append(loops.multipliers())
     if equations.plain.invariants:
         kernels.append(_watched(low, loops.before_state()))
     if equations.plain.powers:
@@ -162,7 +191,7 @@ def _looped(equations: DiscreteEquations) -> Module:
     elif not loops.alike:
         own_tables["REACHED"] = tuple(accumulate(part.drifts))
     tables = own_tables | tables
-    unknowns = blocks * low.n
+    unknowns = blocks * low.n + equations.unknowns.behind
     return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=constant)
 
 
@@ -170,7 +199,7 @@ def _loops(low: Lowering, storage: Storage) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
         storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
-        plain.rate is not None,
+        plain.rate is not None, bool(plain.constraints),
     )  # fmt: skip
 
 
@@ -188,7 +217,9 @@ def _module(
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
-    if scheme.by_stages and low.n <= STAGE_COORDINATES and not damped:
+    held = len(low.multipliers)
+    plainly = not (damped or held)
+    if scheme.by_stages and unknowns and low.n <= STAGE_COORDINATES and plainly:
         stages = StageKernels(low)
         kernels = [*kernels, *stages.kernels]
         stage_sizes = stages.sizes
@@ -199,6 +230,8 @@ def _module(
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
     inputs = len(low.names.inputs)
+    if held:
+        tables = {**tables, "CONSTRAINTS": held}
     if inputs:
         tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
     loops, stores, products = coefficient_loops(low, own)
@@ -223,6 +256,11 @@ def _module(
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
         "GROWTH": scheme.stages + 1 if damped else 0,
+        **dict.fromkeys(("MULTIPLIER", "CONSTRAINT", "CONSTRAINT_WEIGHT", "CURVATURE"), held),
+        **dict.fromkeys(("CONSTRAINT_Q", "HELD_Q"), held * low.n),
+        "CONSTRAINT_QQ": low.n**2 if held else 0,
+        "HELD": held**2,
+        "DEPENDENCE": min(held, 1),
         **stage_sizes,
     }
     first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)
@@ -236,6 +274,8 @@ def _size(part: Part) -> int:
     """Measure a part by its unknowns or multipliers, others by what their text is as long as."""
     if isinstance(part, Linear):
         return 2 * len(part.coordinates)
+    if isinstance(part, Affine):
+        return len(part.coordinates) * len(part.solved)
     if isinstance(part, Composed):
         forces = len(part.coordinates) * len(part.drifts)
         return UNROLLED_UNKNOWNS * forces // UNROLLED_FORCES

@@ -9,7 +9,13 @@ import sympy as sp
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import ACCEPTANCE, CONVERGENCE, lanes
-from symsimpson.discrete.reductions import Coupled, Separable, force_factor, inertia_factor
+from symsimpson.discrete.reductions import (
+    Constrained,
+    Coupled,
+    Separable,
+    force_factor,
+    inertia_factor,
+)
 from symsimpson.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
@@ -17,6 +23,7 @@ __all__ = ["LoopKernels", "solve_constants", "solve_tables"]
 
 _HERE = ("W", "lane")
 _NODE = ("W", "h", "node", "lane")
+_POINT = ("W", "h", "point", "lane")
 
 
 def _call(name: str, *arguments: str) -> Call:
@@ -39,6 +46,8 @@ class LoopKernels:
         Whether there are inputs.
     damped : bool
         Whether the weights of nodes grow.
+    held : bool
+        Whether there are constraints.
     """
 
     storage: Storage
@@ -47,6 +56,7 @@ class LoopKernels:
     dragged: bool
     driven: bool
     damped: bool
+    held: bool
 
     @property
     def alike(self) -> bool:
@@ -67,7 +77,19 @@ class LoopKernels:
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
-        return (*self._start(time), _call("mass"), _call("factor_mass"))
+        return (*self._start(time), _call("mass"), *self._factors())
+
+    def _factors(self) -> tuple[Statement, ...]:
+        if not self.held:
+            return (_call("factor_mass"),)
+        names = ("constraint_slopes", "stiffen_mass", "factor_mass", "factor_constraints")
+        return tuple(map(_call, names))
+
+    def _solve_momentum(self) -> tuple[Statement, ...]:
+        """Solve for the velocity, with these factors."""
+        found = (_call("momentum_to_solve"), _call("solve_mass"))
+        held = (_call("allow_no_change"), _call("hold_velocity")) if self.held else ()
+        return (*found, *held)
 
     def equations(self) -> Kernel:
         """Return the equations themselves, all of them, whatever a step solves."""
@@ -81,7 +103,15 @@ class LoopKernels:
             _call("clear_residual"),
             _call("clear_matrix", "W", "lane", str(self.storage.size(self.degree))),
             self._nodes("range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag),
+            *self._points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
         )
+
+    def _points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:
+        """Go over control points, if there are constraints at them."""
+        if not self.held:
+            return ()
+        here = _call("control_point", "W", "point", "lane")
+        return (Loop("point", over, (here, _call(function), *body)),)
 
     def pivoted(self, *, following: bool) -> Kernel:
         """Return Newton's iteration for all equations, where the fixed order of elimination fails.
@@ -92,18 +122,26 @@ class LoopKernels:
         rows = self._all_rows()
         first = (*rows, _call("solve_following"), *rows) if following else rows
         leave = (_call("clear_following"),) if following else ()
-        body = (*first, _call("solve_pivoted"), *leave, _call("update_increments"), CONVERGENCE)
+        body = (*first, *self._corrected(*leave))
         doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
         return Kernel(PIVOTED, doc, lanes((When(body),)))
 
-    def step(self, part: Coupled | Separable) -> list[Kernel]:
+    def _corrected(self, *leave: Statement) -> tuple[Statement, ...]:
+        """Solve for a correction, leave out of it what follows, and apply it."""
+        held = (_call("update_multipliers"),) if self.held else ()
+        return (
+            _call("solve_pivoted"), *leave, _call("update_increments"), *held, CONVERGENCE
+        )  # fmt: skip
+
+    def step(self, part: Constrained | Coupled | Separable) -> list[Kernel]:
         """Return the kernels of a step."""
         constant = isinstance(part, Separable)
-        again = (_call("momentum_to_solve"), _call("solve_mass"))
+        again = self._solve_momentum()
         first = (_call("keep_mass"),) if constant else ()
         begin = (
-            *self._start(), _call("mass"), *first, _call("factor_mass"), *again,
+            *self._start(), _call("mass"), *first, *self._factors(), *again,
             _call("straight_path", "W", "h", "lane"),
+            *((_call("clear_multipliers"),) if self.held else ()),
         )  # fmt: skip
         rows: tuple[Statement, ...]
         if constant:
@@ -119,11 +157,12 @@ class LoopKernels:
             rows = (*self._end_of_path(), *rows)
         newton: tuple[Statement, ...] = (
             *rows,
-            _call("solve_pivoted"),
-            _call("update_increments"),
-            CONVERGENCE,
+            *self._corrected(),
         )
-        following: tuple[Statement, ...] = (*again, _call("predict", "W", "h", "lane"), ACCEPTANCE)
+        held = (_call("project_momentum"), _call("carry_multipliers")) if self.held else ()
+        following: tuple[Statement, ...] = (
+            *again, *held, _call("predict", "W", "h", "lane"), ACCEPTANCE
+        )  # fmt: skip
         closing: tuple[Statement, ...] = ()
         if isinstance(part, Separable) and part.last is not None:
             closing = self._end_of_path()
@@ -131,6 +170,9 @@ class LoopKernels:
             *closing,
             _call("clear_momentum"),
             self._nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
+            *self._points(
+                "range(DEGREE)", "constraint_slopes", _call("add_pull", "W", "h", "lane")
+            ),
             _call("close_step"),
             *(() if constant else self._velocity("t + h")),
             *(following if part.columns else ()),
@@ -189,8 +231,7 @@ class LoopKernels:
 
     def energy(self) -> Kernel:
         """Return H = v.(p - a)/2 + V, and the first of the two alone."""
-        body = (*self._velocity(), *map(_call, ("momentum_to_solve", "solve_mass",
-                "kinetic_energy")), *self._start(), _call("potential"))  # fmt: skip
+        body = (*self.before_state(), _call("kinetic_energy"), *self._start(), _call("potential"))
         doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
         return Kernel("energy", doc, lanes(body))
 
@@ -206,7 +247,14 @@ class LoopKernels:
 
     def before_state(self) -> tuple[Statement, ...]:
         """Return what finds the velocities of a state."""
-        return (*self._velocity(), _call("momentum_to_solve"), _call("solve_mass"))
+        return (*self._velocity(), *self._solve_momentum())
+
+    def multipliers(self) -> Kernel:
+        """Return phi and the multipliers at a state: those that keep its accelerations allowed."""
+        at_state = (*self.before_state(), *self._start(), _call("constrain"), _call("pushes"))
+        solve = tuple(map(_call, ("push_to_solve", "solve_mass", "hold_velocity")))
+        doc = "phi and the multipliers of L - lambda.phi at (q, p)."
+        return Kernel("multipliers", doc, lanes((*at_state, *solve)))
 
 
 def solve_constants(storage: Storage, columns: tuple[int, ...]) -> dict[str, object]:
@@ -215,14 +263,19 @@ def solve_constants(storage: Storage, columns: tuple[int, ...]) -> dict[str, obj
     return {
         "BLOCKS": blocks,
         "SOLVE_COLUMNS": columns,
-        "SOLVE_UNKNOWNS": blocks * storage.n,
+        "SOLVE_UNKNOWNS": storage.unknowns(blocks),
         **storage.constants("SOLVE", blocks),
         **storage.bounds("SOLVE", blocks),
     }
 
 
-def solve_tables(part: Coupled | Separable, scheme: Scheme) -> dict[str, object]:
+def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dict[str, object]:
     """Return the tables by which the loops combine nodes and control points."""
+    if isinstance(part, Constrained):
+        points = range(scheme.degree + 1)
+        rows = (*(part.rows.index(k) if k in part.rows else -1 for k in points),)
+        columns = (*(part.columns.index(k) if k in part.columns else -1 for k in points),)
+        return {"ROW_OF_POINT": rows, "COLUMN_OF_POINT": columns}
     if isinstance(part, Coupled):
         return {}
     S, d, nodes = scheme.stiffness, scheme.degree, range(scheme.stages)

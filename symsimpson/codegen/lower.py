@@ -14,8 +14,10 @@ from symsimpson.codegen.levels import Definition, Graph, Level
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.template import JetTemplate, Point
+from symsimpson.discrete.constraints import derive_constraints
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
+from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
 
@@ -73,6 +75,19 @@ class Lowering:
         self.node_u = self._base(
             [f"{u}_i" for u in self.names.inputs], "NODE_INPUT", Level.ITERATION
         )  # fmt: skip
+        held, degree = len(equations.plain.constraints), equations.scheme.degree
+        #: h mu at the control points 0..d-1, unknowns of a step with constraints.
+        self.impulses = [
+            self._base(
+                [f"mu_{k}_{c}" for c in range(held)], "INCREMENT", Level.ITERATION,
+                equations.unknowns.place(degree + 1 + k, 0),
+            )
+            for k in range(degree if held else 0)
+        ]  # fmt: skip
+        self.multipliers = self._base(
+            [f"lambda_{c}" for c in range(len(equations.plain.constraints))],
+            "MULTIPLIER", Level.ITERATION,
+        )  # fmt: skip
         self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
@@ -85,6 +100,17 @@ class Lowering:
     def template(self) -> JetTemplate:
         """The jet of L and what is evaluated beside it."""
         return self._template(self.equations.jet)
+
+    @cached_property
+    def held(self) -> JetTemplate:
+        """Constraints, and what of L tells their multipliers."""
+        return self._template(derive_constraints(self.equations.plain))
+
+    @cached_property
+    def stiffened(self) -> bool:
+        """Whether constraints help out an M that is singular without."""
+        values = self.equations.system.parameters.values()
+        return not regular_mass(self.equations.plain, values)
 
     @cached_property
     def watched(self) -> JetTemplate:
@@ -151,11 +177,13 @@ class Lowering:
         rate = self.equations.plain.rate
         if rate is None:
             return impulse
-        shrink = self.growth(sp.S.NegativeOne)
-        half = self.growth(-sp.S.Half)
         gamma = self.equations.plain.written(rate).xreplace(self.parameters)
-        lost = self.graph.define("lost", -2 * half * sp.sinh(gamma * self.h), "constants")
-        return lost * momentum + shrink * impulse
+        return self.lost(2 * gamma * self.h) * momentum + self.growth(sp.S.NegativeOne) * impulse
+
+    def lost(self, exponent: sp.Expr) -> sp.Expr:
+        """Return exp(-x) - 1, to the last digit for small x too."""
+        half = self.graph.define("half", sp.exp(-exponent / 2), "constants")
+        return self.graph.define("lost", -2 * half * sp.sinh(exponent / 2), "constants")
 
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None

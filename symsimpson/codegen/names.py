@@ -87,6 +87,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "SIGNS",
         "INVARIANTS",
         "CONFORMAL",
+        "CONSTRAINTS",
+        "HELD_BY",
         "INPUTS",
         "INPUT_PLACES",
         "INPUT_STRIDE",
@@ -125,7 +127,9 @@ RESERVED = frozenset(BLOCKS) | frozenset(
 
 
 #: Functions that loops over nodes call.
-NODE_FUNCTIONS = frozenset(["jet", "forces", "gradient", "mass", "potential"])
+NODE_FUNCTIONS = frozenset(
+    ["jet", "forces", "gradient", "mass", "potential", "constraint_slopes", "constrain", "pushes"]
+)
 
 
 @cache
@@ -176,6 +180,7 @@ class NameTable:
         )
         self.invariants = _shown(system.plain.invariants, "invariant")
         self.forces = _shown(system.plain.forces, "force")
+        self.constraints = _shown(system.plain.constraints, "constraint")
 
     def _user(self, name: str, substitute: str) -> str:
         plain = _written_out(name)

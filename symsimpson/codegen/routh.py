@@ -52,6 +52,8 @@ class _Node:
 class RouthSolver:
     """D_k L_d for the other coordinates, at the velocities that the cyclic momenta give."""
 
+    multipliers: tuple[Increment, ...] = ()
+
     def __init__(self, low: Lowering, part: Routh) -> None:
         self._low, self._part = low, part
         self.coordinates, self.cyclic = part.coordinates, part.cyclic

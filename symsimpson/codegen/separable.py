@@ -32,6 +32,7 @@ class SeparableSolver:
     """
 
     cyclic: tuple[int, ...] = ()
+    multipliers: tuple[Increment, ...] = ()
 
     def __init__(self, low: Lowering, part: Separable) -> None:
         self._low, self._part = low, part

@@ -23,16 +23,19 @@ class Storage:
     band : int
         Largest distance of two places whose coordinates meet; n - 1 if dense.
     banded : bool
+    others : int
+        Unknowns behind those of all blocks, if dense.
     """
 
     order: tuple[int, ...]
     band: int
     banded: bool
+    others: int = 0
 
     @classmethod
-    def dense(cls, n: int) -> Storage:
+    def dense(cls, n: int, others: int = 0) -> Storage:
         """Keep the order, and all entries."""
-        return cls(tuple(range(n)), n - 1, banded=False)
+        return cls(tuple(range(n)), n - 1, banded=False, others=others)
 
     @property
     def n(self) -> int:
@@ -46,8 +49,12 @@ class Storage:
 
     def size(self, blocks: int) -> int:
         """Rows of a matrix of all unknowns."""
-        unknowns = self.n * blocks
+        unknowns = self.unknowns(blocks)
         return unknowns * (3 * self._half(blocks) + 1) if self.banded else unknowns**2
+
+    def unknowns(self, blocks: int) -> int:
+        """Count all unknowns."""
+        return self.n * blocks + self.others
 
     def node_constants(self) -> dict[str, object]:
         """Return what loops over the entries of an n by n matrix must know."""
@@ -60,7 +67,7 @@ class Storage:
 
     def constants(self, prefix: str, blocks: int) -> dict[str, object]:
         """Return what loops over the entries of a system of blocks times n unknowns must know."""
-        half, unknowns = self._half(blocks), self.n * blocks
+        half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
             f"{prefix}_ROW_STEP": 1 if self.banded else self.n,
             f"{prefix}_PLACE_STEP": blocks if self.banded else 1,
@@ -70,7 +77,7 @@ class Storage:
 
     def bounds(self, prefix: str, blocks: int) -> dict[str, object]:
         """Return how far from the diagonal an elimination finds entries: below, and above it."""
-        half, unknowns = self._half(blocks), self.n * blocks
+        half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
             f"{prefix}_LOWER": half if self.banded else max(unknowns - 1, 0),
             f"{prefix}_UPPER": 2 * half if self.banded else max(unknowns - 1, 0),

@@ -22,7 +22,7 @@ class Point:
     """Where a jet is evaluated: names of q and v there, and a suffix for everything made of them.
 
     ``v`` is None where only functions of t, u and q are asked for, ``t`` where nothing depends on
-    it; ``u`` are the inputs there.
+    it; ``u`` are the inputs there, ``multipliers`` those of constraints.
     """
 
     suffix: str
@@ -30,6 +30,7 @@ class Point:
     v: tuple[sp.Expr, ...] | None = None
     t: sp.Expr | None = None
     u: tuple[sp.Expr, ...] = ()
+    multipliers: tuple[sp.Expr, ...] = ()
 
 
 class JetTemplate:
@@ -151,6 +152,8 @@ class JetTemplate:
             return point.q[place]
         if kind == "u":
             return point.u[place]
+        if kind == "l":
+            return point.multipliers[place]
         if kind == "t":
             assert point.t is not None
             return point.t

@@ -15,7 +15,10 @@ from symsimpson.discrete.jet import derive_jet
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size
 
-__all__ = ["FUNCTIONS", "family_functions", "power_function", "power_stores", "unrolled_functions"]
+__all__ = [
+    "FUNCTIONS", "constraint_functions", "family_functions", "power_function", "power_stores",
+    "unrolled_functions",
+]  # fmt: skip
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
@@ -61,6 +64,40 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
         lines = low.statements(stores, (Level.ITERATION,))
         found.append(Function(name, doc, (*body, *lines)))
     return found
+
+
+def constraint_functions(low: Lowering) -> list[Function]:
+    """Write constraints at a point, and what they do to a state."""
+    n, held = low.n, range(len(low.multipliers))
+    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
+
+    def entry(what: str, *index: int) -> sp.Expr:
+        return low.held.entry(point, "constraints", what, *index)
+
+    def function(name: str, doc: str, stores: Iterable[Store]) -> Function:
+        return Function(name, doc, low.statements(stores, (Level.ITERATION,)))
+
+    slopes = [
+        Store(Row("CONSTRAINT_Q", c * n + a), entry("Phi", c, a)) for c in held for a in range(n)
+    ]
+    whole = [
+        *(Store(Row("CONSTRAINT", c), entry("phi", c)) for c in held),
+        *slopes,
+        *(
+            Store(Row("CONSTRAINT_QQ", a * n + b), entry("pull", a, b))
+            for a in range(n)
+            for b in range(n)
+        ),
+    ]
+    pushes = [
+        *(Store(Row("RESIDUAL", a), entry("push", a)) for a in range(n)),
+        *(Store(Row("CURVATURE", c), -entry("curve", c)) for c in held),
+    ]
+    return [
+        function("constraint_slopes", "Phi at a point.", slopes),
+        function("constrain", "phi, Phi and the second derivatives of lambda.phi.", whole),
+        function("pushes", "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.", pushes),
+    ]
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import sympy as sp
 
+from symsimpson.codegen.affine import AffineSolver
 from symsimpson.codegen.composed import ComposedSolver
+from symsimpson.codegen.constrained import ConstrainedSolver, held_velocities
 from symsimpson.codegen.coupled import CoupledSolver, Increment, Solver, end_of, end_slope
 from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store
 from symsimpson.codegen.levels import Level
@@ -16,7 +18,15 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.routh import RouthSolver
 from symsimpson.codegen.separable import SeparableSolver
 from symsimpson.codegen.template import Point
-from symsimpson.discrete.reductions import Composed, Coupled, Linear, Routh, Separable
+from symsimpson.discrete.reductions import (
+    Affine,
+    Composed,
+    Constrained,
+    Coupled,
+    Linear,
+    Routh,
+    Separable,
+)
 
 __all__ = [
     "ACCEPTANCE",
@@ -43,7 +53,9 @@ STATE = (Level.STEP, Level.ITERATION)
 
 #: Which solver a kind of part has.
 SOLVERS: dict[type, Callable[..., Solver]] = {
+    Affine: AffineSolver,
     Composed: ComposedSolver,
+    Constrained: ConstrainedSolver,
     Coupled: CoupledSolver,
     Linear: LinearSolver,
     Routh: RouthSolver,
@@ -104,6 +116,9 @@ def _velocities(
     suffix: str | None = None,
 ) -> tuple[dict[int, sp.Expr], list[sp.Expr]]:
     """Solve M v = p - a for a group of coordinates; returns the pivots of L D L^T too."""
+    if low.equations.plain.constraints:
+        v, pivots, _ = held_velocities(low, point, p, section, group, suffix or point.suffix)
+        return dict(zip(group, v, strict=True)), pivots
     entry = low.template.entry
     mass = [[entry(point, section, "M", i, j) for j in group] for i in group]
     right = [p[i] - entry(point, section, "a", i) for i in group]
@@ -119,7 +134,14 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         changes |= solver.corrections()
     define, names = low.graph.define, low.names.coordinates
     stores, squares, sizes = [], [], []
+    degree = low.equations.scheme.degree
     for (m, a), change in changes.items():
+        if m > degree:  # a multiplier, which is not measured
+            old = low.impulses[m - degree - 1][a]
+            new = define(f"{old.name}_new", old + change, "update")
+            row = Row("INCREMENT", low.equations.unknowns.place(m, a))
+            stores.append(Store(row, new, keep=old))
+            continue
         old = low.increments[m - 1][a]
         new = define(f"{names[a]}_X{m}_new", old + change, "update")
         stores.append(Store(Row("INCREMENT", low.equations.unknowns.place(m, a)), new, keep=old))
@@ -208,6 +230,9 @@ def _predicted(
         for m, a in every:
             row = Row(block, eqs.unknowns.place(m, a))
             stores.append(Store(row, following[m, a], keep=kept[m - 1][a]))
+    for k, a in (one for solver in solvers for one in solver.multipliers):  # as they were
+        row = Row("PREDICTED", eqs.unknowns.place(k, a))
+        stores.append(Store(row, low.impulses[k - d - 1][a]))
     stores += [Store(Row("MASS_DIAGONAL", a), masses[a], keep=low.mass_diagonal[a]) for a in masses]
     measured = {"velocity_jump_squared": jump, "prediction_error_squared": error}
     for name, terms in measured.items():
@@ -236,6 +261,12 @@ def _start(
                 value = define(f"{name}_X{k}_first", increment, section)
                 for block in ("INCREMENT", "PREDICTED"):
                     stores.append(Store(Row(block, eqs.unknowns.place(k, a)), value))
+    if low.multipliers:
+        taken = held_velocities(low, point, low.p, section, range(low.n), point.suffix)[2]
+        stores += [Store(Row("MULTIPLIER", c), nu) for c, nu in enumerate(taken)]
+    for k, a in (one for solver in solvers for one in solver.multipliers):
+        for block in ("INCREMENT", "PREDICTED"):  # they enter linearly: any start will do
+            stores.append(Store(Row(block, eqs.unknowns.place(k, a)), sp.S.Zero))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))
     more = ", and increments of constant velocity" if every else ""
     doc = f"Begin at (q, p): what depends on q alone{more}."

@@ -15,14 +15,16 @@ the row of q0 takes no differences of tables, and no large numbers that cancel:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import sympy as sp
 
 from symsimpson.codegen.lower import Lowering
 
-__all__ = ["WeightedRows", "bend", "unit_row", "weighted_residual"]
+__all__ = ["Increments", "WeightedRows", "bend", "unit_row", "weighted_residual"]
 
+#: X_1..X_d, each by coordinate.
+Increments = Sequence[Mapping[int, sp.Expr] | Sequence[sp.Expr]]
 #: Gives L_q or L_v at a node: ``value(i, a)``.
 AtNode = Callable[[int, int], sp.Expr]
 
@@ -40,9 +42,9 @@ def unit_row(row: Sequence[sp.Expr]) -> int | None:
     return places[0] if len(places) == 1 and row[places[0]] == 1 else None
 
 
-def bend(low: Lowering, k: int, a: int) -> sp.Expr:
-    """Return Y_k = X_k - c_k X_d, 0 < k < d."""
-    X = low.increments
+def bend(low: Lowering, k: int, a: int, X: Increments | None = None) -> sp.Expr:
+    """Return Y_k = X_k - c_k X_d, 0 < k < d, of the increments or of others."""
+    X = low.increments if X is None else X
     value = X[k - 1][a] - low.equations.scheme.points[k] * X[-1][a]
     return low.graph.define(f"{low.names.coordinates[a]}_Y{k}", value, "path")
 

@@ -24,7 +24,9 @@ import sympy as sp
 
 from symsimpson.discrete.jet import Jet, Key, derive_jet
 from symsimpson.discrete.reductions import (
+    Affine,
     Composed,
+    Constrained,
     Coupled,
     Part,
     Routh,
@@ -91,13 +93,15 @@ class DiscreteEquations:
     @property
     def unknowns(self) -> Unknowns:
         """What the equations are solved for, where nothing is reduced."""
-        return Unknowns(self.scheme.degree, len(self.plain.q))
+        held = len(self.plain.constraints)
+        others = (held,) * self.scheme.degree if held else ()
+        return Unknowns(self.scheme.degree, len(self.plain.q), others)
 
-    def joined(self) -> Composed | Coupled | Separable:
+    def joined(self) -> Composed | Constrained | Coupled | Separable:
         """Return all coordinates as one part, as loops take them."""
         alone = self.exploit & {"constant_mass"}
         (part,) = reduce(self.system.structure, self.scheme, alone)
-        assert isinstance(part, (Composed, Coupled, Separable))
+        assert isinstance(part, (Composed, Constrained, Coupled, Separable))
         return part
 
     def coefficient(self, what: str, i: int, k: int = 0, m: int = 0) -> sp.Expr:
@@ -168,11 +172,15 @@ def discretise(
         rates = damping_rates(plain)
         assert rates is not None
         plain = replace(plain, rates=rates, acting=undamped(plain))
-    if "conformal" in wanted and structure.damping is not None and not explicit:
+    free = not (explicit or plain.constraints)
+    if "conformal" in wanted and structure.damping is not None and free:
         # nodes have weights of their own, so that M is not the same at all of them
         plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)
-        parts = tuple(Coupled(part.coordinates, *elimination_order(scheme.degree)) for part in
-                      reduce(structure, scheme, wanted & {"decoupled"}))  # fmt: skip
+        parts = tuple(
+            part if isinstance(part, Affine)
+            else Coupled(part.coordinates, *elimination_order(scheme.degree))
+            for part in reduce(structure, scheme, wanted & {"decoupled", "linear"})
+        )  # fmt: skip
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts)
@@ -183,6 +191,12 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
+    if plain.constraints:
+        raise SchemeError(
+            f"{scheme.name} is made of kicks and drifts, and a drift of a system with constraints "
+            "follows them: it is no step along a straight line.\nChoose a scheme of the family, as "
+            "'simpson', 'gauss8' or 'lobatto2' (RATTLE)."
+        )
     structure = system.structure
     linear = plain.dragged and structure.constant_mass and not structure.gyroscopic
     if linear and damping_rates(structure.plain):

@@ -26,7 +26,7 @@ from symsimpson.stopwatch import timed
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Jet", "derive_jet", "watched"]
+__all__ = ["Jet", "derive_jet", "watched", "written_as_jet"]
 
 #: Where the first ways give more operations than this, no others are tried.
 FEW_OPERATIONS = 300
@@ -128,7 +128,7 @@ def watched(plain: Plain) -> Jet:
     """Write the invariants alone."""
     graph = plain.graph
     outputs: dict[Key, Value] = {("invariant", key): x for key, x in plain.invariants.items()}
-    return _jet(plain, graph, outputs)
+    return written_as_jet(plain, graph, outputs)
 
 
 def _derived(
@@ -169,10 +169,10 @@ def _derived(
         for j in range(n):
             outputs["F_q", i, j], outputs["F_v", i, j] = of_force[j], of_force[n + j]
             outputs["P_q", i, j], outputs["M", i, j] = of_momentum[j], of_momentum[n + j]
-    return _jet(plain, graph, outputs, half_angles)
+    return written_as_jet(plain, graph, outputs, half_angles)
 
 
-def _jet(
+def written_as_jet(
     plain: Plain, graph: Graph, outputs: Mapping[Key, Value], half_angles: Sequence[int] = ()
 ) -> Jet:
     """Merge what is equal, and name what is shared."""

@@ -14,9 +14,12 @@ solved one by one:
   the nodes. That the velocities of y are such a polynomial, sum_i C_ri v_y(q_i) = 0, is a linear,
   symmetric and positive definite system for the multipliers lambda (s - d of them for each
   coordinate; Simpson has one, a Gauss scheme of full degree none).
+- :class:`Constrained`: multipliers are unknowns, too.
 - :class:`Composed` (constant M, forces of q alone, an explicit scheme): kicks and drifts.
 - :class:`Linear` (forces linear in q): the step is a product of shears
   p += kick(q), q += drift(p), ..., exact for whatever rounding leaves of their coefficients.
+- :class:`Affine` (forces and momenta affine in q and v, beside what depends on t and inputs): the
+  equations are linear in all X_k, with a matrix that is factorised once a run.
 """
 
 from __future__ import annotations
@@ -32,13 +35,14 @@ from symsimpson.discrete.factors import Factors, factorise
 from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
-from symsimpson.mechanics.structure import Structure, Subsystem
+from symsimpson.mechanics.structure import MOST_AFFINE, Structure, Subsystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = [
-    "EXPLOITABLE", "BasePart", "Composed", "Coupled", "Linear", "Part", "Routh", "Separable",
-    "elimination_order", "force_factor", "inertia_factor", "read_exploit", "reduce",
+    "EXPLOITABLE", "Affine", "BasePart", "Composed", "Constrained", "Coupled", "Linear", "Part",
+    "Routh", "Separable", "elimination_order", "force_factor", "inertia_factor", "read_exploit",
+    "reduce",
 ]  # fmt: skip
 
 Table = tuple[tuple[sp.Expr, ...], ...]
@@ -136,6 +140,29 @@ class Linear(BasePart):
 
 
 @dataclass(frozen=True)
+class Affine(BasePart):
+    """Coordinates whose D_k L_d = 0, k in ``rows``, are linear in X_m, m in ``solved``."""
+
+    columns: ClassVar[tuple[int, ...]] = ()
+    coordinates: tuple[int, ...]
+    rows: tuple[int, ...]
+    solved: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Constrained(BasePart):
+    """Coordinates whose increments X_m, m in ``columns``, are held by constraints.
+
+    D_k L_d = Phi(q_0 + X_k)^T mu_k, k in ``rows``, and phi(q_0 + X_m) = 0: at the control points,
+    which are Lobatto's, so that the order is that without constraints.
+    """
+
+    coordinates: tuple[int, ...]
+    rows: tuple[int, ...]
+    columns: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Composed(BasePart):
     """Coordinates moved by kicks p += h b_k L_q(q), and drifts q += h a_k M^-1 p between them."""
 
@@ -145,7 +172,7 @@ class Composed(BasePart):
     drifts: tuple[sp.Expr, ...]
 
 
-Part = Coupled | Separable | Routh | Linear | Composed
+Part = Coupled | Separable | Routh | Linear | Affine | Constrained | Composed
 
 
 def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
@@ -183,6 +210,9 @@ def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tup
     -------
     tuple of Part
     """
+    if structure.plain.constraints:
+        every = tuple(range(structure.n))
+        return (Constrained(every, *elimination_order(scheme.degree)),)
     subsystems: tuple[Subsystem, ...] = structure.subsystems
     if "decoupled" not in exploit and len(subsystems) > 1:
         subsystems = (_joined(subsystems),)
@@ -196,6 +226,7 @@ def _joined(subsystems: Sequence[Subsystem]) -> Subsystem:
         constant_mass=all(s.constant_mass for s in subsystems),
         separable=all(s.separable for s in subsystems),
         linear=all(s.linear for s in subsystems),
+        affine=all(s.affine or s.linear for s in subsystems) and any(s.affine for s in subsystems),
     )
 
 
@@ -207,9 +238,12 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
         shears = shear_factors(scheme)
         if shears is not None:
             return Linear(coordinates, shears)
+    rows, columns = elimination_order(scheme.degree)
+    few = len(coordinates) * scheme.degree <= MOST_AFFINE
+    if subsystem.affine and "linear" in exploit and scheme.exact and few:
+        return Affine(coordinates, rows, columns)
     if subsystem.separable and "constant_mass" in exploit and scheme.exact:
         return _separable(coordinates, scheme)
-    rows, columns = elimination_order(scheme.degree)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
     reducible = subsystem.cyclic and others and _still(plain, subsystem.cyclic)
     if reducible and "cyclic" in exploit and (scheme.exact or scheme.by_stages):

@@ -36,6 +36,13 @@ class Unknowns:
         """Number of all unknowns."""
         return self.measured + sum(self.others)
 
+    @property
+    def behind(self) -> int:
+        """Number of unknowns behind the increments."""
+        return sum(self.others)
+
     def place(self, k: int, a: int) -> int:
-        """Return the place of X_k of coordinate a, k from 1 on."""
+        """Return the place of X_k of coordinate a, k from 1 on; behind X_d, of the others."""
+        if k > self.control_points:
+            return self.measured + sum(self.others[: k - self.control_points - 1]) + a
         return (k - 1) * self.coordinates + a

@@ -14,6 +14,7 @@ from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import check_names, fail, spell
+from symsimpson.mechanics.constraints import check_held_mass, read_constraints
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import check_used, read_forces
@@ -90,8 +91,12 @@ def read_energies(
             "ones to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...).",
         )
     gyroscopic = polynomial(name, "gyroscopic term", linear, s)
-    check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
-    check_mass_matrix(name, parts.M, s)
+    constraints = read_constraints(name, given.constraints, s, read)
+    if constraints:
+        check_held_mass(name, parts.M, constraints, s)
+    else:
+        check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
+        check_mass_matrix(name, parts.M, s)
     if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
         raise fail(
             name,
@@ -124,11 +129,12 @@ def read_energies(
     plain = Plain(
         graph=s.graph, q=s.q, v=s.v, p=s.p, parameters=s.a, T=kinetic, M=dict(parts.M),
         a=gyroscopic.a, V=potential, invariants=MappingProxyType(values), t=s.t, forces=forces,
-        u=s.u,
+        u=s.u, constraints=constraints,
     )  # fmt: skip
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
-    check_names(name, names, [key for key in invariants if key not in written_out])
+    held = [f"lambda_{key}" for key in constraints]
+    check_names(name, names, [*held, *(key for key in invariants if key not in written_out)])
     return plain, MappingProxyType(positions), MappingProxyType(invariants)
 
 

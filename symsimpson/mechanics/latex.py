@@ -43,6 +43,11 @@ def _equations(one: MechanicalSystem) -> str:
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))
     lines = [("T", kinetic), ("V", potential)]
+    pulls: list[sp.Expr] = []
+    for k, phi in enumerate(one.constraints.values()):
+        lines.append(("0", sp.sympify(phi).xreplace(safe)))
+        multiplier = sp.Symbol(f"lambda_{k + 1}" if len(one.constraints) > 1 else "lambda")
+        pulls.append(multiplier * sp.sympify(phi))
     if one.n <= SHOWN:
         lines.append(("M", one.mass_matrix.xreplace(safe)))
         lagrangian = one.lagrangian
@@ -50,7 +55,7 @@ def _equations(one: MechanicalSystem) -> str:
         for q, own in zip(one.coordinates, one.plain.f, strict=True):
             name = q.xreplace(safe)
             moment = sp.diff(lagrangian, q.diff(t)).xreplace(safe)
-            force = sp.diff(lagrangian, q) + one.plain.written(own).xreplace(back)
+            force = sp.diff(lagrangian - sp.Add(*pulls), q) + one.plain.written(own).xreplace(back)
             force = force.xreplace(safe)
             if sp.count_ops([moment, force]) > MOST_OPERATIONS:
                 break

@@ -1,4 +1,4 @@
-"""Generalised forces of SymPy's loads: vectors at points, torques on frames."""
+"""What a LagrangesMethod of SymPy holds: L, constraints, and loads as generalised forces."""
 
 from __future__ import annotations
 
@@ -7,10 +7,48 @@ from typing import Any
 import sympy as sp
 from sympy.physics.mechanics import dynamicsymbols
 
-__all__ = ["generalised"]
+from symsimpson.mechanics.checks import fail, spell
+
+__all__ = ["read_method"]
 
 
-def generalised(method: Any) -> dict[Any, sp.Expr]:
+def read_method(
+    name: str, lm: Any
+) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr]]:
+    """Return L, the coordinates, the generalised forces and the holonomic constraints.
+
+    Raises
+    ------
+    ModelError
+        If it is no LagrangesMethod, or has constraints of velocities.
+    """
+    try:
+        lagrangian, coordinates = lm._L[0], tuple(lm.q)
+        held, loads = list(lm._hol_coneqs), _generalised(lm)
+        rolling = list(lm.coneqs)[len(held) :]
+    except (AttributeError, TypeError, IndexError):
+        kane = type(lm).__name__ == "KanesMethod"
+        raise fail(
+            name,
+            f"{type(lm).__name__} is not a sympy.physics.mechanics.LagrangesMethod.",
+            "Kane's equations come without a Lagrangian, and a variational step is made of "
+            "one. Write L = sympy.physics.mechanics.Lagrangian(frame, *bodies), with the "
+            "bodies' potential_energy, and use from_lagrangian(name, L, coordinates, "
+            "parameters)."
+            if kane
+            else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
+        ) from None
+    if rolling:
+        raise fail(
+            name,
+            f"the LagrangesMethod has non-holonomic constraints: {spell(rolling)}.",
+            "Their flow is not symplectic, and no variational step follows from them. If they "
+            "are time derivatives of equations of positions, give those as hol_coneqs.",
+        )
+    return lagrangian, coordinates, loads, held
+
+
+def _generalised(method: Any) -> dict[Any, sp.Expr]:
     """Return the generalised forces of a LagrangesMethod's ``forcelist``, by coordinate.
 
     Parameters

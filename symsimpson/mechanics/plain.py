@@ -31,8 +31,9 @@ class Plain:
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
     which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
     not zero. M, a and V may depend on t as well. ``forces`` has the components of each named force,
-    ``u`` the inputs of them. A step may take damping into account by itself: -2 ``rate`` L_v by its
-    weights, ``rates`` times M v in its kicks. Then ``acting`` are the forces that are left.
+    ``u`` the inputs of them; ``constraints`` are phi(q) = 0. A step may take damping into account
+    by itself: -2 ``rate`` L_v by its weights, ``rates`` times M v in its kicks. Then ``acting`` are
+    the forces that are left.
     """
 
     graph: Graph
@@ -48,6 +49,7 @@ class Plain:
     t: sp.Symbol = TIME
     forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     u: tuple[sp.Symbol, ...] = ()
+    constraints: Mapping[str, Value] = field(default_factory=dict)
     rate: Value | None = None
     rates: tuple[Value, ...] = ()
     acting: tuple[Value, ...] | None = None
@@ -56,6 +58,11 @@ class Plain:
     def symbols(self) -> tuple[sp.Symbol, ...]:
         """All symbols: q, v, p, the parameters, the inputs and t."""
         return (*self.q, *self.v, *self.p, *self.parameters, *self.u, self.t)
+
+    @property
+    def multipliers(self) -> tuple[sp.Symbol, ...]:
+        """A symbol for the multiplier of each constraint."""
+        return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.constraints)))
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of symbols."""
@@ -130,11 +137,11 @@ class Plain:
     def level(self, graph: Graph) -> Callable[[int], int]:
         """Return a function that tells of nodes what they depend on.
 
-        0 for parameters alone, 1 for t, u and q, 2 for v or p. The graph may be another one with
-        symbols of these names.
+        0 for parameters alone, 1 for t, u and q, 2 for v, p or multipliers. The graph may be
+        another one with symbols of these names.
         """
         positions = set(graph.numbers(s.name for s in (*self.q, *self.u, self.t)))
-        moving = set(graph.numbers(s.name for s in (*self.v, *self.p)))
+        moving = set(graph.numbers(s.name for s in (*self.v, *self.p, *self.multipliers)))
 
         def level(n: int) -> int:
             symbols = graph.nodes[n].symbols

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -24,8 +24,8 @@ from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
 __all__ = [
-    "Polynomial", "check_degenerate", "check_mass_matrix", "connected", "polynomial",
-    "quadratic_form",
+    "Polynomial", "check_degenerate", "check_mass_matrix", "conditioned", "connected",
+    "polynomial", "quadratic_form", "rank", "samples",
 ]  # fmt: skip
 
 #: Second derivatives with more nodes than this are not simplified, and not shown.
@@ -220,6 +220,18 @@ def _clearly_regular(
     M: Mapping[tuple[int, int], Value], symbols: Symbols, blocks: Sequence[Sequence[int]]
 ) -> Iterable[bool]:
     """Tell of blocks of M whether they are regular at a sample, by singular values in doubles."""
+    for numbers in samples(symbols, list(M.values())):
+        matrix = np.zeros((len(symbols.q),) * 2)
+        for (i, j), number in zip(M, numbers, strict=True):
+            matrix[i, j] = matrix[j, i] = number
+        answers = [conditioned(matrix[np.ix_(block, block)]) for block in blocks]
+        if all(answers):
+            break
+    return answers
+
+
+def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
+    """Evaluate values at a few random points, in doubles."""
     generator = random.Random(20)
     everything = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
     for _ in range(SAMPLES):
@@ -227,14 +239,8 @@ def _clearly_regular(
             n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
             for n, s in zip(symbols.numbers(everything), everything, strict=True)
         }
-        values = evaluated(symbols.graph, [n for _, n in M.values()], point, mpmath.fp)
-        matrix = np.zeros((len(symbols.q),) * 2)
-        for (i, j), (c, n) in M.items():
-            matrix[i, j] = matrix[j, i] = _double(c) * values[n]
-        answers = [_conditioned(matrix[np.ix_(block, block)]) for block in blocks]
-        if all(answers):
-            break
-    return answers
+        found = evaluated(symbols.graph, [n for _, n in values], point, mpmath.fp)
+        yield [_double(c) * found[n] if c else 0.0 for c, n in values]
 
 
 def _double(number: Exact) -> float:
@@ -244,7 +250,8 @@ def _double(number: Exact) -> float:
         return math.inf
 
 
-def _conditioned(matrix: Any) -> bool:
+def conditioned(matrix: Any) -> bool:
+    """Return whether a matrix in doubles has full rank beyond doubt."""
     return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
 
 
@@ -252,27 +259,34 @@ def _regular(
     M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]
 ) -> bool:  # fmt: skip
     """Return whether the determinant of a block of M is not zero in a field."""
-    findings = Findings(symbols.graph, list(M.values()))
-    for at in findings.points:
-        places = [[(max(i, j), min(i, j)) for j in block] for i in block]
-        rows = [[at[M[place]] if place in M else 0 for place in row] for row in places]
-        if _determinant(rows, at.arithmetic):
-            return True
-    return False
+    matrix = [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
+    return rank(symbols.graph, matrix) == len(block)
 
 
-def _determinant(rows: list[list[Element]], field: Arithmetic) -> bool:
-    """Return whether a matrix over the field is regular: Gauss's elimination."""
-    minus = field.prime - 1
-    for k in range(len(rows)):
-        pivot = next((i for i in range(k, len(rows)) if rows[i][k]), None)
+def rank(graph: Graph, matrix: Sequence[Sequence[Value]]) -> int:
+    """Return the rank of a matrix wherever it is largest, from random points of a field."""
+    values = [value for row in matrix for value in row]
+    return max(
+        _rank([[at[value] for value in row] for row in matrix], at.arithmetic)
+        for at in Findings(graph, values).points
+    )
+
+
+def _rank(rows: list[list[Element]], field: Arithmetic) -> int:
+    """Return the rank of a matrix over the field: Gauss's elimination."""
+    minus, done = field.prime - 1, 0
+    for k in range(len(rows[0])):
+        pivot = next((i for i in range(done, len(rows)) if rows[i][k]), None)
         if pivot is None:
-            return False
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        over = field.times(minus, field.inverse(rows[k][k]))
-        for row in rows[k + 1 :]:
+            continue
+        rows[done], rows[pivot] = rows[pivot], rows[done]
+        over = field.times(minus, field.inverse(rows[done][k]))
+        for row in rows[done + 1 :]:
             if row[k]:
                 factor = field.times(row[k], over)
-                for j in range(k, len(rows)):
-                    row[j] = field.plus(row[j], field.times(factor, rows[k][j]))
-    return True
+                for j in range(k, len(row)):
+                    row[j] = field.plus(row[j], field.times(factor, rows[done][j]))
+        done += 1
+        if done == len(rows):
+            break
+    return done

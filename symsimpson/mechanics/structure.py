@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING
 
-from symsimpson.graph.derive import gradient
+from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
@@ -24,7 +24,10 @@ from symsimpson.mechanics.quadratic import connected, quadratic_form
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["Structure", "Subsystem", "analyse"]
+__all__ = ["MOST_AFFINE", "Structure", "Subsystem", "analyse"]
+
+#: Linear equations of more unknowns than this are iterated as others are.
+MOST_AFFINE = 16
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,9 @@ class Subsystem:
         on v.
     linear : bool
         Separable, without t, and V is quadratic and the only force: it is linear in q.
+    affine : bool
+        Forces act, or t stands there; M is constant, and forces and momenta are affine in q and v,
+        with coefficients of parameters alone.
     """
 
     coordinates: tuple[int, ...]
@@ -51,6 +57,7 @@ class Subsystem:
     constant_mass: bool
     separable: bool
     linear: bool
+    affine: bool = False
 
 
 @dataclass(frozen=True, repr=False)
@@ -186,7 +193,7 @@ class _Look:
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
         self._positions = frozenset(self.q)
-        written = (*plain.energies, *plain.f)
+        written = (*plain.energies, *plain.f, *plain.constraints.values())
         self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
         own, self.P = both[: len(self.q)], both[len(self.q) :]
@@ -206,11 +213,21 @@ class _Look:
     def couplings(self) -> set[tuple[int, int]]:
         """List the pairs of coordinates that L couples."""
         depends = self._findings.depends
-        return {(i, k) for i, k, value, x in self._met() if i != k and depends(value, x)}
+        met = {(i, k) for i, k, value, x in self._met() if i != k and depends(value, x)}
+        return met | self._held_together()
 
     def as_written(self) -> set[tuple[int, int]]:
         """List the pairs of coordinates of which one stands in the other's force or momentum."""
-        return {(i, k) for i, k, _, _ in self._met()}
+        return {(i, k) for i, k, _, _ in self._met()} | self._held_together()
+
+    def _held_together(self) -> set[tuple[int, int]]:
+        """List the pairs of coordinates that stand in one constraint."""
+        nodes, place = self._plain.graph.nodes, {x: i for i, x in enumerate(self.q)}
+        groups = [
+            [place[x] for x in nodes[n].symbols & place.keys()]
+            for _, n in self._plain.constraints.values()
+        ]  # fmt: skip
+        return {(i, k) for group in groups for i in group for k in group if i != k}
 
     def moves(self, value: Value) -> int:
         """Count the coordinates that a value depends on."""
@@ -228,7 +245,9 @@ class _Look:
         own = [value for (i, _), value in plain.M.items() if i in inside]
         constant = not any(self.moves(value) or self._timed(value) for value in own)
         rigid = not any(self._dragged(plain.f[i]) for i in group)
-        separable = constant and rigid and all(vanishes(plain.a[i]) for i in group)
+        nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
+        held = any(nodes[n].symbols & own_q for _, n in plain.constraints.values())
+        separable = constant and rigid and not held and all(vanishes(plain.a[i]) for i in group)
         forces = [self._slope[i] for i in group]
         x = [self.q[i] for i in group]
         free = not any(plain.f[i][0] for i in group) and not any(map(self._timed, forces))
@@ -240,7 +259,23 @@ class _Look:
             constant_mass=constant,
             separable=separable,
             linear=separable and free and all(self._findings.affine(forces, x)),
+            affine=constant
+            and not (free or held)
+            and len(group) <= MOST_AFFINE
+            and self._affine(group),
         )
+
+    def _affine(self, group: Sequence[int]) -> bool:
+        """Return whether forces and momenta are affine in q and v, and their slopes constant."""
+        states = [x for i in group for x in (self.q[i], self.v[i])]
+        values = [values[i] for i in group for values in (self.F, self.P)]
+        if not all(self._findings.affine(values, states)):
+            return False
+        plain, derivatives = self._plain, Derivatives(self._plain.graph)
+        slopes = [derivatives(value, x) for value in values for x in states]
+        given = (*plain.numbers(plain.u), plain.time)
+        findings = Findings(plain.graph, slopes)
+        return not any(findings.depends(slope, x) for slope in slopes for x in given)
 
     def _dragged(self, force: Value) -> bool:
         """Return whether a force depends on a velocity."""

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
 from symsimpson.garbage import rarely_collected
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import (
-    fail,
     read_coordinates,
     read_name,
     read_parameters,
-    spell,
 )
+from symsimpson.mechanics.constraints import names_of
 from symsimpson.mechanics.declaration import LARGE, energies, read_energies
+from symsimpson.mechanics.digest import fingerprint
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import read_inputs
-from symsimpson.mechanics.loads import generalised
+from symsimpson.mechanics.loads import read_method
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
@@ -39,6 +39,7 @@ Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: No parameters.
 NONE: Mapping[sp.Symbol, float] = MappingProxyType({})
 Positions = Mapping[str, Sequence[Any]]
+Constraints = Mapping[str, sp.Expr] | Sequence[sp.Expr]
 
 
 @contextmanager
@@ -80,6 +81,10 @@ class MechanicalSystem:
     inputs : sequence of symbols, optional
         Symbols in forces whose values are given to each run, step by step:
         ``integrate(..., inputs={"u": values})``.
+    constraints : mapping from str to expression, or sequence of expressions, optional
+        Holonomic constraints phi(q) = 0, of coordinates and parameters, fewer than coordinates:
+        ``{"rod": x**2 + y**2 - l**2}``. M need be positive definite only for velocities that
+        they allow.
 
     Raises
     ------
@@ -119,6 +124,7 @@ class MechanicalSystem:
     forces: Mapping[Any, Any] | None = field(kw_only=True, default=None)
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
     inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
+    constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -128,6 +134,8 @@ class MechanicalSystem:
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
+        constraints = MappingProxyType(names_of(name, self.constraints))
+        object.__setattr__(self, "constraints", constraints)
         with _stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         for key, value in {
@@ -157,6 +165,7 @@ class MechanicalSystem:
         forces: Mapping[Any, Any] | None = None,
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
+        constraints: Constraints = (),
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
@@ -166,6 +175,8 @@ class MechanicalSystem:
             As for :class:`MechanicalSystem`.
         lagrangian : sympy expression
             Quadratic in the velocities; linear terms are allowed.
+        constraints
+            As for :class:`MechanicalSystem`.
 
         Raises
         ------
@@ -204,6 +215,7 @@ class MechanicalSystem:
             forces=forces,
             dissipation=dissipation,
             inputs=tuple(given),
+            constraints=names_of(name, constraints),
         )
 
     @classmethod
@@ -218,22 +230,23 @@ class MechanicalSystem:
         forces: Mapping[Any, Any] | None = None,
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
+        constraints: Constraints = (),
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters, positions, invariants, forces, dissipation, inputs
-            As for :class:`MechanicalSystem`.
+        name, parameters, positions, invariants, forces, dissipation, inputs, constraints
+            As for :class:`MechanicalSystem`; ``constraints`` stand beside those of ``lm``.
         lm : sympy.physics.mechanics.LagrangesMethod
-            Without constraints. Its ``forcelist`` becomes the force named "forcelist": of each
-            pair, the vector times the velocity of the point, or the angular velocity of the frame,
-            that it acts on.
+            Its ``forcelist`` becomes the force named "forcelist": of each pair, the vector times
+            the velocity of the point, or the angular velocity of the frame, that it acts on. Its
+            holonomic constraints get the names "1", "2", ...
 
         Raises
         ------
         ModelError
-            If ``lm`` has constraints, or as above.
+            If ``lm`` has constraints that are not holonomic, or as above.
 
         Examples
         --------
@@ -244,40 +257,66 @@ class MechanicalSystem:
         >>> ss.MechanicalSystem.from_lagranges_method("quartic", method, {}).potential
         x(t)**4
         """
-        name = read_name(name)
-        try:
-            lagrangian, coordinates = lm._L[0], tuple(lm.q)
-            constraints, loads = list(lm.coneqs), generalised(lm)
-        except (AttributeError, TypeError, IndexError):
-            kane = type(lm).__name__ == "KanesMethod"
-            raise fail(
-                name,
-                f"{type(lm).__name__} is not a sympy.physics.mechanics.LagrangesMethod.",
-                "Kane's equations come without a Lagrangian, and a variational step is made of "
-                "one. Write L = sympy.physics.mechanics.Lagrangian(frame, *bodies), with the "
-                "bodies' potential_energy, and use from_lagrangian(name, L, coordinates, "
-                "parameters)."
-                if kane
-                else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
-            ) from None
-        if constraints:
-            raise fail(
-                name,
-                f"the LagrangesMethod has constraints: {spell(constraints)}.",
-                "They would be ignored. Choose coordinates that satisfy the constraints, and drop "
-                "them.",
-            )
+        lagrangian, coordinates, loads, held = read_method(name, lm)
         if loads:
             forces = {**(forces or {}), "forcelist": loads}
         return cls.from_lagrangian(
             name, lagrangian, coordinates, parameters, positions=positions,
             invariants=invariants, forces=forces, dissipation=dissipation, inputs=inputs,
+            constraints={**names_of(name, constraints), **names_of(name, held)},
         )  # fmt: skip
 
     @property
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of coordinates, less that of constraints."""
+        return self.n - len(self.constraints)
+
+    def consistent(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        fixed: Iterable[Any] = (),
+        parameters: Mapping[Any, Any] | None = None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest state that satisfies the constraints.
+
+        Parameters
+        ----------
+        q0, v0 : array_like, shape (n,)
+        fixed : sequence of coordinates or their names, optional
+            Those that stay as they are.
+        parameters : mapping, optional
+            Values other than the defaults.
+
+        Returns
+        -------
+        q0, v0 : ndarray, shape (n,)
+            phi(q) = 0 and Phi v = 0 to rounding; changed as little as can be, measured by M.
+
+        Raises
+        ------
+        InputError
+            If there is no such state nearby, or the arguments make no sense.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> x, y = ss.coordinates("x y")
+        >>> rod = ss.MechanicalSystem(
+        ...     "rod", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2, potential=y,
+        ...     constraints={"length": x**2 + y**2 - 1})
+        >>> q, v = rod.consistent([0.6, -0.7], [1.0, 0.0], fixed=["x"])
+        >>> q.round(12).tolist(), v.round(12).tolist()
+        ([0.6, -0.8], [1.0, 0.75])
+        """
+        from symsimpson.mechanics.consistent import consistent
+
+        return consistent(self, q0, v0, fixed, parameters)
 
     @cached_property
     def mass_matrix(self) -> Matrix:
@@ -307,35 +346,7 @@ class MechanicalSystem:
     @cached_property
     def digest(self) -> str:
         """SHA-256 over names and equations, not over the parameters' values."""
-        plain = self.plain
-        forces = [value for force in plain.forces.values() for value in force]
-        values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
-        nodes = plain.graph.reached(n for _, n in values)
-        place = {n: k for k, n in enumerate(nodes)}
-
-        def spelled(n: int) -> str:
-            kind, parts, _ = plain.graph.nodes[n]
-            match kind:
-                case "sum":
-                    return str([(str(c), place[m]) for c, m in parts])
-                case "product":
-                    return str([(place[m], str(e)) for m, e in parts])
-                case "function":
-                    return str([parts[0], *((str(c), place[m]) for c, m in parts[1:])])
-            return str(parts)
-
-        content = [
-            self.name,
-            [str(q) for q in self.coordinates],
-            [sp.srepr(a) for a in self.parameters],
-            sorted(plain.M),
-            [(plain.graph.nodes[n].kind, spelled(n)) for n in nodes],
-            [(str(c), place[n]) for c, n in values],
-            list(plain.invariants),
-            *([list(plain.forces)] if plain.forces else []),
-            *([list(map(str, self.inputs))] if self.inputs else []),
-        ]
-        return hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return fingerprint(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MechanicalSystem):

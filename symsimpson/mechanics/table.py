@@ -40,6 +40,15 @@ def rows(found: Structure) -> list[Row]:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
     if found.forced:
         table.append(("forces", _some(found.forced), "they are declared beside L", ""))
+    if found.system.constraints:
+        table.append(
+            (
+                "constraints",
+                _some(list(found.system.constraints)),
+                f"phi(q) = 0; {found.system.degrees_of_freedom} degrees of freedom",
+                "",
+            )
+        )
     if found.damping is not None:
         table.append(("damping", "f = -2 gamma p", "all forces are in proportion to the momenta",
                       "the forces: weights of the nodes grow by exp(2 gamma c_i h)"))  # fmt: skip
@@ -60,6 +69,11 @@ def rows(found: Structure) -> list[Row]:
                 "Newton's method: a step is a product of shears",
             )
         )
+    affine = [names[i] for s in found.subsystems if s.affine for i in s.coordinates]
+    if affine:
+        table.append(("affine", _some(affine),
+                      "equations are linear in q and v, with constant coefficients",
+                      "Newton's method: a step is solved with factors of the run"))  # fmt: skip
     if found.cyclic:
         table.append(
             (

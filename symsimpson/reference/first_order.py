@@ -9,10 +9,11 @@ from typing import Any
 import sympy as sp
 
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import UNIT, ZERO, Value, scaled
+from symsimpson.graph.nodes import UNIT, ZERO, Value
 from symsimpson.graph.program import Program
 from symsimpson.graph.read import line_written, number
 from symsimpson.graph.share import share
+from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -56,11 +57,8 @@ class FirstOrder:
         modules : {"math", "mpmath", "jax"}
             The functions that it calls.
         """
-        made: Callable[..., Any] = sp.lambdify(
-            [*self.unknowns, *self.parameters], list(self.rates), modules,
-            cse=lambda expressions: (list(self.definitions), expressions),
-        )  # fmt: skip
-        return made
+        arguments = [*self.unknowns, *self.parameters]
+        return line_function(arguments, self.definitions, self.rates, modules)
 
     def state(self, *parts: Any) -> list[Any]:
         """Join the parts of a state at t = 0; where t is an unknown, it stands last."""
@@ -83,20 +81,34 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     """Write Hamilton's equations in (q, p).
 
     q' = v with M v = p - a, and p' = dL/dq + f at (t, q, v). Where something depends on t, it is
-    the last unknown, of the rate 1.
+    the last unknown, of the rate 1. With constraints M v + Phi^T nu = p - a and Phi v = 0, and
+    p' = dL/dq + f - Phi^T lambda.
     """
     plain = system.plain
     p, n = _symbols("p", len(plain.q)), len(plain.q)
     graph, L = plain.graph, plain.L
     slopes = gradient(graph, L, plain.numbers(plain.q))
     forces = map(graph.add, zip(slopes, plain.f, strict=True))
-    lines = Lines(plain, {**_mass_and_a(plain), **{("F", i): f for i, f in enumerate(forces)}})
+    outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(forces)}
+    held = len(plain.constraints)
+    if held:
+        outputs |= _accelerating(plain)
+    lines = Lines(plain, outputs)
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
-    solution, v = _solve(lines.mass(n), momenta, "v")
+    solution, found = _solve(lines.held_mass(), [*momenta, *([sp.S.Zero] * held)], "v")
+    v = found[:n]
     known = dict(zip(plain.v, v, strict=True))
     rates = [lines.value("F", i).xreplace(known) for i in range(n)]
     later = [(name, value.xreplace(known)) for name, value in lines.later]
     definitions = (*lines.early, *solution, *later)
+    if held:
+        right = [value.xreplace(known) for value in lines.right()]
+        solution, found = _solve(lines.held_mass(), right, "a")
+        definitions = (*definitions, *solution)
+        rates = [
+            rate - sp.Add(*(lines.value("Phi", c, i) * found[n + c] for c in range(held)))
+            for i, rate in enumerate(rates)
+        ]
     return _system(system, "canonical", (*plain.q, *p), definitions, (*v, *rates))
 
 
@@ -105,21 +117,12 @@ def second_order(system: MechanicalSystem) -> FirstOrder:
 
     Where something depends on t, it is the last unknown, of the rate 1.
     """
-    plain, n = system.plain, system.n
-    graph, L = plain.graph, plain.L
-    q, v = plain.numbers(plain.q), plain.numbers(plain.v)
-    forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
-    right: dict[Key, Value] = {}
-    for i in range(n):
-        *slopes, drift = gradient(graph, momenta[i], [*q, plain.time])
-        moving = [graph.multiply([(-1, 0), s, (1, x)]) for s, x in zip(slopes, v, strict=True)]
-        right["right", i] = graph.add([forces[i], plain.f[i], *moving, scaled(-1, drift)])
-    lines = Lines(plain, {**_mass_and_a(plain), **right})
-    solution, rates = _solve(lines.mass(n), [lines.value("right", i) for i in range(n)], "a")
+    plain = system.plain
+    lines = Lines(plain, {**_mass_and_a(plain), **_accelerating(plain)})
+    solution, found = _solve(lines.held_mass(), lines.right(), "a")
     definitions = (*lines.early, *lines.later, *solution)
-    return _system(
-        system, "second order", (*plain.q, *plain.v), definitions, (*plain.v, *rates)
-    )  # fmt: skip
+    rates = (*plain.v, *found[: system.n])
+    return _system(system, "second order", (*plain.q, *plain.v), definitions, rates)
 
 
 def reduced_top(p_phi: Any, p_psi: Any, *, inertia: float = 1.0, A: Any = None) -> FirstOrder:
@@ -158,6 +161,20 @@ def _system(
     )
 
 
+def line_function(
+    arguments: Sequence[sp.Symbol],
+    definitions: Sequence[Definition],
+    results: Sequence[sp.Expr],
+    modules: str,
+) -> Callable[..., Any]:
+    """Return a function of numbers for results that are made of definitions."""
+    made: Callable[..., Any] = sp.lambdify(
+        list(arguments), list(results), modules,
+        cse=lambda expressions: (list(definitions), expressions),
+    )  # fmt: skip
+    return made
+
+
 class Lines:
     """Outputs as definitions, a line each: those of q alone, and those of v behind them."""
 
@@ -165,6 +182,7 @@ class Lines:
         level = plain.level(plain.graph)
         program = share(Program.of(plain.graph, outputs, level))
         self._outputs = program.outputs
+        self._n, self._held = len(plain.q), len(plain.constraints)
         self.early: list[Definition] = []
         self.later: list[Definition] = []
         symbols = plain.symbols
@@ -183,16 +201,46 @@ class Lines:
         coefficient, n = self._outputs.get(key, ZERO)
         return number(coefficient) * self._done[n] if coefficient else sp.S.Zero
 
-    def mass(self, n: int) -> sp.ImmutableDenseMatrix:
-        """Return M."""
-        return sp.ImmutableDenseMatrix(
-            n, n, lambda i, j: self.value("M", max(i, j), min(i, j))
-        )  # fmt: skip
+    def function(
+        self, arguments: Sequence[sp.Symbol], results: Sequence[sp.Expr], modules: str
+    ) -> Callable[..., Any]:
+        """Return a function of numbers for expressions in outputs and symbols."""
+        return line_function(arguments, [*self.early, *self.later], results, modules)
+
+    def held_mass(self) -> sp.ImmutableDenseMatrix:
+        """Return M, bordered by Phi where there are constraints."""
+        n, size = self._n, self._n + self._held
+
+        def entry(i: int, j: int) -> sp.Expr:
+            low, high = min(i, j), max(i, j)
+            if high < n:
+                return self.value("M", high, low)
+            return self.value("Phi", high - n, low) if low < n else sp.S.Zero
+
+        return sp.ImmutableDenseMatrix(size, size, entry)
+
+    def right(self) -> list[sp.Expr]:
+        """Return M v' + Phi^T lambda, then Phi v'."""
+        pushes = [self.value("push", i) for i in range(self._n)]
+        return [*pushes, *(-self.value("curve", c) for c in range(self._held))]
 
 
 def _mass_and_a(plain: Plain) -> dict[Key, Value]:
     found: dict[Key, Value] = {("M", i, j): value for (i, j), value in plain.M.items()}
     return found | {("a", i): value for i, value in enumerate(plain.a)}
+
+
+def _accelerating(plain: Plain) -> dict[Key, Value]:
+    """Return what determines accelerations, and Phi."""
+    places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
+    slopes, push, curve = accelerations(
+        plain.graph, plain.L, list(plain.constraints.values()), plain.f, places
+    )
+    found: dict[Key, Value] = {
+        ("Phi", c, i): x for c, row in enumerate(slopes) for i, x in enumerate(row)
+    }
+    found |= {("push", i): value for i, value in enumerate(push)}
+    return found | {("curve", c): value for c, value in enumerate(curve)}
 
 
 def _solve(

@@ -55,6 +55,8 @@ class Evaluator:
         self.inputs = header.inputs
         #: Names of inputs, those that a user gave beside those of the module.
         self._input_names = {name: i for i, name in enumerate(header.inputs)}
+        #: Names of constraints, those that a user gave beside those of the module.
+        self._constraint_names = {name: i for i, name in enumerate(header.constraints)}
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
@@ -63,6 +65,7 @@ class Evaluator:
         if declared is not None:
             users = {q.func.__name__: i for i, q in enumerate(declared.coordinates)}
             self._coordinate_names |= users
+            self._constraint_names = {name: i for i, name in enumerate(declared.constraints)}
             self._input_names |= {str(u): i for i, u in enumerate(declared.inputs)}
             self._input_names |= {u.name: i for i, u in enumerate(declared.inputs)}
         self._aliases = {name: i for i, name in enumerate(header.parameters)}
@@ -117,7 +120,7 @@ class Evaluator:
         Returns
         -------
         ndarray, shape (d n,)
-            D_k L_d for k = 1..d-1, then p0 + D_0 L_d.
+            D_k L_d for k = 1..d-1, then p0 + D_0 L_d; without the pull of constraints.
 
         Examples
         --------

@@ -26,11 +26,18 @@ from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
 from symsimpson.systems.henon_heiles import henon_heiles
 from symsimpson.systems.kepler import kepler
 from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
+from symsimpson.systems.linkages import andrews_squeezer, four_bar, slider_crank
 from symsimpson.systems.n_pendulum import n_pendulum
 from symsimpson.systems.pendulum import pendulum
 from symsimpson.systems.puma560 import puma560
 from symsimpson.systems.rigid_body import heavy_top, rigid_body
 from symsimpson.systems.spherical_pendulum import spherical_pendulum
+from symsimpson.systems.turning_bodies import (
+    cartesian_pendulum,
+    jointed_bodies,
+    quaternion_top,
+    tumbling_body,
+)
 from symsimpson.systems.water import water
 
 _MAKERS: tuple[Callable[[], CatalogueSystem], ...] = (
@@ -75,21 +82,39 @@ _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     driven_cart_pole,
 )
 
+#: Models with constraints.
+_CONSTRAINED: tuple[Callable[[], CatalogueSystem], ...] = (
+    cartesian_pendulum,
+    quaternion_top,
+    tumbling_body,
+    four_bar,
+    slider_crank,
+    jointed_bodies,
+    andrews_squeezer,
+)
+
 #: Name of each function of the catalogue, and the function.
 CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
 #: The same of models with many coordinates or long energies, of which no modules are kept.
 MODELS: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _LARGE}
 #: The same of models whose energy is not constant.
 FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _FORCED}
+#: The same of models with constraints.
+CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
+    make.__name__: make for make in _CONSTRAINED
+}
 
 __all__ = [
     "CATALOGUE",
+    "CONSTRAINED",
     "FORCED",
     "MODELS",
     "CatalogueSystem",
+    "andrews_squeezer",
     "argon",
     "argon_cluster",
     "cart_pole",
+    "cartesian_pendulum",
     "charged_particle",
     "cloth",
     "damped_oscillator",
@@ -102,9 +127,11 @@ __all__ = [
     "elastic_pendulum",
     "ellipsoid_geodesic",
     "fermi_pasta_ulam",
+    "four_bar",
     "harmonic_oscillator",
     "heavy_top",
     "henon_heiles",
+    "jointed_bodies",
     "kapitza",
     "kepler",
     "lagrange_top",
@@ -114,9 +141,12 @@ __all__ = [
     "outer_solar_system",
     "pendulum",
     "puma560",
+    "quaternion_top",
     "rigid_body",
+    "slider_crank",
     "spherical_pendulum",
     "torus_geodesic",
+    "tumbling_body",
     "van_der_pol",
     "water",
 ]

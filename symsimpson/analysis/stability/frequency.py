@@ -12,6 +12,7 @@ import numpy as np
 import sympy as sp
 
 from symsimpson.analysis.stability.limits import theory_limits
+from symsimpson.analysis.stability.turning import warn_of_turning
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import Value
@@ -110,10 +111,8 @@ def _function(
         (name, k): x for name, values in entries.items() for k, x in enumerate(values)
     }
     lines = Lines(plain, outputs)
-    function: Callable[..., Any] = sp.lambdify(
-        [*state, *plain.parameters, *plain.u, plain.t], [lines.value(*key) for key in outputs],
-        modules="math", cse=lambda expressions: ([*lines.early, *lines.later], expressions),
-    )  # fmt: skip
+    arguments = [*state, *plain.parameters, *plain.u, plain.t]
+    function = lines.function(arguments, [lines.value(*key) for key in outputs], "math")
     return lambda *numbers: np.array(function(*numbers)).reshape(-1, system.n, system.n)
 
 
@@ -136,6 +135,10 @@ def warn_of_step(
     t: float,
 ) -> None:
     """Warn of a step that does not resolve what is fast at the start: oscillations, or damping."""
+    if system.constraints:
+        # what V and M tell of coordinates that are not free says little of the motion
+        warn_of_turning(stepper, system, v, h)
+        return
     if system.n > MOST_COORDINATES:
         return
     _warn_of_damping(stepper, system, (q, v, values, t), h)

@@ -108,7 +108,7 @@ def close_step(W, lane):
     keep_step(W, lane)
     prediction_error_squared = real(0)
     for a in range(DIMENSION):
-        for row in range(a, UNKNOWNS, DIMENSION):
+        for row in range(a, DEGREE * DIMENSION, DIMENSION):
             error = W[INCREMENT + row, lane] - W[PREDICTED + row, lane]
             prediction_error_squared += W[MASS_DIAGONAL + a, lane] * error**2
         increment = W[INCREMENT + (DEGREE - 1) * DIMENSION + a, lane] + W[POSITION_LOW + a, lane]

@@ -161,19 +161,8 @@ def advance_blocks(
             until = min(steps, step + 1 if watched else step + budget)
             if kernels[MODE] == EXPLICIT:
                 take_explicit_steps(
-                    kernels,
-                    h,
-                    t0,
-                    W,
-                    at,
-                    progress,
-                    until,
-                    every,
-                    buffer_q,
-                    buffer_p,
-                    counted,
-                    own,
-                )
+                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, counted, own
+                )  # fmt: skip
             else:
                 take_steps(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
                     counted, own)  # fmt: skip

@@ -9,8 +9,11 @@ from numba import njit, types
 from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
+    COUNT,
     DIMENSION,
+    EXPLICIT,
     ITERATE,
+    MODE,
     MOMENTUM,
     POSITION,
 )
@@ -72,7 +75,9 @@ def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
             now = t[i - 1] + h * step
             give(W, at, inputs, (i - 1) * every + step)
             W[at[ACTIVE], 0] = 1.0
-            if solve(kernels[ITERATE], h, now, W, at) != 0:
+            if kernels[MODE] == EXPLICIT:
+                W[at[COUNT], 0] = 1.0
+            elif solve(kernels[ITERATE], h, now, W, at) != 0:
                 return i
             W[at[ACTIVE], 0] = 1.0
             call(work, h, now, W)

@@ -21,6 +21,7 @@ from symsimpson.runtime.inputs import (
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.runs.driving import read_driving
+from symsimpson.runtime.runs.held import allowed
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -95,6 +96,7 @@ def read_task(
         ) from None
     for k, name in enumerate(stepper.parameters):
         values[:, k] = columns[name]
+    q, other = allowed(stepper, q, other, second, values, t0)
     return Task(
         q, other, second, values, h, t0, count, stride, driving, reductions, workers, progress,
         lanes,

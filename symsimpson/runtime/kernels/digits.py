@@ -117,6 +117,7 @@ class Digits(Numbers):
         self.digits = digits
         self.context = mpmath.mp.clone()
         self.context.dps = digits
+        self.epsilon = 10.0 ** (1 - min(digits, 300))
         # numbers of a cloned context are of a class that pickle does not find by its name
         copyreg.pickle(self.context.mpf, self._reduced)
 
@@ -149,7 +150,7 @@ class Digits(Numbers):
         found = context.convert(value if not hasattr(value, "as_tuple") else str(value))
         if not isinstance(found, context.mpf):
             raise TypeError(value)
-        return found
+        return +found  # rounded to these digits, however many it came with
 
     def _inner(self, number: Any) -> Any:
         """Return a number as the kernels take it."""

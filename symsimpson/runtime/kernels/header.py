@@ -49,6 +49,7 @@ class Header:
     inputs: tuple[str, ...]
     input_places: tuple[str, ...]
     conformal: bool
+    constraints: tuple[str, ...]
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -157,6 +158,7 @@ def read_header(text: str, where: str) -> Header:
         "INPUTS": (),
         "INPUT_PLACES": (),
         "CONFORMAL": False,
+        "HELD_BY": (),
         **constants,
     }
     names = {
@@ -168,6 +170,7 @@ def read_header(text: str, where: str) -> Header:
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
         "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
+        "constraints": "HELD_BY",
     }  # fmt: skip
     blocks = {
         name: value

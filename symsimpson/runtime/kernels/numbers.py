@@ -31,9 +31,12 @@ class Numbers:
     ----------
     stretch : int
         Steps after which a run first looks whether it was interrupted.
+    epsilon : float
+        Twice the relative size of a rounding.
     """
 
     stretch = 4096
+    epsilon = 2.0**-52
 
     def __reduce__(self) -> str | tuple[Any, ...]:
         return "FLOAT64"  # there is one, by its name in this module

@@ -50,6 +50,35 @@ class Quantities:
         found = self._evaluated("invariants", "INVARIANT", len(names))
         return {name: found[..., i] for i, name in enumerate(names)}
 
+    @cached_property
+    def multipliers(self) -> NDArray[Any]:
+        """Multipliers lambda of L - lambda.phi, shape (..., m): of the order of the scheme.
+
+        They are those that keep the acceleration of a state on the constraints; not the ones of a
+        step, which are of low order (Hairer, Lubich and Wanner, VII.1).
+        """
+        return self._held("MULTIPLIER")
+
+    @cached_property
+    def constraint_error(self) -> NDArray[Any]:
+        """phi(q) as it is written, shape (..., m): rounding alone."""
+        return self._held("CONSTRAINT")
+
+    @cached_property
+    def constraint_forces(self) -> NDArray[Any]:
+        """The generalised forces -Phi^T lambda of the constraints, in the shape of q."""
+        held = self._stepper._module.header.constraints
+        slopes = self._held("CONSTRAINT_Q", self._stepper.n)
+        slopes = slopes.reshape(*slopes.shape[:-1], len(held), self._stepper.n)
+        return -(self.multipliers[..., None] * slopes).sum(axis=-2)
+
+    def _held(self, block: str, each: int = 1) -> NDArray[Any]:
+        """Return a block of what constraints have, ``each`` of so many rows."""
+        held = self._stepper._module.header.constraints
+        if not held:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        return self._evaluated("multipliers", block, each * len(held))
+
     def _own(self, key: str) -> Any:
         """Return a quantity of a name that only this kind of result knows; None if it is none."""
         return None
@@ -74,10 +103,14 @@ class Quantities:
         for prefix in "pv":
             if key.startswith(f"{prefix}_") and key[2:] in coordinates:
                 return np.asarray(getattr(self, prefix)[..., coordinates[key[2:]]])
+        if key.startswith("lambda_") and key[7:] in self._stepper._constraint_names:
+            place = self._stepper._constraint_names[key[7:]]
+            return self.multipliers[..., place]
         if key in self._stepper.invariants:
             return self.invariants[key]
         if key in ("t", "energy"):
             return cast(NDArray[Any], getattr(self, key))
         every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
+        every += [f"lambda_{name}" for name in self._stepper._constraint_names]
         every += [*self._stepper.invariants, *self._own_names()]
         raise KeyError(f"there is no {key!r}. There are {', '.join(every)}, t and energy")

@@ -29,6 +29,7 @@ class Status(IntEnum):
     DIVERGED = interface.DIVERGED
     SINGULAR_JACOBIAN = interface.SINGULAR_JACOBIAN
     FILE_ERROR = interface.FILE_ERROR
+    SINGULAR_CONSTRAINTS = interface.SINGULAR_CONSTRAINTS
 
     @property
     def message(self) -> str:
@@ -63,6 +64,11 @@ _MESSAGES = {
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
         "faster than the step resolves: its direction behind that point would be lost. Try a "
         "smaller h there, or coordinates that are regular at this point."
+    ),
+    Status.SINGULAR_CONSTRAINTS: (
+        "One of them follows from the others there, so that the forces that hold them are not "
+        "determined, and a linkage may go on either way. What was computed before is kept: end "
+        "there, or choose lengths at which it does not fold."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

@@ -27,6 +27,7 @@ from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
+from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
@@ -95,6 +96,7 @@ def integrate(
         )
         if count and status is not Status.INTERRUPTED and problem is None:
             trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
+            trajectory = look_at_folds(stepper, run, trajectory, *stored_states[:2])
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
             raise problem

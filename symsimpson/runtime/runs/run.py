@@ -88,14 +88,6 @@ class Run:
         if self.every:
             self.store(0)
 
-    def give(self, inputs: NDArray[Any]) -> None:
-        """Let inputs of one step stand in the workspace."""
-        _, _, nodes, count = inputs.shape
-        for k in range(count):
-            stride = self.header.layout["INPUT_STRIDE"]
-            places = np.minimum(np.arange(stride), nodes - 1)
-            self.rows("INPUT", count * stride)[k * stride :][:stride] = inputs[0, 0, places, k]
-
     def store(self, place: int) -> None:
         """Store the present state."""
         n = self.header.n

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.runtime.inputs import read_every, read_given, read_steps, read_vector
 from symsimpson.runtime.runs.driving import read_driving
+from symsimpson.runtime.runs.held import allowed
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -107,7 +108,9 @@ def read_run(
         how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
         given, other = read_given("a run", how, v0, p0)
         q = read_vector("q0", q0, names, numbers)
+        second = read_vector(given, other, names, numbers)
+        q, second = (x[0] for x in allowed(stepper, q[None], second[None], given, values[None], t0))
         return RunSpec(
-            q, read_vector(given, other, names, numbers), given, values, h, t0, steps, stride,
+            q, second, given, values, h, t0, steps, stride,
             read_driving(stepper, inputs, h, steps),
         )  # fmt: skip

@@ -156,3 +156,18 @@ def test_many_explicit_steps_at_once(scheme, arithmetic, monkeypatch):
     given = {**system.reference_state, "h": 0.03125, "steps": 400, "every": None}
     run = ss.compile(system, scheme, precision=40, arithmetic=arithmetic).integrate(**given)
     assert abs(run.q[0, 0] - ss.compile(system, scheme).integrate(**given).q[0, 0]) < 1e-11
+
+
+def test_numbers_of_more_digits_are_rounded():
+    """A mass of more digits than are computed with is no less than its modulus."""
+    (x,) = ss.coordinates("x")
+    m = sp.Symbol("m", real=True)
+    system = ss.MechanicalSystem(
+        "mass", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=x**4, parameters={m: 1.0}
+    )
+    stepper = ss.compile(system, precision=30)
+    with mpmath.workdps(60):
+        many = mpmath.mpf(13) / 10
+        run = stepper.integrate([many], [0], h="0.1", steps=2, parameters={"m": many})
+    same = stepper.integrate(["1.3"], [0], h="0.1", steps=2, parameters={"m": "1.3"})
+    assert (run.q == same.q).all()

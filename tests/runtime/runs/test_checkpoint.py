@@ -18,7 +18,7 @@ from symsimpson.runtime.runs.run import Run
 
 SYSTEMS = {name: ss.systems.CATALOGUE[name]() for name in
            ("double_pendulum", "lagrange_top", "henon_heiles", "harmonic_oscillator")}  # fmt: skip
-SYSTEMS |= {"duffing": ss.systems.duffing()}
+SYSTEMS |= {"duffing": ss.systems.duffing(), "cartesian": ss.systems.cartesian_pendulum()}
 STEPS, H = 300, 0.0078125
 
 

@@ -1,0 +1,64 @@
+"""How fast bodies turn whose quaternions are held to length one, and the steps this allows."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import sympy as sp
+
+from symsimpson.errors import StabilityWarning
+from symsimpson.mechanics.system import MechanicalSystem
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["LARGEST_TURN", "fastest_turn", "warn_of_turning"]
+
+#: A path of a few control points does not resolve a larger turn in a step, in radians.
+LARGEST_TURN = 1.5
+
+
+@lru_cache(maxsize=64)
+def _quaternions(system: MechanicalSystem) -> tuple[tuple[int, ...], ...]:
+    """Return the places of four coordinates whose squares a constraint adds up to a number."""
+    found = []
+    for value in system.plain.constraints.values():
+        phi = system.plain.written(value)
+        group = [i for i, q in enumerate(system.plain.q) if q in phi.free_symbols]
+        if len(group) != 4 or phi.free_symbols - set(system.plain.q):
+            continue
+        squares = sum((system.plain.q[i] ** 2 for i in group), sp.S.Zero)
+        scale = sp.diff(phi, system.plain.q[group[0]], 2) / 2
+        if scale.is_number and scale != 0 and sp.expand(phi / scale - squares + 1) == 0:
+            found.append(tuple(group))
+    return tuple(found)
+
+
+def fastest_turn(system: MechanicalSystem, v: Iterable[float]) -> float:
+    """Return the largest angular velocity of bodies turned by unit quaternions, 0 without any.
+
+    It is twice the length of the velocity of the quaternion.
+    """
+    rates = list(map(float, v))
+    speeds = [2 * math.hypot(*(rates[i] for i in group)) for group in _quaternions(system)]
+    return max(speeds, default=0.0)
+
+
+def warn_of_turning(
+    stepper: Stepper, system: MechanicalSystem, v: Iterable[float], h: float
+) -> None:
+    """Warn of a step in which a body turns too far."""
+    speed = fastest_turn(system, v)
+    if speed * abs(h) > LARGEST_TURN:
+        warnings.warn(
+            f"{stepper.system}, {stepper.scheme}: a step of h={h:g} turns a body by "
+            f"{speed * abs(h):.3g} rad, at {speed:.4g} rad/s; quaternions resolve about "
+            f"{LARGEST_TURN}.\nTake h below {LARGEST_TURN / speed:.3g}; or Euler angles, where the "
+            "spin of a symmetric body is cyclic and any step resolves it.",
+            StabilityWarning,
+            stacklevel=7,  # where integrate is called
+        )

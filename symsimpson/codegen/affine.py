@@ -1,0 +1,62 @@
+"""Equations that are linear in the increments: solved with factors that are made once a run."""
+
+from __future__ import annotations
+
+import sympy as sp
+
+from symsimpson.codegen.coupled import (
+    Closing,
+    Explicit,
+    Path,
+    end_point,
+    impulses,
+    newton_correction,
+    node_point,
+)
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.discrete.reductions import Affine
+
+__all__ = ["AffineSolver"]
+
+
+class AffineSolver(Explicit):
+    """Newton's method from a path at rest gives the increments, and once more their last digits.
+
+    The second residual is that of the path itself: what rounding does to the factors, which would
+    be the same in all steps and add up, is gone.
+    """
+
+    def __init__(self, low: Lowering, part: Affine) -> None:
+        self._low, self._part, self.coordinates = low, part, part.coordinates
+        self._solved = [(m, a) for m in part.solved for a in part.coordinates]
+
+    def close(self) -> Closing:
+        """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i), less what is damped."""
+        low, group = self._low, self.coordinates
+        nodes = range(low.equations.scheme.stages)
+        rest = [self._at_rest(i) for i in nodes]
+        first = self._improved(None, rest, "first")
+        points = [node_point(low, i, group, moving=True, path=first) for i in nodes]
+        path = self._improved(first, points, "last")
+        dq = {a: path.increments[-1][a] for a in group}
+        found = impulses(low, group, end_point(low, dq), moving=True, path=path)
+        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in found.items()})
+
+    def _at_rest(self, i: int) -> Point:
+        """Return node i of a path that stays at q0."""
+        low = self._low
+        t = low.time(low.equations.scheme.quadrature.nodes[i], str(i))
+        return Point(f"{i}_rest", low.q, (sp.S.Zero,) * low.n, t, low.inputs(i))
+
+    def _improved(self, path: Path | None, points: list[Point], name: str) -> Path:
+        """Add Newton's correction to a path with these points at its nodes, or to none."""
+        low, part, names = self._low, self._part, self._low.names.coordinates
+        change = newton_correction(low, points, part.rows, self._solved, part.coordinates)
+        degree = range(1, low.equations.scheme.degree + 1)
+        found: list[dict[int, sp.Expr]] = [{} for _ in degree]
+        for (m, a), value in change.items():
+            old = path.increments[m - 1][a] if path else sp.S.Zero
+            hint = f"{names[a]}_X{m}_{name}"
+            found[m - 1][a] = low.graph.define(hint, old + value, "increments")
+        return Path(found, f"_{name}")

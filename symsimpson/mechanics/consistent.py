@@ -1,0 +1,139 @@
+"""The nearest state that satisfies the constraints of a system."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mpmath
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Value
+from symsimpson.mechanics import constraints
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["consistent"]
+
+Reals = NDArray[np.float64]
+#: Iterations for positions; what is left of constraints, relative to their slopes and to q.
+MOST, NEAR = 200, 1e-15
+
+
+def consistent(
+    system: MechanicalSystem,
+    q0: ArrayLike,
+    v0: ArrayLike,
+    fixed: Iterable[Any],
+    parameters: Mapping[Any, Any] | None,
+) -> tuple[Reals, Reals]:
+    """Return the nearest q and v with phi(q) = 0 and Phi v = 0, measured by M(q0)."""
+    names = [q.func.__name__ for q in system.coordinates]
+    q, v = (_vector(name, given, names) for name, given in (("q0", q0), ("v0", v0)))
+    held = {str(x).removesuffix("(t)") for x in fixed}
+    unknown = held - set(names)
+    if unknown:
+        raise InputError(
+            f"{system.name}: fixed names {', '.join(sorted(unknown))}, but the coordinates are "
+            f"{', '.join(names)}."
+        )
+    if not system.constraints:
+        return q, v
+    free = [i for i, name in enumerate(names) if name not in held]
+    at = _functions(system, parameters)
+    _, slopes, mass = at(q)
+    metric = _positive(mass, slopes)[np.ix_(free, free)]
+    goal, best, stalled = q[free], np.inf, 0
+    for _ in range(MOST):
+        phi, slopes, _ = at(q)
+        size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
+        off = np.abs(phi) / np.where(size > 0, size, 1.0)
+        if not np.isfinite(off).all():
+            break
+        worst = float(off.max())
+        stalled = 0 if worst < 0.5 * best else stalled + 1
+        best = min(best, worst)
+        # near the end the way back to q0 would but add noise
+        wish = goal - q[free] if worst > 1e-9 else np.zeros(len(free))
+        step = _nearest(metric, slopes[:, free], wish, -phi)
+        if worst <= NEAR and (np.abs(step) <= 1e-15 * max(1.0, np.abs(q).max())).all():
+            break
+        if stalled > 20:
+            break
+        q[free] += step
+    if not best <= 1e-12:
+        raise InputError(
+            f"{system.name}: there is no state near q0={np.round(np.asarray(q0), 6).tolist()} "
+            "that satisfies the constraints"
+            + (f" with {', '.join(sorted(held))} as given" if held else "")
+            + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
+        )
+    _, slopes, mass = at(q)
+    metric = _positive(mass, slopes)[np.ix_(free, free)]
+    wanted = -slopes @ v
+    v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), wanted)
+    return q, v
+
+
+def _vector(name: str, given: ArrayLike, names: Sequence[str]) -> Reals:
+    vector = np.array(given, dtype=np.float64)
+    if vector.shape != (len(names),) or not np.isfinite(vector).all():
+        raise InputError(
+            f"{name} is {given!r}, not {len(names)} finite numbers, one for each of "
+            f"{', '.join(names)}."
+        )
+    return vector
+
+
+def _positive(mass: Reals, slopes: Reals) -> Reals:
+    """Return M, with something added where constraints ask for none of it."""
+    squares = (slopes**2).sum(axis=1)
+    return mass + np.trace(mass) * slopes.T @ (slopes / np.where(squares > 0, squares, 1)[:, None])
+
+
+def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
+    """Return the step nearest to a wish with a given change of phi to first order."""
+    n, m = len(wish), len(change)
+    matrix = np.zeros((n + m, n + m))
+    matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = metric, slopes.T, slopes
+    right = np.concatenate([metric @ wish, change])
+    found: Reals = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
+    return found
+
+
+def _functions(
+    system: MechanicalSystem, given: Mapping[Any, Any] | None
+) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
+    """Return phi, Phi and M as a function of q."""
+    plain, n = system.plain, system.n
+    values = {str(a): float(x) for a, x in system.parameters.items()}
+    for key, value in (given or {}).items():
+        if str(key) not in values:
+            raise InputError(
+                f"{system.name} has no parameter {str(key)!r}: it has {', '.join(values)}."
+            )
+        values[str(key)] = float(value)
+    graph, places = plain.graph, plain.numbers(plain.q)
+    phi = list(plain.constraints.values())
+    slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]
+    mass = [plain.entry(i, j) for i in range(n) for j in range(n)]
+    wanted: list[Value] = [*phi, *slopes, *mass]
+    known = dict(zip(plain.numbers(plain.parameters), values.values(), strict=True))
+    known[plain.time] = 0.0
+
+    def at(q: Reals) -> tuple[Reals, Reals, Reals]:
+        point = known | dict(zip(places, q.tolist(), strict=True))
+        found = evaluated(graph, [k for _, k in wanted], point, mpmath.fp)
+        numbers = np.array([float(c) * float(found[k]) if c else 0.0 for c, k in wanted])
+        m = len(phi)
+        return (
+            numbers[:m],
+            numbers[m : m + m * n].reshape(m, n),
+            numbers[m + m * n :].reshape(n, n),
+        )
+
+    return at

@@ -1,0 +1,259 @@
+"""Holonomic constraints phi(q) = 0: read, checked, and states that satisfy them.
+
+L - lambda.phi is the Lagrangian with multipliers lambda, so that p' = L_q - Phi^T lambda with
+Phi = dphi/dq (Hairer, Lubich and Wanner, Geometric Numerical Integration, VII.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import mpmath
+import numpy as np
+import sympy as sp
+
+from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
+from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.mechanics.quadratic import SAMPLES, conditioned, rank, samples
+
+__all__ = [
+    "accelerations", "check_held_mass", "check_independent", "names_of", "read_constraints",
+    "regular_mass", "slopes",
+]  # fmt: skip
+
+Read = Callable[[str, Any], Value]
+
+
+def names_of(name: str, constraints: Any) -> dict[str, sp.Expr]:
+    """Return the constraints by name; those of a list are called "1", "2", ...
+
+    Raises
+    ------
+    ModelError
+        If they are no mapping from texts to expressions, and no sequence of expressions.
+    """
+    if constraints is None:
+        return {}
+    if isinstance(constraints, (sp.Expr, sp.Equality)):
+        constraints = [constraints]
+    if isinstance(constraints, sp.MatrixBase):
+        constraints = list(constraints)
+    if isinstance(constraints, Mapping):
+        found = dict(constraints)
+    elif isinstance(constraints, Sequence) and not isinstance(constraints, str):
+        found = {str(i): expression for i, expression in enumerate(constraints, 1)}
+    else:
+        raise fail(
+            name,
+            f"the constraints are {spell(constraints)!r}, neither a list nor a mapping.",
+            "Write constraints=[x**2 + y**2 - l**2], or with names: "
+            "constraints={'rod': x**2 + y**2 - l**2}.",
+        )
+    for key, expression in found.items():
+        if not isinstance(key, str):
+            raise fail(
+                name,
+                f"the constraint's name {spell(key)!r} is not a text.",
+                "Write constraints={'rod': x**2 + y**2 - l**2}.",
+            )
+        if isinstance(expression, sp.Equality):
+            found[key] = expression.lhs - expression.rhs
+    return found
+
+
+def read_constraints(
+    name: str, given: Mapping[str, sp.Expr], symbols: Symbols, read: Read
+) -> dict[str, Value]:
+    """Check constraints and read them into the graph.
+
+    Raises
+    ------
+    ModelError
+        If one is not an equation of positions, or if there are too many.
+    """
+    graph, n = symbols.graph, len(symbols.q)
+    found: dict[str, Value] = {}
+    q = set(symbols.numbers(symbols.q))
+    for key, expression in given.items():
+        _check_positions(name, key, expression, symbols)
+        value = read(f"constraint {key!r}", expression)
+        findings = Findings(graph, [value])
+        present = graph.nodes[value[1]].symbols & q
+        if not any(findings.depends(value, x) for x in present):
+            what = "is true everywhere" if findings.vanishes(value) else "depends on no coordinate"
+            raise fail(
+                name,
+                f"the constraint {key!r}, {spell(expression)} = 0, {what}.",
+                "It says nothing about the motion, or cannot be met. Leave it out, or write what "
+                "vanishes on all positions that are allowed.",
+            )
+        found[key] = value
+    if len(found) >= n:
+        raise fail(
+            name,
+            f"there are {len(found)} constraints on {n} coordinates.",
+            "Nothing could move. There must be fewer constraints than coordinates.",
+        )
+    check_independent(name, found, symbols)
+    return found
+
+
+def accelerations(
+    graph: Graph, L: Value, phi: Sequence[Value], f: Sequence[Value],
+    places: tuple[Sequence[int], Sequence[int], int],
+) -> tuple[list[list[Value]], list[Value], list[Value]]:  # fmt: skip
+    """Return what determines accelerations and multipliers: M v' + Phi^T lambda = push.
+
+    Parameters
+    ----------
+    graph : Graph
+    L : Value
+    phi, f : sequences of Value
+        Constraints, and forces by coordinate.
+    places : tuple
+        The nodes of q and of v, and that of t.
+
+    Returns
+    -------
+    slopes : list of lists of Value
+        Phi, a row for each constraint.
+    push : list of Value
+        L_q + f - (d L_v/dq) v - d L_v/dt.
+    curve : list of Value
+        v.phi_qq.v, so that Phi v' = -curve.
+    """
+    q, v, time = places
+    derivatives, rows = Derivatives(graph), slopes(graph, phi, q)
+    rates = [graph.add(graph.products(row, v)) for row in rows]
+    curve = [graph.add(graph.products([derivatives(rate, x) for x in q], v)) for rate in rates]
+    forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
+    push = []
+    for force, own, momentum in zip(forces, f, momenta, strict=True):
+        *turned, drift = gradient(graph, momentum, [*q, time])
+        moving = graph.products([scaled(-1, slope) for slope in turned], v)
+        push.append(graph.add([force, own, *moving, scaled(-1, drift)]))
+    return rows, push, curve
+
+
+def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Value]]:
+    """Return Phi, a row for each constraint."""
+    derivatives = Derivatives(graph)
+    return [[derivatives(value, x) for x in q] for value in phi]
+
+
+def check_independent(name: str, constraints: Mapping[str, Value], symbols: Symbols) -> None:
+    """Refuse constraints of which one follows from others everywhere.
+
+    Raises
+    ------
+    ModelError
+        With the names of the fewest first ones that depend on each other.
+    """
+    rows = slopes(symbols.graph, constraints.values(), symbols.numbers(symbols.q))
+    if not rows or _clearly_independent(symbols, rows):
+        return
+    names = list(constraints)
+    for count in range(1, len(rows) + 1):
+        if rank(symbols.graph, rows[:count]) == count:
+            continue
+        others = [k for k in range(count - 1) if _needed(symbols, rows[:count], k)]
+        with_it = ", ".join(repr(names[k]) for k in [*others, count - 1])
+        raise fail(
+            name,
+            f"the constraints {with_it} depend on each other: one of them follows from the others.",
+            "The forces that hold them would not be determined. Leave one out.",
+        )
+
+
+def check_held_mass(
+    name: str,
+    M: Mapping[tuple[int, int], Value],
+    constraints: Mapping[str, Value],
+    symbols: Symbols,
+) -> None:
+    """Refuse kinetic energies that vanish for velocities which the constraints leave free.
+
+    Raises
+    ------
+    ModelError
+    """
+    n = len(symbols.q)
+    mass = [[M.get((max(i, j), min(i, j)), ZERO) for j in range(n)] for i in range(n)]
+    rows = slopes(symbols.graph, constraints.values(), symbols.numbers(symbols.q))
+    columns = [list(column) for column in zip(*rows, strict=True)]
+    matrix = [row + column for row, column in zip(mass, columns, strict=True)]
+    matrix += [row + [ZERO] * len(rows) for row in rows]
+    if _clearly_independent(symbols, matrix) or rank(symbols.graph, matrix) == len(matrix):
+        return
+    bare = [i for i, row in enumerate(mass) if not any(c for c, _ in row)]
+    which = ", ".join(spell(symbols.back[symbols.q[i]]) for i in bare)
+    raise fail(
+        name,
+        "some velocities that the constraints allow carry no kinetic energy"
+        + (f"; {which} {'has' if len(bare) == 1 else 'have'} no mass." if bare else "."),
+        "Such a motion has no equation. Give each body its own kinetic energy, or use fewer "
+        "coordinates.",
+    )
+
+
+def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
+    """Return whether M is regular without constraints, at random positions with these parameters.
+
+    Where it is not, as with a rotation that has no inertia of its length, constraints help out.
+    """
+    size, random = range(len(plain.q)), np.random.default_rng(21)
+    entries = [plain.entry(i, j) for i in size for j in size]
+    known = dict(zip(plain.numbers(plain.parameters), map(float, parameters), strict=True))
+    for _ in range(SAMPLES):
+        place = random.uniform(0.3, 1.0, len(plain.q))
+        point = known | dict(zip(plain.numbers(plain.q), place.tolist(), strict=True))
+        point[plain.time] = 0.5
+        found = evaluated(plain.graph, [n for _, n in entries], point, mpmath.fp)
+        matrix = [float(c) * float(found[n]) if c else 0.0 for c, n in entries]
+        if conditioned(np.reshape(matrix, (len(size), len(size)))):
+            return True
+    return False
+
+
+def _clearly_independent(symbols: Symbols, rows: Sequence[Sequence[Value]]) -> bool:
+    """Return whether rows are independent at a sample, beyond doubt."""
+    values = [value for row in rows for value in row]
+    shape = len(rows), len(rows[0])
+    return any(
+        conditioned(np.array(numbers).reshape(shape)) for numbers in samples(symbols, values)
+    )
+
+
+def _needed(symbols: Symbols, rows: Sequence[Sequence[Value]], k: int) -> bool:
+    """Return whether the last row is independent of the others without row k."""
+    left = [row for i, row in enumerate(rows) if i != k]
+    return rank(symbols.graph, left) == len(left)
+
+
+def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> None:
+    """Refuse velocities, the time and inputs by messages of their own."""
+    if not isinstance(expression, sp.Expr):
+        return  # what else it is, reading tells
+    present = expression.atoms(sp.Symbol, sp.Derivative)
+    velocities = [x for x in present if symbols.replace.get(x) in symbols.v]
+    if velocities:
+        raise fail(
+            name,
+            f"the constraint {key!r} contains the velocity {spell(velocities[0])}: it is no "
+            "constraint of positions.",
+            "A non-holonomic constraint (a wheel that rolls, a blade) makes a flow that is not "
+            "symplectic, and no variational step follows from it. If it is the time derivative of "
+            "an equation of positions, give that equation.",
+        )
+    if symbols.t in expression.xreplace(symbols.replace).free_symbols:
+        raise fail(
+            name,
+            f"the constraint {key!r} depends on the time.",
+            "Constraints that move are not integrated here. Choose a coordinate that follows the "
+            "prescribed motion, and write it into T and V, where t may stand.",
+        )

@@ -1,0 +1,164 @@
+"""Rotations by unit quaternions, and joints: plain expressions for energies and constraints.
+
+A quaternion has its scalar part first and turns from the body to space. Rates and rotations are
+those of ``ReferenceFrame.orient_quaternion`` in SymPy: polynomials, without a pole and without a
+sine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.errors import ModelError
+from symsimpson.mechanics.coordinates import coordinates
+
+__all__ = ["body_rates", "coincide", "quaternion", "rotation_matrix"]
+
+
+def quaternion(name: str) -> tuple[AppliedUndef, ...]:
+    """Make four coordinates, the components of a quaternion.
+
+    Parameters
+    ----------
+    name : str
+        The coordinates are called ``<name>0`` to ``<name>3``.
+
+    Returns
+    -------
+    tuple of sympy functions of time
+        The scalar part first. They turn a body where their squares add up to one: a constraint.
+
+    Raises
+    ------
+    ModelError
+        If the name is none.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.quaternion("q")
+    (q0(t), q1(t), q2(t), q3(t))
+    """
+    if not isinstance(name, str) or not name.isidentifier():
+        raise ModelError(
+            f"the quaternion's name {name!r} is no name.\nWrite q = symsimpson.quaternion('q')."
+        )
+    return coordinates(" ".join(f"{name}{i}" for i in range(4)))
+
+
+def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
+    """Return the matrix that turns components of vectors in the body into those in space.
+
+    Parameters
+    ----------
+    q : sequence of four expressions
+        A unit quaternion, the scalar part first.
+
+    Returns
+    -------
+    sympy matrix, 3 by 3
+        Of the second degree in q. Its transpose is SymPy's ``body.dcm(space)``.
+
+    Raises
+    ------
+    ModelError
+        If there are not four.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> ss.rotation_matrix((1, 0, 0, 0))
+    Matrix([
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1]])
+    """
+    a, b, c, d = _four(q)
+    return sp.ImmutableDenseMatrix([
+        [a**2 + b**2 - c**2 - d**2, 2 * (b * c - a * d), 2 * (a * c + b * d)],
+        [2 * (b * c + a * d), a**2 - b**2 + c**2 - d**2, 2 * (c * d - a * b)],
+        [2 * (b * d - a * c), 2 * (a * b + c * d), a**2 - b**2 - c**2 + d**2],
+    ])  # fmt: skip
+
+
+def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.ImmutableDenseMatrix:
+    """Return the angular velocity in the body, in terms of a quaternion.
+
+    Parameters
+    ----------
+    q : sequence of four expressions
+    rates : sequence of four expressions, optional
+        The time derivatives of q; those of coordinates unless given.
+
+    Returns
+    -------
+    sympy matrix, 3 by 1
+        2 conj(q) q', without its scalar part.
+
+    Raises
+    ------
+    ModelError
+        If there are not four.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> q = ss.quaternion("q")
+    >>> ss.body_rates(q, (0, 0, 0, 1))[2]
+    2*q0(t)
+    """
+    a, b, c, d = _four(q)
+    u, x, y, z = _four([s.diff() for s in q] if rates is None else rates)
+    return sp.ImmutableDenseMatrix([
+        2 * (a * x - b * u - c * z + d * y),
+        2 * (a * y + b * z - c * u - d * x),
+        2 * (a * z - b * y + c * x - d * u),
+    ])  # fmt: skip
+
+
+def coincide(first: Any, second: Any) -> list[sp.Expr]:
+    """Return the constraints that two points coincide: a ball joint.
+
+    Parameters
+    ----------
+    first, second : sequences of expressions
+        Components of the points, as :meth:`RigidBody.point` gives them.
+
+    Returns
+    -------
+    list of sympy expressions
+        The differences of the components.
+
+    Raises
+    ------
+    ModelError
+        If they have different numbers of components.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> x, y = ss.coordinates("x y")
+    >>> ss.coincide((x, y), (1, 2))
+    [x(t) - 1, y(t) - 2]
+    """
+    a, b = ([sp.sympify(x) for x in point] for point in (first, second))
+    if len(a) != len(b):
+        raise ModelError(
+            f"a point with {len(a)} components and one with {len(b)} cannot coincide.\n"
+            "Give both in the same space."
+        )
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
+    parts = tuple(map(sp.sympify, q))
+    if len(parts) != 4:
+        raise ModelError(
+            f"a quaternion has four components, not {len(parts)}.\n"
+            "Make one: q = symsimpson.quaternion('q')."
+        )
+    return parts

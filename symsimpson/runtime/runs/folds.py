@@ -1,0 +1,77 @@
+"""Where constraints of a run follow from one another: linkages that fold."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import ConstraintWarning
+from symsimpson.runtime.evaluator import evaluate_in
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.held import DEPENDENT, dependent
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.runs.run import Run
+
+__all__ = ["look_at_folds"]
+
+Reals = NDArray[Any]
+
+
+def look_at_folds(
+    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+) -> Trajectory:
+    """Look at how independent the constraints were at states of a run.
+
+    Where one follows from others the run ended before; where that may have been so between two
+    states, it is warned of.
+    """
+    names = stepper._module.header.constraints
+    if len(names) < 2 or not run.every or len(q) < 2:
+        return trajectory
+    n, m = stepper.n, len(names)
+    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
+    pivots = evaluate_in(run.W, stepper, "multipliers", "HELD", m * m, t, q, p)[:, :: m + 1]
+    # roots, as sizes of slopes are; each relative to its largest, since units may differ
+    sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
+    independence = (sizes / sizes.max(axis=0)).min(axis=1)
+    singular = np.flatnonzero(independence < np.sqrt(DEPENDENT))
+    who = f"{stepper.system}, {stepper.scheme}"
+    if singular.size:
+        bad = int(singular[0])
+        slopes = evaluate_in(
+            run.W, stepper, "multipliers", "CONSTRAINT_Q", m * n,
+            *(x[bad : bad + 1] for x in (t, q, p)),
+        )[0]  # fmt: skip
+        which = dependent(names, slopes.astype(np.float64).reshape(m, n))
+        message = (
+            f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
+            f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
+        )
+        about = trajectory.__getstate__()
+        if trajectory.every is not None:
+            for name in ("t", "q", "p", "newton_iterations"):
+                about[name] = about[name][:bad]
+            about["steps"] = (bad - 1) * run.every
+        return Trajectory(
+            **about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message}
+        )  # fmt: skip
+    near = np.flatnonzero(independence[1:] < np.abs(np.diff(independence)))
+    if not near.size:
+        return trajectory
+    since = float(t[near[0] + 1])
+    message = (
+        f"{who}: about t={since:g} constraints come close to following from one another, and may "
+        "do so between two steps, as where bars of a linkage fold into a line. From there it may "
+        f"go on either way, and h={float(run.h):g} does not resolve which.\nTake a smaller h, or "
+        "lengths at which it does not fold."
+    )
+    warnings.warn(message, ConstraintWarning, stacklevel=4)
+    return Trajectory(
+        **trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"}
+    )  # fmt: skip

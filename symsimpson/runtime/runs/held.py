@@ -1,0 +1,162 @@
+"""Starts of systems with constraints: checked, and brought onto them to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError, ModelError
+from symsimpson.runtime.evaluator import evaluate, evaluate_members
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = ["DEPENDENT", "allowed", "dependent"]
+
+Reals = NDArray[Any]
+#: Starts that miss constraints by more than this, relative to their slopes and to q, are refused.
+MISSED = 1e-9
+#: Constraints count as dependent below this share of what holds each of them.
+DEPENDENT = 1e-10
+#: Newton's method from a start that misses by less needs so many iterations, with many digits too.
+MOST = 12
+
+
+def allowed(
+    stepper: Evaluator, q: Reals, other: Reals, given: str, values: Reals, t: Any,
+    missed: float = MISSED,
+) -> tuple[Reals, Reals]:  # fmt: skip
+    """Return starts that satisfy the constraints to rounding, from some that nearly do.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    q, other : ndarray, shape (K, n)
+    given : {"v0", "p0"}
+        What the second is.
+    values : ndarray, shape (K, m)
+        Of parameters.
+    t : number
+    missed : float
+        By how much a start may miss the constraints, relative to their slopes.
+
+    Raises
+    ------
+    ModelError
+        If constraints depend on each other there.
+    InputError
+        If q does not satisfy them, or velocities are not allowed by them.
+    """
+    numbers, held = stepper._module.numbers, stepper._module.header.constraints
+    if not held:
+        return q, other
+    m, n = len(held), stepper.n
+    times = numbers.read([t])
+
+    def at(block: str, count: int, p: Reals, kernel: str = "multipliers") -> Reals:
+        if len(values) == 1:
+            return evaluate(stepper, kernel, block, count, times, q, p, values[0])
+        states = q[:, None, :], p[:, None, :]
+        return evaluate_members(stepper, kernel, block, count, times, *states, values)[:, 0]
+
+    rest = 0 * q
+    slopes = at("CONSTRAINT_Q", m * n, rest).astype(np.float64).reshape(-1, m, n)
+    _check_rank(stepper, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
+    size = np.linalg.norm(slopes, axis=2)
+    scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
+    for attempt in range(MOST):
+        phi = at("CONSTRAINT", m, rest)
+        off = np.abs(phi.astype(np.float64)) / scale
+        if attempt == 0 and not off.max() <= missed:
+            raise _off(stepper, q, other, given, values, off, "q0 does not satisfy", "")
+        if off.max() <= 4 * numbers.epsilon:
+            break
+        back = at("HELD_Q", m * n, rest).astype(np.float64).reshape(-1, m, n)
+        share = np.linalg.solve(slopes @ back.transpose(0, 2, 1), -_column(phi, scale))
+        step = (back.transpose(0, 2, 1) @ share)[..., 0]
+        q = q + numbers.read(step) * numbers.read(scale.max(axis=1))[:, None]
+    speeds = other.astype(np.float64)
+    if given == "v0":
+        taken = (slopes @ speeds[..., None])[..., 0]
+    else:  # what the constraints take from p is of no effect, but was surely meant otherwise
+        pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
+        taken = pulls * size**2
+    off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
+    if not off.max() <= missed:
+        what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
+        raise _off(stepper, q, other, given, values, off, what, " v = 0")
+    return q, other
+
+
+def _column(phi: Reals, scale: Reals) -> NDArray[np.float64]:
+    """Return residuals in units in which doubles hold the smallest ones, one column for each."""
+    return (phi / scale.max(axis=1)[:, None]).astype(np.float64)[..., None]
+
+
+def _check_rank(stepper: Evaluator, q: Reals, slopes: Reals, independence: Reals) -> None:
+    finite = np.isfinite(slopes).all()
+    worst = int(np.argmin(independence.astype(np.float64)))
+    if finite and independence[worst] >= DEPENDENT:
+        return
+    names = stepper._module.header.constraints
+    rows = slopes[worst]
+    size = np.linalg.norm(rows, axis=1)
+    where = f"q0={[float(x) for x in q[worst]]}"
+    if not np.isfinite(rows).all():
+        raise InputError(
+            f"{stepper.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
+        )
+    if (size == 0).any():
+        flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
+        raise ModelError(
+            f"{stepper.system}: the constraint {flat} has no slope at {where}: it does not say in "
+            "which direction it holds.\nWrite phi so that its derivatives do not vanish where "
+            "phi = 0, as x**2 + y**2 - 1 and not its square."
+        )
+    raise ModelError(
+        f"{stepper.system}: the constraints {dependent(names, rows)} depend on each other at "
+        f"{where}.\nOne of them follows from the others there, so that the forces that hold them "
+        "are not determined: leave one out; or the mechanism is folded, and may go either way: "
+        "begin elsewhere."
+    )
+
+
+def dependent(names: Sequence[str], slopes: Reals) -> str:
+    """Name the constraints of which one follows from the others, from their slopes."""
+    size = np.linalg.norm(slopes, axis=1)
+    left = np.linalg.svd(slopes / np.where(size > 0, size, 1.0)[:, None])[0][:, -1]
+    return ", ".join(repr(names[c]) for c in np.flatnonzero(np.abs(left) > 1e-3).tolist())
+
+
+def _off(
+    stepper: Evaluator, q: Reals, other: Reals, given: str, values: Reals, off: Reals,
+    what: str, rate: str,
+) -> InputError:  # fmt: skip
+    """Say which constraint is missed by how much, and what would satisfy them."""
+    worst = np.nan_to_num(off, nan=np.inf)
+    member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
+    name = stepper._module.header.constraints[int(c)]
+    which = f" of member {member}" if len(q) > 1 else ""
+    text = (
+        f"{stepper.system}: {what} the constraint {name!r}{which}: it is off by "
+        f"{off[member, c]:.2g}, relative to its slope."
+    )
+    system = stepper._module.declared
+    if system is None:
+        return InputError(f"{text}\nGive a start with phi = 0 and dphi/dq.v = 0.")
+    call = "system.consistent(q0, v0)"
+    try:
+        velocities = other[member] if given == "v0" else 0 * other[member]
+        parameters = dict(zip(stepper.parameters, values[member], strict=True))
+        near = system.consistent(
+            q[member].astype(np.float64), velocities.astype(np.float64), parameters=parameters
+        )
+        rounded = [np.round(x, 6).tolist() for x in near]
+        shown = f"q0={rounded[0]}, v0={rounded[1]}"
+        text += f"\n{call} gives the nearest start" + (f": {shown}." if given == "v0" else ".")
+    except InputError:
+        text += f"\n{call} finds none nearby."
+    return InputError(text + (" Or give v0." if given == "p0" else ""))

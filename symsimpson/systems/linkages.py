@@ -1,0 +1,137 @@
+"""Linkages: closed chains of bodies in a plane."""
+
+from __future__ import annotations
+
+import sympy as sp
+
+from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.systems.entry import CatalogueSystem
+
+__all__ = ["andrews_squeezer", "four_bar", "slider_crank"]
+
+
+def four_bar() -> CatalogueSystem:
+    """Three bars in a loop with the ground, in their angles: a crank, a coupler and a rocker."""
+    t1, t2, t3 = coordinates("t1 t2 t3")
+    l1, l2, l3, l0, m1, m2, m3, g = sp.symbols("l1 l2 l3 l0 m1 m2 m3 g", positive=True)
+    w1, w2, w3 = (angle.diff() for angle in (t1, t2, t3))
+    crank = l1 * sp.Matrix([sp.cos(t1), sp.sin(t1)])
+    coupler = l2 * sp.Matrix([sp.cos(t2), sp.sin(t2)])
+    rocker = l3 * sp.Matrix([sp.cos(t3), sp.sin(t3)])
+    ground = sp.Matrix([l0, 0])
+    gap = crank + coupler - rocker - ground
+    square = (m1 / 3 + m2) * l1**2 * w1**2 + m2 * l2**2 * w2**2 / 3 + m3 * l3**2 * w3**2 / 3
+    heights = m1 * crank[1] / 2 + m2 * (crank[1] + coupler[1] / 2) + m3 * rocker[1] / 2
+    return CatalogueSystem(
+        "four_bar",
+        coordinates=(t1, t2, t3),
+        kinetic=square / 2 + m2 * l1 * l2 * w1 * w2 * sp.cos(t1 - t2) / 2,
+        potential=g * heights,
+        constraints={"loop_x": gap[0], "loop_y": gap[1]},
+        parameters={l1: 1.0, l2: 2.0, l3: 1.5, l0: 2.2, m1: 1.0, m2: 1.4, m3: 0.8, g: 9.81},
+        positions={"crank": tuple(crank), "coupler": tuple(crank + coupler),
+                   "bars": [(0, 0), tuple(crank), tuple(ground + rocker), tuple(ground)]},
+        reference_state={
+            "q0": (1.0, 0.325720853941296127, 1.413385124163572719),
+            "v0": (1.3, -0.29486108928672544, 0.611025130836330358),
+        },
+        source="E. J. Haug, Computer Aided Kinematics and Dynamics of Mechanical Systems, 1989",
+    )  # fmt: skip
+
+
+def slider_crank() -> CatalogueSystem:
+    """A crank, a connecting rod and a piston, with a spring on the piston."""
+    theta, beta, x = coordinates("theta beta x")
+    l1, l2, m1, m2, m3, k, g = sp.symbols("l1 l2 m1 m2 m3 k g", positive=True)
+    pin = l1 * sp.Matrix([sp.cos(theta), sp.sin(theta)])
+    rod = l2 * sp.Matrix([sp.cos(beta), -sp.sin(beta)])
+    speeds = (theta.diff(), beta.diff(), x.diff())
+    rates = (pin + rod / 2).jacobian([theta, beta]) * sp.Matrix(speeds[:2])
+    kinetic = m1 * l1**2 * speeds[0] ** 2 / 6 + m3 * speeds[2] ** 2 / 2
+    kinetic += m2 * (rates.T * rates)[0] / 2 + m2 * l2**2 * speeds[1] ** 2 / 24
+    return CatalogueSystem(
+        "slider_crank",
+        coordinates=(theta, beta, x),
+        kinetic=kinetic,
+        potential=g * (m1 * pin[1] / 2 + m2 * (pin + rod / 2)[1]) + k * (x - l2) ** 2 / 2,
+        constraints={"pin_x": pin[0] + rod[0] - x, "pin_y": pin[1] + rod[1]},
+        parameters={l1: 0.5, l2: 1.5, m1: 1.0, m2: 0.8, m3: 0.6, k: 5.0, g: 9.81},
+        positions={"pin": tuple(pin), "piston": (x, 0), "bars": [(0, 0), tuple(pin), (x, 0)]},
+        reference_state={"q0": (0.0, 0.0, 2.0), "v0": (6.0, 2.0, 0.0)},
+        source="P. E. Nikravesh, Computer-Aided Analysis of Mechanical Systems, 1988",
+    )
+
+
+#: Masses, lengths and inertias of the squeezer, in kg, m and kg m^2.
+_SQUEEZER = {
+    "m1": 0.04325, "m2": 0.00365, "m3": 0.02373, "m4": 0.00706, "m5": 0.0705, "m6": 0.00706,
+    "m7": 0.05498, "i1": 2.194e-06, "i2": 4.41e-07, "i3": 5.255e-06, "i4": 5.667e-07,
+    "i5": 1.169e-05, "i6": 5.667e-07, "i7": 1.912e-05, "xa": -0.06934, "ya": -0.00227,
+    "xb": -0.03635, "yb": 0.03273, "xc": 0.014, "yc": 0.072, "c0": 4530.0, "d": 0.028,
+    "da": 0.0115, "e": 0.02, "ea": 0.01421, "rr": 0.007, "ra": 0.00092, "ss": 0.035,
+    "sa": 0.01874, "sb": 0.01043, "sc": 0.018, "sd": 0.02, "zt": 0.04, "ta": 0.02308,
+    "tb": 0.00916, "u": 0.04, "ua": 0.01228, "ub": 0.00449, "zf": 0.02, "fa": 0.01421,
+    "l0": 0.07785, "mom": 0.033,
+}  # fmt: skip
+
+
+def andrews_squeezer() -> CatalogueSystem:
+    """Seven bodies in three loops, driven by a motor: a test of solvers with constraints.
+
+    A constant torque turns the first body, and a spring acts on the third.
+    """
+    be, th, ga, ph, de, om, ep = coordinates("be th ga ph de om ep")
+    a = {name: sp.Symbol(name, real=True) for name in _SQUEEZER}
+    m1, m2, m3, m4, m5, m6, m7 = (a[f"m{k}"] for k in range(1, 8))
+    i1, i2, i3, i4, i5, i6, i7 = (a[f"i{k}"] for k in range(1, 8))
+    rr, ss, d, e, zt, zf, u = (a[name] for name in ("rr", "ss", "d", "e", "zt", "zf", "u"))
+    da, ea, fa, ra, sa, sb = (a[name] for name in ("da", "ea", "fa", "ra", "sa", "sb"))
+    ta, tb, ua, ub = (a[name] for name in ("ta", "tb", "ua", "ub"))
+    rod, bar, slide = e - ea, zf - fa, sp.cos(th)
+    # of the mass matrix of the Test Set, entries on and above the diagonal
+    entries = {
+        (be, be): m1 * ra**2 + m2 * (rr**2 - 2 * da * rr * slide + da**2) + i1 + i2,
+        (be, th): m2 * (da**2 - da * rr * slide) + i2,
+        (th, th): m2 * da**2 + i2,
+        (ga, ga): m3 * (sa**2 + sb**2) + i3,
+        (ph, ph): m4 * rod**2 + i4,
+        (ph, de): m4 * (rod**2 + zt * rod * sp.sin(ph)) + i4,
+        (de, de): m4 * (zt**2 + 2 * zt * rod * sp.sin(ph) + rod**2) + m5 * (ta**2 + tb**2)
+        + i4 + i5,
+        (om, om): m6 * bar**2 + i6,
+        (om, ep): m6 * (bar**2 - u * bar * sp.sin(om)) + i6,
+        (ep, ep): m6 * (bar**2 - 2 * u * bar * sp.sin(om) + u**2) + m7 * (ua**2 + ub**2) + i6 + i7,
+    }  # fmt: skip
+    kinetic = sum(
+        (M * p.diff() * q.diff() / (2 if p == q else 1) for (p, q), M in entries.items()),
+        sp.S.Zero,
+    )
+    hook = sp.Matrix([
+        a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
+        a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
+    ])  # fmt: skip
+    length = sp.sqrt((hook[0] - a["xc"]) ** 2 + (hook[1] - a["yc"]) ** 2)
+    end = [rr * f(be) - d * f(be + th) for f in (sp.cos, sp.sin)]
+    first = (-ss * sp.sin(ga) - a["xb"], ss * sp.cos(ga) - a["yb"])
+    second = (-e * sp.sin(ph + de) - zt * sp.cos(de), e * sp.cos(ph + de) - zt * sp.sin(de))
+    third = (-zf * sp.cos(om + ep) - u * sp.sin(ep), -zf * sp.sin(om + ep) + u * sp.cos(ep))
+    anchor = (a["xa"], a["ya"])
+    loops = {}
+    for name, way, fixed in (("1", first, (0, 0)), ("2", second, anchor), ("3", third, anchor)):
+        for k, axis in enumerate("xy"):
+            loops[f"loop{name}_{axis}"] = end[k] + way[k] - fixed[k]
+    return CatalogueSystem(
+        "andrews_squeezer",
+        coordinates=(be, th, ga, ph, de, om, ep),
+        kinetic=kinetic,
+        potential=a["c0"] * (length - a["l0"]) ** 2 / 2 - a["mom"] * be,
+        constraints=loops,
+        parameters={symbol: _SQUEEZER[name] for name, symbol in a.items()},
+        positions={"end": tuple(end), "hook": tuple(hook)},
+        reference_state={
+            "q0": (-0.06171389001427644, 0.0, 0.45527981916307038, 0.222668390165885884,
+                   0.48736497954384255, -0.22266839016588588, 1.230547444549821192),
+            "v0": (0.0,) * 7,
+        },
+        source="F. Mazzia and C. Magherini, Test Set for IVP Solvers, section II-18",
+    )  # fmt: skip

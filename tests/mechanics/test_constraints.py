@@ -1,0 +1,128 @@
+"""Constraints as they are declared, and states that satisfy them."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.physics.mechanics import LagrangesMethod
+
+import symsimpson as ss
+
+x, y, z = ss.coordinates("x y z")
+l, m, g = sp.symbols("l m g", positive=True)
+ROD = (x**2 + y**2 + z**2 - l**2) / 2
+
+
+def pendulum(constraints=(ROD,), **changes):
+    given = {
+        "coordinates": (x, y, z), "potential": m * g * z,
+        "kinetic": m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+        "parameters": {m: 1.3, l: 1.0, g: 9.81}, "constraints": constraints,
+    }  # fmt: skip
+    return ss.MechanicalSystem("held", **given | changes)
+
+
+def test_names_and_forms():
+    assert list(pendulum().constraints) == ["1"]
+    assert list(pendulum({"rod": ROD}).constraints) == ["rod"]
+    assert pendulum(sp.Eq(x**2 + y**2, l**2)).constraints["1"] == x**2 + y**2 - l**2
+    assert pendulum(sp.Matrix([ROD])).degrees_of_freedom == 2
+    assert pendulum(None).degrees_of_freedom == 3
+    assert pendulum().digest != pendulum(None).digest
+    assert pendulum().digest != pendulum([2 * ROD]).digest
+
+
+@pytest.mark.parametrize(
+    ("constraints", "told"),
+    [
+        ([x.diff() * y], "contains the velocity x'.*\n.*not symplectic"),
+        ([x - ss.time], "depends on the time"),
+        ([l - l * (sp.sin(x) ** 2 + sp.cos(x) ** 2)], "is true everywhere"),
+        ([l - 2], "depends on no coordinate"),
+        ([x + sp.Symbol("other")], "other"),
+        ([ROD, 3 * ROD], "'1', '2' depend on each other"),
+        ({"a": x + y, "b": y + z, "c": x - z}, "3 constraints on 3"),
+        ("x", "neither a list nor a mapping"),
+        ({3: x}, "is not a text"),
+        (["x"], "is the string"),
+        ([sp.Abs(x) - 1], "Abs"),
+    ],
+)
+def test_what_is_refused(constraints, told):
+    with pytest.raises(ss.ModelError, match=told):
+        pendulum(constraints)
+
+
+def test_one_of_three_that_follows_from_others_is_named():
+    q = ss.coordinates("a b c d e")
+    kinetic = sum(s.diff() ** 2 for s in q) / 2
+    held = {"first": q[0] - q[1], "second": q[2] * q[3], "third": q[1] - q[4], "last": q[4] - q[0]}
+    with pytest.raises(ss.ModelError, match=r"constraints 'first', 'third', 'last' depend"):
+        ss.MechanicalSystem("loop", coordinates=q, kinetic=kinetic, potential=0, constraints=held)
+
+
+def test_masses_are_asked_for_only_where_constraints_leave_motion():
+    kinetic = x.diff() ** 2 / 2
+    ss.MechanicalSystem(
+        "lever", coordinates=(x, y), kinetic=kinetic, potential=y, constraints=[y - sp.sin(x)]
+    )
+    with pytest.raises(ss.ModelError, match="y, z have no mass"):
+        ss.MechanicalSystem(
+            "loose", coordinates=(x, y, z), kinetic=kinetic, potential=0, constraints=[x - y]
+        )
+
+
+def test_names_that_two_quantities_would_share():
+    (q,) = ss.coordinates("lambda_rod")
+    with pytest.raises(ss.ModelError, match="lambda_rod"):
+        ss.MechanicalSystem(
+            "twice", coordinates=(q, x), kinetic=q.diff() ** 2 + x.diff() ** 2, potential=0,
+            constraints={"rod": q - x},
+        )  # fmt: skip
+
+
+def test_constraints_stand_in_the_structure():
+    found = pendulum({"rod": x**2 + y**2 - 1}).structure
+    assert [s.coordinates for s in found.subsystems] == [(0, 1), (2,)]
+    assert found.cyclic == ()
+    assert pendulum({"rod": x**2 + y**2 - 1}, potential=0).structure.cyclic == ("z",)
+    assert "phi(q) = 0; 2 degrees of freedom" in " ".join(str(found).split())
+
+
+def test_other_constructors_take_them():
+    L = (x.diff() ** 2 + y.diff() ** 2) / 2 - g * y
+    direct = ss.MechanicalSystem.from_lagrangian(
+        "swing", L, (x, y), {g: 9.81}, constraints=[x**2 + y**2 - 1]
+    )
+    method = LagrangesMethod(L, [x, y], hol_coneqs=[x**2 + y**2 - 1])
+    read = ss.MechanicalSystem.from_lagranges_method("swing", method, {g: 9.81})
+    assert read == direct
+    assert read.constraints == direct.constraints
+
+
+def test_the_nearest_state():
+    system = pendulum()
+    q, v = system.consistent([0.7, 0.1, -0.8], [0.4, 1.7, 0.4])
+    assert abs(q @ q - 1) < 3e-16
+    assert abs(q @ v) < 1e-15
+    # of a sphere and one mass it is that on the ray
+    ray = np.array([0.7, 0.1, -0.8])
+    assert np.abs(q - ray / np.linalg.norm(ray)).max() < 1e-9
+    held, _ = system.consistent([0.7, 0.1, -0.8], [0, 0, 0], fixed=[x, "y"])
+    assert held[:2].tolist() == [0.7, 0.1]
+    assert abs(held @ held - 1) < 3e-16
+    large, _ = system.consistent([0.7, 0.1, -0.8], [0, 0, 0], parameters={l: 2.0})
+    assert abs(large @ large - 4) < 2e-15
+    free = pendulum(None)
+    assert free.consistent([1, 2, 3], [4, 5, 6])[1].tolist() == [4, 5, 6]
+
+
+def test_states_that_there_are_not():
+    system = pendulum()
+    with pytest.raises(ss.InputError, match="no state near"):
+        system.consistent([2.0, 2.0, 0.0], [0, 0, 0], fixed=("x", "y"))
+    with pytest.raises(ss.InputError, match="fixed names w"):
+        system.consistent([1, 0, 0], [0, 0, 0], fixed=("w",))
+    with pytest.raises(ss.InputError, match="no parameter 'k'"):
+        system.consistent([1, 0, 0], [0, 0, 0], parameters={"k": 1})
+    with pytest.raises(ss.InputError, match="q0 is"):
+        system.consistent([1, 0], [0, 0, 0])
