@@ -77,11 +77,13 @@ BLOCKS = {
     "STAGE_COUNT": "iterations of the step",
     "MULTIPLIER": "multipliers of constraints at a control point, or of a state",
     "CONSTRAINT": "phi at a point",
-    "CONSTRAINT_Q": "Phi = dphi/dq there, row after row",
-    "CONSTRAINT_QQ": "second derivatives of lambda.phi there",
+    "CONSTRAINT_FORCE": "Phi^T lambda there",
+    "CONSTRAINT_QQ": "second derivatives of lambda.phi by q and lambda there",
     "CONSTRAINT_WEIGHT": "how much of each constraint was added to M",
-    "HELD_Q": "M^-1 Phi^T",
-    "HELD": "Phi M^-1 Phi^T, factorised",
+    "HELD": "M bordered by Phi, factorised",
+    "HELD_RIGHT": "right side of its equations, or all rows in another order",
+    "HELD_PIVOT": "what is left of each constraint in them",
+    "HELD_CHANGE": "change of q that takes phi to zero",
     "CURVATURE": "Phi v, or Phi v', as constraints ask for it",
     "DEPENDENCE": "how far constraints are from following from one another: 0 to 1",
     "RESIDUAL": "residual, then the correction",
@@ -90,9 +92,9 @@ BLOCKS = {
 
 #: Blocks of systems that need them: with forces, t, inputs, damped momenta, constraints, stages.
 OPTIONAL = (
-    "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_Q", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD_Q",
-    "HELD", "CURVATURE", "DEPENDENCE", "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT",
-    "GROWTH", "POWER", "WORK",
+    "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
+    "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "CURVATURE", "DEPENDENCE", "NODE_F_V", "NODE_TIME",
+    "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 

@@ -293,7 +293,7 @@ def _constraints(s: Subject) -> Iterator[Check]:
     if not held:
         return
     run = s.compiled(1000, every=10)
-    slopes = run._held("CONSTRAINT_Q", s.n).reshape(len(run), len(held), s.n)
+    slopes = run._slopes()
     size = np.linalg.norm(slopes, axis=2)
     reach = np.maximum(1.0, np.abs(run.q).max(axis=1))[:, None]
     off = float((np.abs(run.constraint_error) / (size * reach)).max())

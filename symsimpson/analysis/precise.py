@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.runtime.evaluator import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
+from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
@@ -73,8 +74,9 @@ class Precise:
 
     def slopes(self, q: Vector) -> Vector:
         """Return dphi/dq of all constraints, shape (m, n)."""
-        count = len(self.stepper._module.header.constraints)
-        return self._at("multipliers", "CONSTRAINT_Q", count * self.n, q, 0 * q).reshape(-1, self.n)
+        header = self.stepper._module.header
+        rows = self._at("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"], q, 0 * q)
+        return slopes_of(header, rows)
 
     def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector) -> Vector:
         """Evaluate a kernel at a state."""

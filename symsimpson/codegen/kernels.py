@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate
 
 import sympy as sp
 
 from symsimpson.codegen.coefficients import coefficient_loops
+from symsimpson.codegen.constraint_functions import (
+    constraint_family_functions,
+    constraint_functions,
+)
+from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout, node_stride
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import LoopKernels, solve_constants, solve_tables
+from symsimpson.codegen.looped import (
+    LoopKernels,
+    equation_constants,
+    solve_constants,
+    solve_tables,
+)
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import (
-    constraint_functions,
     family_functions,
     power_function,
     power_stores,
@@ -31,7 +41,14 @@ from symsimpson.codegen.unrolled import (
     velocity,
 )
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.families import families, neighbours, ordering
+from symsimpson.discrete.families import (
+    Family,
+    band_of,
+    constraint_families,
+    families,
+    neighbours,
+    ordering,
+)
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -100,9 +117,9 @@ def _lines(equations: DiscreteEquations) -> float:
 
 def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
-    storage = Storage.dense(low.n, equations.unknowns.behind)
+    storage, held = Storage.dense(low.n), _held(low)
     degree = equations.scheme.degree
-    loops = _loops(low, storage)
+    loops = _loops(low, storage, held)
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
@@ -113,19 +130,20 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     follow = False
     if equations.rows:
         functions = unrolled_functions(low, ("jet",))
-        if equations.plain.constraints:
-            functions = [*unrolled_functions(low, ("jet", "mass")), *constraint_functions(low)]
+        if held:
+            functions = unrolled_functions(low, ("jet", "mass"))
+            functions += constraint_functions(low, held)
             kernels.append(loops.multipliers())
             (part,) = equations.parts
             assert isinstance(part, Constrained)
             tables |= solve_tables(part, equations.scheme)
         kernels.append(loops.equations())
-        tables |= storage.node_constants() | storage.constants("EQUATION", degree)
+        tables |= storage.node_constants() | equation_constants(storage, degree, held)
     works = bool(equations.rows and equations.plain.powers)
     if unknowns or works:
         solved = {a for _, a in increments(part_solvers(low))}
         following = tuple(int(a not in solved) for a in range(low.n))
-        tables |= solve_constants(storage, equations.columns)
+        tables |= solve_constants(storage, equations.columns, held)
         follow = any(following)
         tables |= {"FOLLOWING": following} if follow else {}
     if unknowns:
@@ -133,7 +151,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
-    return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=False)
+    return _module(low, storage, held, functions, kernels, tables, unknowns, constant_mass=False)
 
 
 def _looped(equations: DiscreteEquations) -> Module:
@@ -142,33 +160,34 @@ def _looped(equations: DiscreteEquations) -> Module:
     constant = isinstance(part, (Separable, Composed))
     # terms are told apart by coordinates alone, and those of a force have no L
     plain = equations.plain
-    alike = plain.conservative and not plain.constraints
-    found = families(equations.plain) if alike else ()
-    storage = Storage.dense(low.n, equations.unknowns.behind)
+    alike = plain.conservative
+    found = families(plain) if alike else ()
+    met = constraint_families(plain) if alike else ()
+    storage, held = Storage.dense(low.n), _held(low)
     if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
-        met = (
-            [family for family in found if family.plain.M] if isinstance(part, Composed) else found
-        )
-        banded = Storage(*ordering(neighbours(met, low.n)), banded=True)
-        if banded.size(degree) < storage.size(degree):
-            storage = banded
+        both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
+        storage, held = _banded(low, both, met, storage, held)
     names = ("gradient", "mass", "potential")
     if not isinstance(part, Composed):
         names = ("jet", *(("forces",) if constant else ()), *names)
     tables: dict[str, object] = {}
-    members = sum(len(family.coordinates) for family in found)
-    if alike and (storage.banded or members >= FAMILY_MEMBERS * len(found)):
+    members = sum(len(family.coordinates) for family in (*found, *met))
+    if alike and (storage.banded or members >= FAMILY_MEMBERS * len((*found, *met))):
         places = sorted(range(low.n), key=storage.order.__getitem__)
         functions, own = family_functions(low, found, places, names)
         tables |= own
+        if held:
+            more, own = constraint_family_functions(low, met, places)
+            functions += more
+            tables |= own
     else:
         functions = unrolled_functions(low, names)
-    loops = _loops(low, storage)
+        functions += constraint_functions(low, held) if held else []
+    loops = _loops(low, storage, held)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
-    if plain.constraints:
-        functions = [*functions, *constraint_functions(low)]
+    if held:
         kernels.append(loops.multipliers())
     if equations.plain.invariants:
         kernels.append(_watched(low, loops.before_state()))
@@ -184,28 +203,58 @@ def _looped(equations: DiscreteEquations) -> Module:
             kernels.append(loops.work(following=False))
         blocks = len(part.columns)
         own_tables |= {
-            **storage.constants("EQUATION", degree),
-            **solve_constants(storage, part.columns),
+            **equation_constants(storage, degree, held),
+            **solve_constants(storage, part.columns, held),
             **solve_tables(part, equations.scheme),
         }
     elif not loops.alike:
         own_tables["REACHED"] = tuple(accumulate(part.drifts))
     tables = own_tables | tables
     unknowns = blocks * low.n + equations.unknowns.behind
-    return _module(low, storage, functions, kernels, tables, unknowns, constant_mass=constant)
+    return _module(
+        low, storage, held, functions, kernels, tables, unknowns, constant_mass=constant
+    )  # fmt: skip
 
 
-def _loops(low: Lowering, storage: Storage) -> LoopKernels:
+def _held(low: Lowering) -> Held | None:
+    """Return constraints behind all coordinates, if there are any."""
+    count = len(low.multipliers)
+    return Held.dense(low.n, count) if count else None
+
+
+def _banded(
+    low: Lowering, found: Sequence[Family], met: Sequence[Family], storage: Storage,
+    held: Held | None,
+) -> tuple[Storage, Held | None]:  # fmt: skip
+    """Return a storage of bands where it is smaller than a dense one."""
+    degree = low.equations.scheme.degree
+    near = neighbours([*found, *met], low.n)
+    order, band = ordering(near)
+    if held is None:
+        banded = Storage(order, band, banded=True)
+        return (banded if banded.size(degree) < storage.size(degree) else storage), None
+    members = dict(zip(
+        (c for family in met for c in family.constraints),
+        (frozenset(m) for family in met for m in family.coordinates), strict=True,
+    ))  # fmt: skip
+    chain = Held.chain(order, [members[c] for c in range(held.count)], near)
+    if chain.storage.size(degree) >= held.storage.size(degree):
+        return storage, held
+    return Storage(order, band_of(order, neighbours(found, low.n)), banded=True), chain
+
+
+def _loops(low: Lowering, storage: Storage, held: Held | None) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
         storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
-        plain.rate is not None, bool(plain.constraints),
+        plain.rate is not None, held,
     )  # fmt: skip
 
 
 def _module(
     low: Lowering,
     storage: Storage,
+    held: Held | None,
     functions: list[Function],
     kernels: list[Kernel],
     tables: dict[str, object],
@@ -217,7 +266,6 @@ def _module(
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
-    held = len(low.multipliers)
     plainly = not (damped or held)
     if scheme.by_stages and unknowns and low.n <= STAGE_COORDINATES and plainly:
         stages = StageKernels(low)
@@ -230,8 +278,6 @@ def _module(
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
     inputs = len(low.names.inputs)
-    if held:
-        tables = {**tables, "CONSTRAINTS": held}
     if inputs:
         tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
     loops, stores, products = coefficient_loops(low, own)
@@ -256,14 +302,14 @@ def _module(
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
         "GROWTH": scheme.stages + 1 if damped else 0,
-        **dict.fromkeys(("MULTIPLIER", "CONSTRAINT", "CONSTRAINT_WEIGHT", "CURVATURE"), held),
-        **dict.fromkeys(("CONSTRAINT_Q", "HELD_Q"), held * low.n),
-        "CONSTRAINT_QQ": low.n**2 if held else 0,
-        "HELD": held**2,
-        "DEPENDENCE": min(held, 1),
+        **(held.sizes(scheme.degree) if held else {}),
         **stage_sizes,
     }
-    first, rows = layout(storage, low.equations.unknowns, sizes, constant_mass=constant_mass)
+    unknown = low.equations.unknowns
+    sizes["JACOBIAN"] = storage.size(unknown.control_points)
+    if held:
+        sizes["JACOBIAN"] += held.storage.size(unknown.control_points)
+    first, rows = layout(storage, unknown, sizes, constant_mass=constant_mass)
     return Module(
         low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
         unknowns, tables,

@@ -48,7 +48,6 @@ def layout(
         **dict.fromkeys(("NODE_L_QQ", "NODE_L_QV", "NODE_L_VV"), storage.node_size),
         "MASS": storage.node_size if constant_mass else 0,
         "RESIDUAL": unknowns.size,
-        "JACOBIAN": storage.size(unknowns.control_points),
         **sizes,
     }
     first: dict[str, int] = {}

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import sympy as sp
 
+from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import ACCEPTANCE, CONVERGENCE, lanes
@@ -19,7 +20,7 @@ from symsimpson.discrete.reductions import (
 from symsimpson.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["LoopKernels", "solve_constants", "solve_tables"]
+__all__ = ["LoopKernels", "equation_constants", "solve_constants", "solve_tables"]
 
 _HERE = ("W", "lane")
 _NODE = ("W", "h", "node", "lane")
@@ -46,8 +47,8 @@ class LoopKernels:
         Whether there are inputs.
     damped : bool
         Whether the weights of nodes grow.
-    held : bool
-        Whether there are constraints.
+    held : Held or None
+        How constraints stand among the coordinates, if there are any.
     """
 
     storage: Storage
@@ -56,7 +57,13 @@ class LoopKernels:
     dragged: bool
     driven: bool
     damped: bool
-    held: bool
+    held: Held | None
+
+    @property
+    def entries(self) -> int:
+        """Rows of the matrix of all unknowns, and behind it of the one that nodes add to."""
+        own = self.storage.size(self.degree)
+        return own + (self.held.storage.size(self.degree) if self.held else 0)
 
     @property
     def alike(self) -> bool:
@@ -82,14 +89,13 @@ class LoopKernels:
     def _factors(self) -> tuple[Statement, ...]:
         if not self.held:
             return (_call("factor_mass"),)
-        names = ("constraint_slopes", "stiffen_mass", "factor_mass", "factor_constraints")
+        names = ("constraint_slopes", "border_mass", "factor_held")
         return tuple(map(_call, names))
 
     def _solve_momentum(self) -> tuple[Statement, ...]:
         """Solve for the velocity, with these factors."""
-        found = (_call("momentum_to_solve"), _call("solve_mass"))
-        held = (_call("allow_no_change"), _call("hold_velocity")) if self.held else ()
-        return (*found, *held)
+        names = ("allow_no_change", "solve_held") if self.held else ("solve_mass",)
+        return tuple(map(_call, ("momentum_to_solve", *names)))
 
     def equations(self) -> Kernel:
         """Return the equations themselves, all of them, whatever a step solves."""
@@ -101,7 +107,7 @@ class LoopKernels:
         grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
         return (
             _call("clear_residual"),
-            _call("clear_matrix", "W", "lane", str(self.storage.size(self.degree))),
+            _call("clear_matrix", "W", "lane", str(self.entries)),
             self._nodes("range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag),
             *self._points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
         )
@@ -128,10 +134,11 @@ class LoopKernels:
 
     def _corrected(self, *leave: Statement) -> tuple[Statement, ...]:
         """Solve for a correction, leave out of it what follows, and apply it."""
-        held = (_call("update_multipliers"),) if self.held else ()
-        return (
-            _call("solve_pivoted"), *leave, _call("update_increments"), *held, CONVERGENCE
-        )  # fmt: skip
+        solve = (_call("solve_pivoted"), *leave, _call("update_increments"))
+        if self.held:
+            names = "join_equations", "solve_pivoted", "part_corrections", "update_increments"
+            solve = tuple(map(_call, (*names, "update_multipliers")))
+        return (*solve, CONVERGENCE)
 
     def step(self, part: Constrained | Coupled | Separable) -> list[Kernel]:
         """Return the kernels of a step."""
@@ -251,15 +258,30 @@ class LoopKernels:
 
     def multipliers(self) -> Kernel:
         """Return phi and the multipliers at a state: those that keep its accelerations allowed."""
-        at_state = (*self.before_state(), *self._start(), _call("constrain"), _call("pushes"))
-        solve = tuple(map(_call, ("push_to_solve", "solve_mass", "hold_velocity")))
+        nearest = (*self._velocity(), *map(_call, ("constrain", "change_to_constraints")))
+        moving = (*self._start(), _call("mass"), *self._solve_momentum())
+        names = ("pushes", "push_to_solve", "solve_held", "constrain", "constraint_forces")
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
-        return Kernel("multipliers", doc, lanes((*at_state, *solve)))
+        body = (*nearest, *moving, *self._start(), *map(_call, names))
+        return Kernel("multipliers", doc, lanes(body))
 
 
-def solve_constants(storage: Storage, columns: tuple[int, ...]) -> dict[str, object]:
+def equation_constants(storage: Storage, degree: int, held: Held | None) -> dict[str, object]:
+    """Return what loops over the entries of all equations must know."""
+    # what nodes contribute stands behind the matrix of all unknowns
+    before = held.storage.size(degree) if held else 0
+    return {**storage.constants("EQUATION", degree, before)}
+
+
+def solve_constants(
+    storage: Storage, columns: tuple[int, ...], held: Held | None = None
+) -> dict[str, object]:
     """Return what elimination must know of the unknowns that it finds: these control points."""
     blocks = len(columns)
+    if held:
+        every, own = held.storage, storage.constants("SOLVE", blocks)
+        steps = {key: own[key] for key in ("SOLVE_ROW_STEP", "SOLVE_PLACE_STEP")}
+        return {**solve_constants(every, columns), **steps, **held.constants(blocks)}
     return {
         "BLOCKS": blocks,
         "SOLVE_COLUMNS": columns,

@@ -23,19 +23,16 @@ class Storage:
     band : int
         Largest distance of two places whose coordinates meet; n - 1 if dense.
     banded : bool
-    others : int
-        Unknowns behind those of all blocks, if dense.
     """
 
     order: tuple[int, ...]
     band: int
     banded: bool
-    others: int = 0
 
     @classmethod
-    def dense(cls, n: int, others: int = 0) -> Storage:
+    def dense(cls, n: int) -> Storage:
         """Keep the order, and all entries."""
-        return cls(tuple(range(n)), n - 1, banded=False, others=others)
+        return cls(tuple(range(n)), n - 1, banded=False)
 
     @property
     def n(self) -> int:
@@ -54,7 +51,7 @@ class Storage:
 
     def unknowns(self, blocks: int) -> int:
         """Count all unknowns."""
-        return self.n * blocks + self.others
+        return self.n * blocks
 
     def node_constants(self) -> dict[str, object]:
         """Return what loops over the entries of an n by n matrix must know."""
@@ -65,14 +62,17 @@ class Storage:
             "NODE_OFFSET": self.band if self.banded else 0,
         }
 
-    def constants(self, prefix: str, blocks: int) -> dict[str, object]:
-        """Return what loops over the entries of a system of blocks times n unknowns must know."""
+    def constants(self, prefix: str, blocks: int, before: int = 0) -> dict[str, object]:
+        """Return what loops over the entries of a system of blocks times n unknowns must know.
+
+        So many entries stand ``before`` its own.
+        """
         half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
             f"{prefix}_ROW_STEP": 1 if self.banded else self.n,
             f"{prefix}_PLACE_STEP": blocks if self.banded else 1,
             f"{prefix}_STRIDE": 3 * half if self.banded else unknowns,
-            f"{prefix}_OFFSET": half if self.banded else 0,
+            f"{prefix}_OFFSET": before + (half if self.banded else 0),
         }
 
     def bounds(self, prefix: str, blocks: int) -> dict[str, object]:

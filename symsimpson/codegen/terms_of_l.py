@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 
 import sympy as sp
 
@@ -11,14 +12,16 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.families import Family
-from symsimpson.discrete.jet import derive_jet
-from symsimpson.graph.nodes import Value
+from symsimpson.discrete.jet import Jet, derive_jet
 from symsimpson.graph.read import tree_size
 
 __all__ = [
-    "FUNCTIONS", "constraint_functions", "family_functions", "power_function", "power_stores",
+    "FUNCTIONS", "FamilyWriter", "Table", "family_functions", "power_function", "power_stores",
     "unrolled_functions",
 ]  # fmt: skip
+
+#: Rows of integers.
+Table = tuple[tuple[int, ...], ...]
 
 #: What loops ask for, and which derivatives that is.
 FUNCTIONS = {
@@ -66,40 +69,6 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     return found
 
 
-def constraint_functions(low: Lowering) -> list[Function]:
-    """Write constraints at a point, and what they do to a state."""
-    n, held = low.n, range(len(low.multipliers))
-    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
-
-    def entry(what: str, *index: int) -> sp.Expr:
-        return low.held.entry(point, "constraints", what, *index)
-
-    def function(name: str, doc: str, stores: Iterable[Store]) -> Function:
-        return Function(name, doc, low.statements(stores, (Level.ITERATION,)))
-
-    slopes = [
-        Store(Row("CONSTRAINT_Q", c * n + a), entry("Phi", c, a)) for c in held for a in range(n)
-    ]
-    whole = [
-        *(Store(Row("CONSTRAINT", c), entry("phi", c)) for c in held),
-        *slopes,
-        *(
-            Store(Row("CONSTRAINT_QQ", a * n + b), entry("pull", a, b))
-            for a in range(n)
-            for b in range(n)
-        ),
-    ]
-    pushes = [
-        *(Store(Row("RESIDUAL", a), entry("push", a)) for a in range(n)),
-        *(Store(Row("CURVATURE", c), -entry("curve", c)) for c in held),
-    ]
-    return [
-        function("constraint_slopes", "Phi at a point.", slopes),
-        function("constrain", "phi, Phi and the second derivatives of lambda.phi.", whole),
-        function("pushes", "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.", pushes),
-    ]
-
-
 def power_stores(low: Lowering, point: Point) -> list[Store]:
     """Store what changes the energy at a point."""
     return [
@@ -117,7 +86,7 @@ def power_function(low: Lowering) -> Function:
 
 def family_functions(
     low: Lowering, families: Sequence[Family], places: Sequence[int], names: Iterable[str]
-) -> tuple[list[Function], dict[str, tuple[tuple[int, ...], ...]]]:
+) -> tuple[list[Function], dict[str, Table]]:
     """Write a loop over the members of each family.
 
     Returns
@@ -126,39 +95,42 @@ def family_functions(
     tables : dict
         For each family the places of its members' coordinates, then the rows of their coefficients.
     """
-    rows: dict[Value, int] = {}
-    tables: dict[str, tuple[tuple[int, ...], ...]] = {}
+    tables: dict[str, Table] = {}
     writers = []
     for number, family in enumerate(families, 1):
-        table = []
-        for member, values in zip(family.coordinates, family.coefficients, strict=True):
-            own = [rows.setdefault(value, len(rows)) for value in values]
-            table.append((*(places[i] for i in member), *own))
-        tables[f"FAMILY_{number}"] = tuple(table)
-        writers.append(_FamilyWriter(low, family, number))
-    low.coefficients = tuple(map(low.equations.plain.written, rows))
+        writer = FamilyWriter(low, family, f"FAMILY_{number}", derive_jet(family.plain))
+        tables[writer.table] = writer.members(places)
+        writers.append((number, writer))
     functions: list[Function] = []
     for name in names:
         doc, parts = FUNCTIONS[name]
         calls: list[Statement] = [Call(_CLEARED[p], ("W", "lane")) for p in parts if p in _CLEARED]
-        for writer in writers:
-            function = writer.function(name, parts)
-            if function is not None:
-                functions.append(function)
-                calls.append(Call(function.name, ("W", "lane")))
+        for number, writer in writers:
+            stores = _family_stores(writer, parts)
+            if stores:
+                functions.append(writer.function(f"{name}_{number}", doc, stores))
+                calls.append(Call(functions[-1].name, ("W", "lane")))
         functions.append(Function(name, doc, tuple(calls)))
     return functions, tables
 
 
-class _FamilyWriter:
-    """Writes the loops of one family."""
+class FamilyWriter:
+    """Writes loops over the members of one family.
 
-    def __init__(self, low: Lowering, family: Family, number: int) -> None:
-        self._low, self._family, self._number = low, family, number
+    Attributes
+    ----------
+    table : str
+        Its name: a row for each member, of places of coordinates, the constraint if the term is
+        one, and rows of coefficients.
+    """
+
+    def __init__(self, low: Lowering, family: Family, table: str, jet: Jet) -> None:
+        self._low, self._family, self.table = low, family, table
         plain = family.plain
         names = low.names
         size = range(len(plain.q))
-        self._indices = [names.fresh(f"i{s}").name for s in size]
+        self.indices = [names.fresh(f"i{s}").name for s in size]
+        self.constraint = names.fresh("c").name if family.constraints else ""
         self._kinds = [names.fresh(f"k{s}").name for s in range(family.slots)]
 
         def base(hint: str, block: str, index: str) -> sp.Symbol:
@@ -166,54 +138,73 @@ class _FamilyWriter:
             low.rows[symbol] = Row(block, index)
             return low.graph.declare(symbol, Level.ITERATION)
 
-        q = tuple(base(f"q_{s}", "NODE_POSITION", self._indices[s]) for s in size)
-        v = tuple(base(f"v_{s}", "NODE_VELOCITY", self._indices[s]) for s in size)
+        q = tuple(base(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
+        v = tuple(base(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
+        held = [base("l", "MULTIPLIER", self.constraint)] if family.constraints else []
         own = [base(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._kinds)]
         parameters = [*own, *(low.parameters[a] for a in plain.parameters[family.slots :])]
-        self._point = Point(f"f{number}", q, v)
-        self._template = JetTemplate(
-            derive_jet(plain), low.graph, [f"{s}" for s in size],
+        self.point = Point(table.lower(), q, v, multipliers=tuple(held))
+        self.template = JetTemplate(
+            jet, low.graph, [f"{s}" for s in size],
             dict(zip(plain.parameters, parameters, strict=True)), momenta=(),
         )  # fmt: skip
 
-    def function(self, name: str, parts: Iterable[str]) -> Function | None:
-        """Write the loop over members that adds up some derivatives."""
-        stores = []
-        for what in parts:
-            for index in _indices(what, range(len(self._point.q))):
-                value = self._template.entry(self._point, "jet", what, *index)
-                if value != 0:
-                    stores.append(Store(self._row(what, index), value, add=True))
-        if not stores:
-            return None
-        table = f"FAMILY_{self._number}"
+    def members(self, places: Sequence[int]) -> Table:
+        """Return the table; coefficients that are new get rows of their own."""
+        family, rows = self._family, {x: i for i, x in enumerate(self._low.coefficients)}
+        written = cache(self._low.equations.plain.written)
+        table = []
+        for k, member in enumerate(family.coordinates):
+            own = [rows.setdefault(written(x), len(rows)) for x in family.coefficients[k]]
+            table.append((*(places[i] for i in member), *family.constraints[k : k + 1], *own))
+        self._low.coefficients = tuple(rows)
+        return tuple(table)
+
+    def function(
+        self, name: str, doc: str, stores: Sequence[Store], more: Sequence[Index] = ()
+    ) -> Function:
+        """Write the loop over members that stores something; ``more`` indices are found first."""
+        columns = [*self.indices, *([self.constraint] if self.constraint else []), *self._kinds]
         used: list[Statement] = [
-            Index(target, f"{table}[term, {column}]")
-            for column, target in enumerate((*self._indices, *self._kinds))
+            Index(target, f"{self.table}[term, {column}]") for column, target in enumerate(columns)
         ]
         first, *rest = self._low.statements(stores, (Level.ITERATION,))
         outside, inside = _split(first)
         members = self._family.coordinates
-        doc = f"{FUNCTIONS[name][0][:-1]}: {len(members)} terms {self._term()}."
-        loop = Loop("term", f"range({len(members)})", (*used, *inside, *rest))
-        return Function(f"{name}_{self._number}", doc, (*outside, loop))
+        doc = f"{doc[:-1]}: {len(members)} terms {self._term()}."
+        loop = Loop("term", f"range({len(members)})", (*used, *more, *inside, *rest))
+        return Function(name, doc, (*outside, loop))
 
     def _term(self) -> str:
         plain = self._family.plain
-        if tree_size(plain.graph, plain.L) > _SHOWN:
+        (term,) = plain.constraints.values() or [plain.L]
+        if tree_size(plain.graph, term) > _SHOWN:
             return "of one kind"
         slots = plain.parameters[: self._family.slots]
         shown = {s: sp.Symbol(f"c_{k}") for k, s in enumerate(slots)}
         shown |= {a: self._low.parameters[a] for a in plain.parameters[self._family.slots :]}
-        return sp.sstr(plain.written(plain.L).xreplace(shown))[:60]
+        return sp.sstr(plain.written(term).xreplace(shown))[:60]
 
-    def _row(self, what: str, index: tuple[int, ...]) -> Row:
-        block, places = _BLOCKS[what], [self._indices[i] for i in index]
-        if not places:
-            return Row(block, 0)
-        if len(places) == 1:
-            return Row(block, places[0])
-        return Row(block, f"{places[0]}*NODE_STRIDE + {places[1]} + NODE_OFFSET")
+
+def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:
+    """Return what a member adds to some derivatives of L."""
+    stores = []
+    for what in parts:
+        for index in _indices(what, range(len(writer.indices))):
+            value = writer.template.entry(writer.point, "jet", what, *index)
+            if value != 0:
+                places = [writer.indices[i] for i in index]
+                stores.append(Store(_row(what, places), value, add=True))
+    return stores
+
+
+def _row(what: str, places: Sequence[str]) -> Row:
+    block = _BLOCKS[what]
+    if not places:
+        return Row(block, 0)
+    if len(places) == 1:
+        return Row(block, places[0])
+    return Row(block, f"{places[0]}*NODE_STRIDE + {places[1]} + NODE_OFFSET")
 
 
 def _split(reads: Statement) -> tuple[list[Statement], list[Statement]]:

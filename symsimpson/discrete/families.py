@@ -6,7 +6,7 @@ A family is differentiated once and evaluated in a loop over its members.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -17,7 +17,7 @@ from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 
-__all__ = ["Family", "families", "neighbours", "ordering"]
+__all__ = ["Family", "band_of", "constraint_families", "families", "neighbours", "ordering"]
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,15 @@ class Family:
         Coordinates of each member.
     coefficients : tuple of tuple of Value
         Coefficients of each member in the system's graph, made of parameters.
+    constraints : tuple of int
+        The constraint that each member is, where the term is one.
     """
 
     plain: Plain
     slots: int
     coordinates: tuple[tuple[int, ...], ...]
     coefficients: tuple[tuple[Value, ...], ...]
+    constraints: tuple[int, ...] = ()
 
 
 @dataclass
@@ -73,6 +76,26 @@ def families(plain: Plain) -> tuple[Family, ...]:
         term = reader.graph.symbol("c_0")
         drafts = {"": _Draft(term, [()], [(constant,)]), **drafts}
     return tuple(_family(plain, reader.graph, draft) for draft in drafts.values())
+
+
+def constraint_families(plain: Plain) -> tuple[Family, ...]:
+    """Sort the constraints into families; each stands in the system of its family as its own."""
+    reader = _Reader(plain)
+    drafts: dict[Any, tuple[_Draft, list[int]]] = {}
+    for c, phi in enumerate(plain.constraints.values()):
+        key, value = reader.read(phi)
+        draft, members = drafts.setdefault(key, (_Draft(value, [], []), []))
+        draft.coordinates.append(tuple(reader.coordinates))
+        draft.coefficients.append(tuple(reader.coefficients))
+        members.append(c)
+    found = []
+    for draft, members in drafts.values():
+        family = _family(plain, reader.graph, draft)
+        alone = family.plain
+        phi = scaled(-1, alone.V)  # the term as it was read, which has no velocities
+        own = replace(alone, V=ZERO, constraints={"phi": phi})
+        found.append(replace(family, plain=own, constraints=tuple(members)))
+    return tuple(found)
 
 
 def _terms(plain: Plain) -> Iterator[Value]:
@@ -310,11 +333,11 @@ def ordering(near: list[set[int]]) -> tuple[tuple[int, ...], int]:
         order += queue
     order.reverse()
     kept, moved = range(len(near)), tuple(order)
-    best = min((tuple(kept), moved), key=lambda order: _band(order, near))
-    return best, _band(best, near)
+    best = min((tuple(kept), moved), key=lambda order: band_of(order, near))
+    return best, band_of(best, near)
 
 
-def _band(order: Sequence[int], near: list[set[int]]) -> int:
+def band_of(order: Sequence[int], near: list[set[int]]) -> int:
     """Measure the largest distance, in an order, of two coordinates that meet."""
     place = {i: s for s, i in enumerate(order)}
     return max(

@@ -1,12 +1,19 @@
-"""Constraints: their rows of a step, and velocities that they allow."""
+"""Constraints: their rows of a step, and velocities that they allow.
+
+Coordinates and constraints share one order of places, in which those that meet stand close:
+HELD_PLACE tells that of a coordinate, then of a constraint, CONSTRAINT_AT what stands at a place.
+"""
 
 from collections.abc import Callable
 from typing import Any
 
 compiled: Callable[[Any], Any]
 real: Callable[[Any], Any]
-solve_mass: Callable[..., Any]
 add_exactly: Callable[..., Any]
+factor_symmetric: Callable[..., Any]
+solve_symmetric: Callable[..., Any]
+solve_held: Callable[..., Any]
+constraint_forces: Callable[..., Any]
 
 DIMENSION: int
 DEGREE: int
@@ -17,21 +24,45 @@ PREDICTED: int
 MOMENTUM: int
 MOMENTUM_LOW: int
 VELOCITY: int
+MASS_DIAGONAL: int
+MASS_PIVOT: int
 NODE_POSITION: int
 NODE_VELOCITY: int
+NODE_L_Q: int
+NODE_L_QV: int
 NODE_L_VV: int
+BAND: int
+NODE_STRIDE: int
+NODE_OFFSET: int
+COORDINATE: tuple[int, ...]
 MULTIPLIER: int
 CONSTRAINT: int
-CONSTRAINT_Q: int
+CONSTRAINT_FORCE: int
 CONSTRAINT_QQ: int
 CONSTRAINT_WEIGHT: int
-HELD_Q: int
-HELD: int
 CURVATURE: int
 DEPENDENCE: int
+HELD: int
+HELD_RIGHT: int
+HELD_PIVOT: int
+HELD_CHANGE: int
+HELD_PLACE: tuple[int, ...]
+HELD_PLACES: int
+HELD_SIZE: int
+HELD_BAND: int
+HELD_STRIDE: int
+HELD_OFFSET: int
+HELD_ROW_STEP: int
+HELD_PLACE_STEP: int
+CONSTRAINT_AT: tuple[int, ...]
 RESIDUAL: int
 JACOBIAN: int
+EQUATION_ROW_STEP: int
+EQUATION_PLACE_STEP: int
+EQUATION_STRIDE: int
+EQUATION_OFFSET: int
 SOLVE_STRIDE: int
+SOLVE_OFFSET: int
 ROW_OF_POINT: tuple[int, ...]
 COLUMN_OF_POINT: tuple[int, ...]
 
@@ -39,15 +70,36 @@ COLUMN_OF_POINT: tuple[int, ...]
 @compiled
 def control_point(W, point, lane):
     """Position and multipliers at a control point; there are none of these at the last one."""
-    for a in range(DIMENSION):
-        W[NODE_POSITION + a, lane] = W[POSITION + a, lane]
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        W[NODE_POSITION + s, lane] = W[POSITION + a, lane]
         if point > 0:
-            W[NODE_POSITION + a, lane] += W[INCREMENT + (point - 1) * DIMENSION + a, lane]
+            W[NODE_POSITION + s, lane] += W[INCREMENT + (point - 1) * DIMENSION + a, lane]
     for c in range(CONSTRAINTS):
         W[MULTIPLIER + c, lane] = real(0)
         if point < DEGREE:
             row = INCREMENT + DEGREE * DIMENSION + point * CONSTRAINTS + c
             W[MULTIPLIER + c, lane] = W[row, lane]
+
+
+@compiled
+def clear_constraints(W, lane):
+    """Begin with second derivatives of lambda.phi that are zero."""
+    for entry in range(HELD_SIZE):
+        W[CONSTRAINT_QQ + entry, lane] = real(0)
+
+
+@compiled
+def constraint_forces(W, lane):
+    """Find Phi^T lambda, by which constraints pull the other way."""
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
+        force = real(0)
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            if CONSTRAINT_AT[j] >= 0:
+                force += W[row + j, lane] * W[MULTIPLIER + CONSTRAINT_AT[j], lane]
+        W[CONSTRAINT_FORCE + COORDINATE[s], lane] = force
 
 
 @compiled
@@ -58,27 +110,66 @@ def assemble_constraint(W, h, point, lane):
     h as for large ones.
     """
     rate = 1 / h
-    behind = DEGREE * DIMENSION
-    for a in range(DIMENSION):
-        i = ROW_OF_POINT[point] * DIMENSION + a
-        for c in range(CONSTRAINTS):
-            slope = rate * W[CONSTRAINT_Q + c * DIMENSION + a, lane]
-            if point < DEGREE:
-                column = behind + point * CONSTRAINTS + c
-                W[RESIDUAL + i, lane] -= slope * W[MULTIPLIER + c, lane]
-                W[JACOBIAN + i * SOLVE_STRIDE + column, lane] = -slope
-            if point > 0:
-                row = behind + (point - 1) * CONSTRAINTS + c
-                column = COLUMN_OF_POINT[point] * DIMENSION + a
-                W[JACOBIAN + row * SOLVE_STRIDE + column, lane] = slope
-        if point > 0 and point < DEGREE:
-            entry = JACOBIAN + i * SOLVE_STRIDE + COLUMN_OF_POINT[point] * DIMENSION
-            for b in range(DIMENSION):
-                W[entry + b, lane] -= rate * W[CONSTRAINT_QQ + a * DIMENSION + b, lane]
+    if point < DEGREE:
+        constraint_forces(W, lane)
+        for s in range(DIMENSION):
+            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[RESIDUAL + row, lane] -= rate * W[CONSTRAINT_FORCE + COORDINATE[s], lane]
     if point > 0:
         for c in range(CONSTRAINTS):
-            row = behind + (point - 1) * CONSTRAINTS + c
+            row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
             W[RESIDUAL + row, lane] = rate * W[CONSTRAINT + c, lane]
+    for i in range(HELD_PLACES):
+        held = CONSTRAINT_AT[i] >= 0
+        row = point - 1 if held else ROW_OF_POINT[point]
+        scale = rate if held else -rate
+        entry = JACOBIAN + (row * HELD_ROW_STEP + i * HELD_PLACE_STEP) * SOLVE_STRIDE + SOLVE_OFFSET
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            column = point if CONSTRAINT_AT[j] >= 0 else COLUMN_OF_POINT[point]
+            if row >= 0 and column >= 0 and column < DEGREE:
+                W[entry + column * HELD_ROW_STEP + j * HELD_PLACE_STEP, lane] += (
+                    scale * W[CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j, lane]
+                )
+
+
+@compiled
+def join_equations(W, lane):
+    """Add what the nodes contribute to the matrix of all unknowns; bring rows into its order."""
+    for row in range(DEGREE):
+        for s in range(DIMENSION):
+            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
+            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[HELD_RIGHT + there, lane] = W[RESIDUAL + here, lane]
+            for column in range(DEGREE):
+                source = JACOBIAN + here * EQUATION_STRIDE + EQUATION_OFFSET
+                source += column * EQUATION_ROW_STEP
+                target = JACOBIAN + there * SOLVE_STRIDE + SOLVE_OFFSET + column * HELD_ROW_STEP
+                for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                    W[target + HELD_PLACE[b] * HELD_PLACE_STEP, lane] += W[
+                        source + b * EQUATION_PLACE_STEP, lane
+                    ]
+        for c in range(CONSTRAINTS):
+            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
+            W[HELD_RIGHT + there, lane] = W[RESIDUAL + here, lane]
+    for row in range(DEGREE * HELD_PLACES):
+        W[RESIDUAL + row, lane] = W[HELD_RIGHT + row, lane]
+
+
+@compiled
+def part_corrections(W, lane):
+    """Bring a correction back into the order of increments, then multipliers."""
+    for row in range(DEGREE * HELD_PLACES):
+        W[HELD_RIGHT + row, lane] = W[RESIDUAL + row, lane]
+    for row in range(DEGREE):
+        for s in range(DIMENSION):
+            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
+            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[RESIDUAL + here, lane] = W[HELD_RIGHT + there, lane]
+        for c in range(CONSTRAINTS):
+            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
+            W[RESIDUAL + here, lane] = W[HELD_RIGHT + there, lane]
 
 
 @compiled
@@ -109,93 +200,106 @@ def carry_multipliers(W, lane):
 @compiled
 def add_pull(W, h, lane):
     """Add the pull -Phi^T mu of constraints at a control point to p1 - p0."""
+    constraint_forces(W, lane)
     for a in range(DIMENSION):
-        for c in range(CONSTRAINTS):
-            slope = W[CONSTRAINT_Q + c * DIMENSION + a, lane] / h
-            W[RESIDUAL + a, lane] -= slope * W[MULTIPLIER + c, lane]
+        W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane] / h
 
 
 @compiled
-def stiffen_mass(W, lane):
-    """Add w Phi^T Phi to M, which is positive definite then if M is for what constraints allow.
+def border_mass(W, lane):
+    """Write M + w Phi^T Phi, bordered by Phi: definite if M is for what constraints allow.
 
-    Velocities with Phi v = 0 do not see it. Each w is the trace of M in units of its row of Phi.
+    Velocities with Phi v = 0 do not see what is added. Each w is the trace of M, as far as it is
+    near, in units of its row of Phi.
     """
-    trace = real(0)
-    for a in range(DIMENSION):
-        trace += W[NODE_L_VV + a * DIMENSION + a, lane]
+    first = HELD + HELD_OFFSET
+    slopes = CONSTRAINT_QQ + HELD_OFFSET
+    for i in range(HELD_PLACES):
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            W[first + i * HELD_STRIDE + j, lane] = real(0)
+    for s in range(DIMENSION):
+        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            entry = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+            W[first + HELD_PLACE[s] * HELD_STRIDE + HELD_PLACE[b], lane] = entry
     for c in range(CONSTRAINTS):
+        i = HELD_PLACE[DIMENSION + c]
+        trace = real(0)
         square = real(0)
-        for a in range(DIMENSION):
-            square += W[CONSTRAINT_Q + c * DIMENSION + a, lane] ** 2
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            if CONSTRAINT_AT[j] < 0:
+                slope = W[slopes + i * HELD_STRIDE + j, lane]
+                trace += W[first + j * HELD_STRIDE + j, lane]
+                square += slope**2
+                W[first + i * HELD_STRIDE + j, lane] = slope
+                W[first + j * HELD_STRIDE + i, lane] = slope
         W[CONSTRAINT_WEIGHT + c, lane] = trace / (square if square > 0 else real(1))
     for c in range(CONSTRAINTS):
-        for a in range(DIMENSION):
-            slope = W[CONSTRAINT_WEIGHT + c, lane] * W[CONSTRAINT_Q + c * DIMENSION + a, lane]
-            for b in range(DIMENSION):
-                entry = slope * W[CONSTRAINT_Q + c * DIMENSION + b, lane]
-                W[NODE_L_VV + a * DIMENSION + b, lane] += entry
+        i = HELD_PLACE[DIMENSION + c]
+        begin = max(0, i - HELD_BAND)
+        end = min(HELD_PLACES, i + HELD_BAND + 1)
+        for j in range(begin, end):
+            if CONSTRAINT_AT[j] < 0:
+                share = W[CONSTRAINT_WEIGHT + c, lane] * W[slopes + i * HELD_STRIDE + j, lane]
+                for k in range(max(begin, j - HELD_BAND), min(end, j + HELD_BAND + 1)):
+                    if CONSTRAINT_AT[k] < 0:
+                        more = share * W[slopes + i * HELD_STRIDE + k, lane]
+                        W[first + j * HELD_STRIDE + k, lane] += more
 
 
 @compiled
-def factor_constraints(W, lane):
-    """Keep M^-1 Phi^T, and factorise Phi M^-1 Phi^T = L D L^T.
+def factor_held(W, lane):
+    """Factorise what border_mass made; MASS_PIVOT < 0 if M is not positive definite there.
 
-    DEPENDENCE becomes the smallest pivot relative to its diagonal: zero where a constraint follows
-    from others.
+    Each constraint stands behind its coordinates, so that their pivots are positive if M is
+    definite, and its own is negative. DEPENDENCE becomes the smallest of these relative to what it
+    is the rest of: zero where a constraint follows from others.
     """
-    for c in range(CONSTRAINTS):
-        for a in range(DIMENSION):
-            W[NODE_VELOCITY + a, lane] = W[CONSTRAINT_Q + c * DIMENSION + a, lane]
-        solve_mass(W, lane)
-        for a in range(DIMENSION):
-            W[HELD_Q + c * DIMENSION + a, lane] = W[VELOCITY + a, lane]
-        for e in range(c + 1):
-            entry = real(0)
-            for a in range(DIMENSION):
-                slope = W[CONSTRAINT_Q + e * DIMENSION + a, lane]
-                entry += slope * W[HELD_Q + c * DIMENSION + a, lane]
-            W[HELD + c * CONSTRAINTS + e, lane] = entry
+    first = HELD + HELD_OFFSET
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        W[MASS_DIAGONAL + COORDINATE[s], lane] = W[first + i * HELD_STRIDE + i, lane]
+    factor_symmetric(W, first, HELD_PLACES, HELD_BAND, HELD_STRIDE, lane)
+    deficit = real(0)
     least = real(1)
-    for c in range(CONSTRAINTS):
-        row = HELD + c * CONSTRAINTS
-        whole = W[row + c, lane]
-        for e in range(c):
-            entry = W[row + e, lane]
-            for k in range(e):
-                entry -= W[HELD + k * CONSTRAINTS + c, lane] * W[HELD + e * CONSTRAINTS + k, lane]
-            # L D above the diagonal, L below it, D on it
-            W[HELD + e * CONSTRAINTS + c, lane] = entry
-            W[row + e, lane] = entry / W[HELD + e * CONSTRAINTS + e, lane]
-            W[row + c, lane] -= entry * W[row + e, lane]
-        share = W[row + c, lane] / (whole if whole > 0 else real(1))
-        least = share if not share >= least else least
+    for i in range(HELD_PLACES):
+        pivot = W[first + i * HELD_STRIDE + i, lane]
+        c = CONSTRAINT_AT[i]
+        if c < 0:
+            deficit += pivot - abs(pivot)
+        else:
+            whole = real(0)
+            for j in range(max(0, i - HELD_BAND), i):
+                if CONSTRAINT_AT[j] < 0:
+                    row_j = first + j * HELD_STRIDE
+                    whole += W[first + i * HELD_STRIDE + j, lane] * W[row_j + i, lane]
+            share = -pivot / (whole if whole > 0 else real(1))
+            least = share if not share >= least else least
+            W[HELD_PIVOT + c, lane] = -pivot
+    W[MASS_PIVOT, lane] = deficit
     W[DEPENDENCE, lane] = least
 
 
 @compiled
-def hold_velocity(W, lane):
-    """Take from VELOCITY what constraints do not allow: Phi v becomes CURVATURE.
-
-    MULTIPLIER becomes what it takes, v - M^-1 Phi^T nu.
-    """
+def solve_held(W, lane):
+    """Solve M v + Phi^T nu = b, Phi v = CURVATURE: v takes the place of b, MULTIPLIER is nu."""
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        right = W[NODE_VELOCITY + s, lane]
+        for j in range(max(0, i - HELD_BAND), min(HELD_PLACES, i + HELD_BAND + 1)):
+            c = CONSTRAINT_AT[j]
+            if c >= 0:  # what was added to M
+                share = W[CONSTRAINT_WEIGHT + c, lane] * W[CURVATURE + c, lane]
+                right += share * W[CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j, lane]
+        W[HELD_RIGHT + i, lane] = right
     for c in range(CONSTRAINTS):
-        value = -W[CURVATURE + c, lane]
-        for a in range(DIMENSION):
-            value += W[CONSTRAINT_Q + c * DIMENSION + a, lane] * W[VELOCITY + a, lane]
-        for e in range(c):
-            value -= W[HELD + c * CONSTRAINTS + e, lane] * W[MULTIPLIER + e, lane]
-        W[MULTIPLIER + c, lane] = value
-    for back in range(CONSTRAINTS):
-        c = CONSTRAINTS - 1 - back
-        value = W[MULTIPLIER + c, lane] / W[HELD + c * CONSTRAINTS + c, lane]
-        for e in range(c + 1, CONSTRAINTS):
-            value -= W[HELD + e * CONSTRAINTS + c, lane] * W[MULTIPLIER + e, lane]
-        W[MULTIPLIER + c, lane] = value
+        W[HELD_RIGHT + HELD_PLACE[DIMENSION + c], lane] = W[CURVATURE + c, lane]
+    solve_symmetric(W, HELD + HELD_OFFSET, HELD_RIGHT, HELD_PLACES, HELD_BAND, HELD_STRIDE, lane)
+    for s in range(DIMENSION):
+        v = W[HELD_RIGHT + HELD_PLACE[s], lane]
+        W[NODE_VELOCITY + s, lane] = v
+        W[VELOCITY + COORDINATE[s], lane] = v
     for c in range(CONSTRAINTS):
-        for a in range(DIMENSION):
-            part = W[HELD_Q + c * DIMENSION + a, lane] * W[MULTIPLIER + c, lane]
-            W[VELOCITY + a, lane] -= part
+        W[MULTIPLIER + c, lane] = W[HELD_RIGHT + HELD_PLACE[DIMENSION + c], lane]
 
 
 @compiled
@@ -206,23 +310,39 @@ def allow_no_change(W, lane):
 
 
 @compiled
+def change_to_constraints(W, lane):
+    """Find the least change of q, in M, that takes phi to zero to first order."""
+    for s in range(DIMENSION):
+        W[NODE_VELOCITY + s, lane] = real(0)
+    for c in range(CONSTRAINTS):
+        W[CURVATURE + c, lane] = -W[CONSTRAINT + c, lane]
+    solve_held(W, lane)
+    for a in range(DIMENSION):
+        W[HELD_CHANGE + a, lane] = W[VELOCITY + a, lane]
+
+
+@compiled
 def project_momentum(W, lane):
     """Take from p what constraints do not allow, Phi^T nu."""
+    constraint_forces(W, lane)
     for a in range(DIMENSION):
-        taken = real(0)
-        for c in range(CONSTRAINTS):
-            taken += W[CONSTRAINT_Q + c * DIMENSION + a, lane] * W[MULTIPLIER + c, lane]
+        taken = W[CONSTRAINT_FORCE + a, lane]
         add_exactly(W, MOMENTUM + a, MOMENTUM_LOW + a, W[MOMENTUM_LOW + a, lane] - taken, lane)
 
 
 @compiled
-def push_to_solve(W, lane):
-    """Return what accelerates to the solve for v', of which constraints ask Phi v' = -v.phi_qq.v.
+def push_of_jet(W, lane):
+    """Find M v' + Phi^T lambda = L_q - (d L_v/dq) v of a system without forces."""
+    for s in range(DIMENSION):
+        push = W[NODE_L_Q + s, lane]
+        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            turned = W[NODE_L_QV + b * NODE_STRIDE + s + NODE_OFFSET, lane]
+            push -= turned * W[NODE_VELOCITY + b, lane]
+        W[RESIDUAL + s, lane] = push
 
-    What was added to M stands on the right-hand side, too.
-    """
-    for a in range(DIMENSION):
-        W[NODE_VELOCITY + a, lane] = W[RESIDUAL + a, lane]
-        for c in range(CONSTRAINTS):
-            weight = W[CONSTRAINT_WEIGHT + c, lane] * W[CURVATURE + c, lane]
-            W[NODE_VELOCITY + a, lane] += weight * W[CONSTRAINT_Q + c * DIMENSION + a, lane]
+
+@compiled
+def push_to_solve(W, lane):
+    """Return what accelerates to the solve for v' and the multipliers."""
+    for s in range(DIMENSION):
+        W[NODE_VELOCITY + s, lane] = W[RESIDUAL + s, lane]

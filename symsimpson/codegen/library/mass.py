@@ -5,6 +5,8 @@ from typing import Any
 
 compiled: Callable[[Any], Any]
 real: Callable[[Any], Any]
+factor_symmetric: Callable[..., Any]
+solve_symmetric: Callable[..., Any]
 
 DIMENSION: int
 MOMENTUM: int
@@ -33,23 +35,13 @@ def keep_mass(W, lane):
 @compiled
 def factor_mass(W, lane):
     """Factorise M = L D L^T in its place; MASS_PIVOT < 0 if M is not positive definite."""
+    first = NODE_L_VV + NODE_OFFSET
+    for i in range(DIMENSION):
+        W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
+    factor_symmetric(W, first, DIMENSION, BAND, NODE_STRIDE, lane)
     deficit = real(0)
     for i in range(DIMENSION):
-        row_i = NODE_L_VV + i * NODE_STRIDE + NODE_OFFSET
-        W[MASS_DIAGONAL + COORDINATE[i], lane] = W[row_i + i, lane]
-        for j in range(max(0, i - BAND), i):
-            row_j = NODE_L_VV + j * NODE_STRIDE + NODE_OFFSET
-            entry = W[row_i + j, lane]
-            for k in range(max(0, i - BAND), j):
-                entry -= W[NODE_L_VV + k * NODE_STRIDE + NODE_OFFSET + i, lane] * W[row_j + k, lane]
-            # L D above the diagonal, L below it, D on it
-            W[row_j + i, lane] = entry
-        for j in range(max(0, i - BAND), i):
-            row_j = NODE_L_VV + j * NODE_STRIDE + NODE_OFFSET
-            entry = W[row_j + i, lane] / W[row_j + j, lane]
-            W[row_i + j, lane] = entry
-            W[row_i + i, lane] -= entry * W[row_j + i, lane]
-        pivot = W[row_i + i, lane]
+        pivot = W[first + i * NODE_STRIDE + i, lane]
         deficit += pivot - abs(pivot)
     W[MASS_PIVOT, lane] = deficit
 
@@ -64,19 +56,10 @@ def momentum_to_solve(W, lane):
 @compiled
 def solve_mass(W, lane):
     """Solve L D L^T v = right, which stands in the rows of a node's velocity."""
+    first = NODE_L_VV + NODE_OFFSET
+    solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, BAND, NODE_STRIDE, lane)
     for i in range(DIMENSION):
-        row_i = NODE_L_VV + i * NODE_STRIDE + NODE_OFFSET
-        v = W[NODE_VELOCITY + i, lane]
-        for j in range(max(0, i - BAND), i):
-            v -= W[row_i + j, lane] * W[NODE_VELOCITY + j, lane]
-        W[NODE_VELOCITY + i, lane] = v
-    for back in range(DIMENSION):
-        i = DIMENSION - 1 - back
-        v = W[NODE_VELOCITY + i, lane] / W[NODE_L_VV + i * NODE_STRIDE + NODE_OFFSET + i, lane]
-        for j in range(i + 1, min(DIMENSION, i + BAND + 1)):
-            v -= W[NODE_L_VV + j * NODE_STRIDE + NODE_OFFSET + i, lane] * W[NODE_VELOCITY + j, lane]
-        W[NODE_VELOCITY + i, lane] = v
-        W[VELOCITY + COORDINATE[i], lane] = v
+        W[VELOCITY + COORDINATE[i], lane] = W[NODE_VELOCITY + i, lane]
 
 
 @compiled

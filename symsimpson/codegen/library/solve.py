@@ -1,4 +1,4 @@
-"""Newton corrections."""
+"""Systems of linear equations, and Newton corrections."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,6 +24,40 @@ RESIDUAL: int
 JACOBIAN: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
+
+
+@compiled
+def factor_symmetric(W, first, count, band, stride, lane):
+    """Factorise a symmetric matrix L D L^T in its place: L D above the diagonal, L below it."""
+    for i in range(count):
+        row_i = first + i * stride
+        for j in range(max(0, i - band), i):
+            row_j = first + j * stride
+            entry = W[row_i + j, lane]
+            for k in range(max(0, i - band), j):
+                entry -= W[first + k * stride + i, lane] * W[row_j + k, lane]
+            W[row_j + i, lane] = entry
+        for j in range(max(0, i - band), i):
+            row_j = first + j * stride
+            entry = W[row_j + i, lane] / W[row_j + j, lane]
+            W[row_i + j, lane] = entry
+            W[row_i + i, lane] -= entry * W[row_j + i, lane]
+
+
+@compiled
+def solve_symmetric(W, first, right, count, band, stride, lane):
+    """Solve L D L^T x = b, where x takes the place of b."""
+    for i in range(count):
+        x = W[right + i, lane]
+        for j in range(max(0, i - band), i):
+            x -= W[first + i * stride + j, lane] * W[right + j, lane]
+        W[right + i, lane] = x
+    for back in range(count):
+        i = count - 1 - back
+        x = W[right + i, lane] / W[first + i * stride + i, lane]
+        for j in range(i + 1, min(count, i + band + 1)):
+            x -= W[first + j * stride + i, lane] * W[right + j, lane]
+        W[right + i, lane] = x
 
 
 @compiled

@@ -18,7 +18,7 @@ from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
 from symsimpson.interface import ADJACENT, BLOCKS, INTERFACE, PIVOTED, TOLD
 
-__all__ = ["SIGNED", "Header", "digest", "equations_of", "read_header"]
+__all__ = ["SIGNED", "Header", "digest", "equations_of", "read_header", "slopes_of"]
 
 #: The line above a module that holds the digest of what follows.
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
@@ -50,6 +50,7 @@ class Header:
     input_places: tuple[str, ...]
     conformal: bool
     constraints: tuple[str, ...]
+    held_places: tuple[int, ...]
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -115,6 +116,17 @@ def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     return residual, jacobian[:, :, [header.column_order.index(k) for k in range(1, d + 1)]]
 
 
+def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
+    """Read Phi, shape (..., m, n), from second derivatives of lambda.phi, shape (..., rows)."""
+    at, n = header.layout, header.n
+    place = np.array(header.held_places)
+    behind = place[n:, None]
+    place = place[np.argsort(header.coordinate_order)]
+    near = np.abs(behind - place) <= at["HELD_BAND"]
+    entries = behind * at["HELD_STRIDE"] + at["HELD_OFFSET"] + place
+    return np.where(near, rows[..., np.where(near, entries, 0)], rows[..., :1, None] * 0)
+
+
 def read_header(text: str, where: str) -> Header:
     """Read the constants of a generated module from its syntax tree.
 
@@ -159,6 +171,7 @@ def read_header(text: str, where: str) -> Header:
         "INPUT_PLACES": (),
         "CONFORMAL": False,
         "HELD_BY": (),
+        "HELD_PLACE": (),
         **constants,
     }
     names = {
@@ -170,7 +183,7 @@ def read_header(text: str, where: str) -> Header:
         "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
         "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
-        "constraints": "HELD_BY",
+        "constraints": "HELD_BY", "held_places": "HELD_PLACE",
     }  # fmt: skip
     blocks = {
         name: value

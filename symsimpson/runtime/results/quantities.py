@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.kernels.header import slopes_of
+
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
@@ -67,17 +69,22 @@ class Quantities:
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:
         """The generalised forces -Phi^T lambda of the constraints, in the shape of q."""
-        held = self._stepper._module.header.constraints
-        slopes = self._held("CONSTRAINT_Q", self._stepper.n)
-        slopes = slopes.reshape(*slopes.shape[:-1], len(held), self._stepper.n)
-        return -(self.multipliers[..., None] * slopes).sum(axis=-2)
+        if not self._stepper._module.header.constraints:
+            return 0 * self.q
+        return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self._stepper.n)
 
-    def _held(self, block: str, each: int = 1) -> NDArray[Any]:
-        """Return a block of what constraints have, ``each`` of so many rows."""
+    def _held(self, block: str) -> NDArray[Any]:
+        """Return a block of what constraints have, a row for each."""
         held = self._stepper._module.header.constraints
         if not held:
             return np.zeros((*np.shape(self.q)[:-1], 0))
-        return self._evaluated("multipliers", block, each * len(held))
+        return self._evaluated("multipliers", block, len(held))
+
+    def _slopes(self) -> NDArray[Any]:
+        """Return Phi = dphi/dq, shape (..., m, n)."""
+        header = self._stepper._module.header
+        rows = self._evaluated("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"])
+        return slopes_of(header, rows)
 
     def _own(self, key: str) -> Any:
         """Return a quantity of a name that only this kind of result knows; None if it is none."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning
 from symsimpson.runtime.evaluator import evaluate_in
+from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.held import DEPENDENT, dependent
@@ -34,9 +35,9 @@ def look_at_folds(
     names = stepper._module.header.constraints
     if len(names) < 2 or not run.every or len(q) < 2:
         return trajectory
-    n, m = stepper.n, len(names)
+    header = stepper._module.header
     t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
-    pivots = evaluate_in(run.W, stepper, "multipliers", "HELD", m * m, t, q, p)[:, :: m + 1]
+    pivots = evaluate_in(run.W, stepper, "multipliers", "HELD_PIVOT", len(names), t, q, p)
     # roots, as sizes of slopes are; each relative to its largest, since units may differ
     sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
     independence = (sizes / sizes.max(axis=0)).min(axis=1)
@@ -44,11 +45,11 @@ def look_at_folds(
     who = f"{stepper.system}, {stepper.scheme}"
     if singular.size:
         bad = int(singular[0])
-        slopes = evaluate_in(
-            run.W, stepper, "multipliers", "CONSTRAINT_Q", m * n,
+        rows = evaluate_in(
+            run.W, stepper, "multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"],
             *(x[bad : bad + 1] for x in (t, q, p)),
         )[0]  # fmt: skip
-        which = dependent(names, slopes.astype(np.float64).reshape(m, n))
+        which = dependent(names, slopes_of(header, rows).astype(np.float64))
         message = (
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
             f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"

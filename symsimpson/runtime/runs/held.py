@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.runtime.evaluator import evaluate, evaluate_members
+from symsimpson.runtime.kernels.header import slopes_of
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -53,7 +54,7 @@ def allowed(
     numbers, held = stepper._module.numbers, stepper._module.header.constraints
     if not held:
         return q, other
-    m, n = len(held), stepper.n
+    m, n, header = len(held), stepper.n, stepper._module.header
     times = numbers.read([t])
 
     def at(block: str, count: int, p: Reals, kernel: str = "multipliers") -> Reals:
@@ -63,7 +64,8 @@ def allowed(
         return evaluate_members(stepper, kernel, block, count, times, *states, values)[:, 0]
 
     rest = 0 * q
-    slopes = at("CONSTRAINT_Q", m * n, rest).astype(np.float64).reshape(-1, m, n)
+    rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
+    slopes = slopes_of(header, rows)
     _check_rank(stepper, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
     size = np.linalg.norm(slopes, axis=2)
     scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
@@ -74,10 +76,7 @@ def allowed(
             raise _off(stepper, q, other, given, values, off, "q0 does not satisfy", "")
         if off.max() <= 4 * numbers.epsilon:
             break
-        back = at("HELD_Q", m * n, rest).astype(np.float64).reshape(-1, m, n)
-        share = np.linalg.solve(slopes @ back.transpose(0, 2, 1), -_column(phi, scale))
-        step = (back.transpose(0, 2, 1) @ share)[..., 0]
-        q = q + numbers.read(step) * numbers.read(scale.max(axis=1))[:, None]
+        q = q + at("HELD_CHANGE", n, rest)
     speeds = other.astype(np.float64)
     if given == "v0":
         taken = (slopes @ speeds[..., None])[..., 0]
@@ -89,11 +88,6 @@ def allowed(
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
         raise _off(stepper, q, other, given, values, off, what, " v = 0")
     return q, other
-
-
-def _column(phi: Reals, scale: Reals) -> NDArray[np.float64]:
-    """Return residuals in units in which doubles hold the smallest ones, one column for each."""
-    return (phi / scale.max(axis=1)[:, None]).astype(np.float64)[..., None]
 
 
 def _check_rank(stepper: Evaluator, q: Reals, slopes: Reals, independence: Reals) -> None:

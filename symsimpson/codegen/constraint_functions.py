@@ -1,0 +1,124 @@
+"""The functions by which loops evaluate constraints: line by line, or family by family."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.held import Held
+from symsimpson.codegen.ir import Call, Function, Index, Row, Store
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+from symsimpson.codegen.terms_of_l import FamilyWriter, Table
+from symsimpson.discrete.constraints import derive_constraints
+from symsimpson.discrete.families import Family
+
+__all__ = ["constraint_family_functions", "constraint_functions"]
+
+DOCS = {
+    "constraint_slopes": "Phi at a point.",
+    "constrain": "phi, Phi and the second derivatives of lambda.phi.",
+    "curves": "Phi v' as constraints ask for it, -v.phi_qq.v.",
+    "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
+}
+#: What is evaluated is asked for by its name and indices.
+Entry = Callable[..., sp.Expr]
+#: The row for two coordinates or constraints: the latter are those behind the former.
+Pair = Callable[[int, int], Row]
+
+
+def constraint_functions(low: Lowering, held: Held) -> list[Function]:
+    """Write constraints at a point, and what they do to a state, by lines of their own."""
+    point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
+
+    def entry(what: str, *index: int) -> sp.Expr:
+        return low.held.entry(point, "constraints", what, *index)
+
+    def pair(i: int, j: int) -> Row:
+        return Row("CONSTRAINT_QQ", held.entry(i, j))
+
+    count = range(held.count)
+    slopes = _slopes(entry, pair, low.n, count)
+    values = [Store(Row("CONSTRAINT", c), entry("phi", c)) for c in count]
+    curves = [Store(Row("CURVATURE", c), -entry("curve", c)) for c in count]
+    pushes = [Store(Row("RESIDUAL", a), entry("push", a)) for a in range(low.n)]
+    stores = {
+        "constraint_slopes": slopes,
+        "constrain": [*values, *slopes, *_bends(entry, pair, low.n, add=False)],
+        "pushes": [*pushes, *curves],
+    }
+    clear = {"constraint_slopes": _calls("clear_constraints"),
+             "constrain": _calls("clear_constraints"), "pushes": ()}  # fmt: skip
+    return [
+        Function(name, DOCS[name], (*clear[name], *low.statements(some, (Level.ITERATION,))))
+        for name, some in stores.items()
+    ]
+
+
+def constraint_family_functions(
+    low: Lowering, families: Sequence[Family], places: Sequence[int]
+) -> tuple[list[Function], dict[str, Table]]:
+    """Write constraints at a point, and what they do to a state, by loops over families."""
+    tables: dict[str, Table] = {}
+    functions: list[Function] = []
+    calls: dict[str, list[str]] = {
+        "constraint_slopes": ["clear_constraints"], "constrain": ["clear_constraints"],
+        "pushes": ["jet", "push_of_jet"],
+    }  # fmt: skip
+    for number, family in enumerate(families, 1):
+        writer = FamilyWriter(
+            low, family, f"CONSTRAINTS_{number}", derive_constraints(family.plain)
+        )
+        tables[writer.table] = writer.members(places)
+        for name, stores, indices in _family_stores(low, writer):
+            function = writer.function(f"{name}_{number}", DOCS[name], stores, indices)
+            functions.append(function)
+            calls["pushes" if name == "curves" else name].append(function.name)
+    functions += [Function(name, DOCS[name], _calls(*some)) for name, some in calls.items()]
+    return functions, tables
+
+
+def _family_stores(
+    low: Lowering, writer: FamilyWriter
+) -> list[tuple[str, list[Store], list[Index]]]:
+    """Return what a member stores in each function, and which places it looks up before."""
+    n, c = len(writer.indices), writer.constraint
+    here = [low.names.fresh(f"s{i}").name for i in range(n + 1)]
+    items = [*writer.indices, f"DIMENSION + {c}"]
+    indices = [Index(s, f"HELD_PLACE[{item}]") for s, item in zip(here, items, strict=True)]
+
+    def entry(what: str, *index: int) -> sp.Expr:
+        return writer.template.entry(writer.point, "constraints", what, *index)
+
+    def pair(i: int, j: int) -> Row:
+        return Row("CONSTRAINT_QQ", f"{here[i]}*HELD_STRIDE + {here[j]} + HELD_OFFSET")
+
+    slopes = _slopes(entry, pair, n, range(1))
+    value = Store(Row("CONSTRAINT", c), entry("phi", 0))
+    curve = Store(Row("CURVATURE", c), -entry("curve", 0))
+    return [
+        ("constraint_slopes", slopes, indices),
+        ("constrain", [value, *slopes, *_bends(entry, pair, n, add=True)], indices),
+        ("curves", [curve], []),
+    ]
+
+
+def _slopes(entry: Entry, pair: Pair, n: int, constraints: range) -> list[Store]:
+    return [
+        Store(row, entry("Phi", c, a))
+        for c in constraints for a in range(n) for row in (pair(n + c, a), pair(a, n + c))
+        if entry("Phi", c, a) != 0
+    ]  # fmt: skip
+
+
+def _bends(entry: Entry, pair: Pair, n: int, *, add: bool) -> list[Store]:
+    return [
+        Store(pair(a, b), entry("pull", a, b), add=add)
+        for a in range(n) for b in range(n) if entry("pull", a, b) != 0
+    ]  # fmt: skip
+
+
+def _calls(*names: str) -> tuple[Call, ...]:
+    return tuple(Call(name, ("W", "lane")) for name in names)

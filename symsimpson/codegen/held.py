@@ -1,0 +1,101 @@
+"""How constraints stand among the coordinates: one order of both, for one matrix of both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from symsimpson.codegen.storage import Storage
+
+__all__ = ["Held"]
+
+
+@dataclass(frozen=True)
+class Held:
+    """Places of coordinates and constraints in an order in which those that meet stand close.
+
+    Each constraint stands behind all coordinates in it: a symmetric elimination then needs no
+    exchange of rows.
+
+    Attributes
+    ----------
+    storage : Storage
+        Of both; the item at each place is a coordinate, or n plus a constraint.
+    place : tuple of int
+        That of the coordinate at each place of coordinates alone, then that of each constraint.
+    count : int
+        Number of constraints.
+    """
+
+    storage: Storage
+    place: tuple[int, ...]
+    count: int
+
+    @classmethod
+    def dense(cls, n: int, count: int) -> Held:
+        """Put the constraints behind all coordinates, and keep all entries."""
+        return cls(Storage.dense(n + count), tuple(range(n + count)), count)
+
+    @classmethod
+    def chain(
+        cls, order: Sequence[int], members: Sequence[frozenset[int]], near: Sequence[set[int]]
+    ) -> Held:
+        """Put each constraint right behind the last of its coordinates.
+
+        Parameters
+        ----------
+        order : sequence of int
+            Coordinates in their order.
+        members : sequence of sets
+            The coordinates in each constraint.
+        near : sequence of sets
+            What coordinates meet each one.
+        """
+        n, at = len(order), {a: s for s, a in enumerate(order)}
+        behind: list[list[int]] = [[] for _ in order]
+        for c, coordinates in enumerate(members):
+            behind[max(at[a] for a in coordinates)].append(n + c)
+        both = [item for s, a in enumerate(order) for item in (a, *behind[s])]
+        place = {item: s for s, item in enumerate(both)}
+        band = max(
+            *(abs(place[a] - place[b]) for a, others in enumerate(near) for b in others),
+            *(place[n + c] - place[a] for c, some in enumerate(members) for a in some),
+        )
+        places = tuple(place[item] for item in (*order, *range(n, len(both))))
+        return cls(Storage(tuple(both), band, banded=True), places, len(members))
+
+    def entry(self, i: int, j: int) -> int:
+        """Return where two coordinates, or constraints behind these, meet in the node's matrix."""
+        node = self.storage.node_constants()
+        stride, offset = int(str(node["NODE_STRIDE"])), int(str(node["NODE_OFFSET"]))
+        return self.place[i] * stride + offset + self.place[j]
+
+    def constants(self, blocks: int) -> dict[str, object]:
+        """Return what loops over coordinates and constraints must know."""
+        n = len(self.storage.order) - self.count
+        steps = self.storage.constants("HELD", blocks)
+        node = self.storage.node_constants()
+        return {
+            "CONSTRAINTS": self.count,
+            "HELD_PLACE": self.place,
+            "CONSTRAINT_AT": tuple(item - n if item >= n else -1 for item in self.storage.order),
+            "HELD_PLACES": len(self.place),
+            "HELD_SIZE": self.storage.node_size,
+            "HELD_BAND": self.storage.band,
+            "HELD_STRIDE": node["NODE_STRIDE"],
+            "HELD_OFFSET": node["NODE_OFFSET"],
+            "HELD_ROW_STEP": steps["HELD_ROW_STEP"],
+            "HELD_PLACE_STEP": steps["HELD_PLACE_STEP"],
+        }
+
+    def sizes(self, degree: int) -> dict[str, int]:
+        """Return the sizes of what constraints have in the workspace."""
+        every, n = len(self.place), len(self.place) - self.count
+        own = ("MULTIPLIER", "CONSTRAINT", "CONSTRAINT_WEIGHT", "CURVATURE", "HELD_PIVOT")
+        return {
+            **dict.fromkeys(own, self.count),
+            **dict.fromkeys(("CONSTRAINT_FORCE", "HELD_CHANGE"), n),
+            **dict.fromkeys(("CONSTRAINT_QQ", "HELD"), self.storage.node_size),
+            "HELD_RIGHT": every * degree,
+            "DEPENDENCE": 1,
+        }
