@@ -34,6 +34,7 @@ MATH = (
 #: What a kernel calls to tell whether an iteration is done.
 _CHECKS = (
     "check_convergence",
+    "check_rounding",
     "check_acceptance",
     "check_stage_convergence",
     "check_stage_acceptance",
@@ -93,6 +94,7 @@ def plain_arithmetic(
         checking = {
             "NEGLIGIBLE": 4 * unit**2,
             "STAGNATION": unit,
+            "ROUNDED": 1e4 * unit**2,
             "LOST": unit**2,
             "ROUNDING": unit**2,
         }

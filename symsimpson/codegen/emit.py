@@ -54,6 +54,9 @@ FAR = 4.0  # a velocity at the end of the path off by more is in doubt
 UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
 LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
 """
+_HELD_THRESHOLDS = """\
+ROUNDED = 2.0**-92  # corrections that stop shrinking below this, relative to q, are round-off
+"""
 #: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
@@ -93,6 +96,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
             negligible=_NEGLIGIBLE[equations.scheme.degree > 2],
             unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
         )
+        if module.names.constraints:
+            thresholds += _HELD_THRESHOLDS
         if "STRIDE" in module.tables:
             thresholds += _STAGE_THRESHOLDS
         constants = f"{constants}\n{thresholds}" if constants else thresholds

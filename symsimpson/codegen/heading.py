@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from dataclasses import replace
 
@@ -104,13 +105,16 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
 
 
 def folded(head: str, text: str, pad: str, *, parentheses: bool = False) -> list[str]:
-    """Fold a long line at spaces."""
+    """Fold a long line at spaces that stand in no text."""
     if len(head) + len(text) <= _WIDTH:
         return [head + text]
+    whole = re.sub(r'"[^"]*"', lambda match: match[0].replace(" ", "\0"), text)
     if parentheses:
-        parts = textwrap.wrap(text, _WIDTH - len(pad), break_long_words=False)
-        return [head + "(", *(pad + part for part in parts), pad[:-4] + ")"]
-    return textwrap.wrap(
-        head + text, _WIDTH, subsequent_indent=pad, break_long_words=False, drop_whitespace=True,
-        break_on_hyphens=False,
-    )  # fmt: skip
+        parts = textwrap.wrap(whole, _WIDTH - len(pad), break_long_words=False)
+        lines = [head + "(", *(pad + part for part in parts), pad[:-4] + ")"]
+    else:
+        lines = textwrap.wrap(
+            head + whole, _WIDTH, subsequent_indent=pad, break_long_words=False,
+            drop_whitespace=True, break_on_hyphens=False,
+        )  # fmt: skip
+    return [line.replace("\0", " ") for line in lines]

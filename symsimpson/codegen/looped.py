@@ -9,7 +9,7 @@ import sympy as sp
 from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.unrolled import ACCEPTANCE, CONVERGENCE, lanes
+from symsimpson.codegen.unrolled import ACCEPTANCE, convergence, lanes
 from symsimpson.discrete.reductions import (
     Constrained,
     Coupled,
@@ -138,7 +138,7 @@ class LoopKernels:
         if self.held:
             names = "join_equations", "solve_pivoted", "part_corrections", "update_increments"
             solve = tuple(map(_call, (*names, "update_multipliers")))
-        return (*solve, CONVERGENCE)
+        return (*solve, *convergence(bool(self.held)))
 
     def step(self, part: Constrained | Coupled | Separable) -> list[Kernel]:
         """Return the kernels of a step."""

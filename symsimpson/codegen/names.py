@@ -61,6 +61,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "NEGLIGIBLE",
         "QUADRATIC",
         "STAGNATION",
+        "ROUNDED",
         "FAR",
         "UNRESOLVED",
         "LARGE_CHANGE",

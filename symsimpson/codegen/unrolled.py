@@ -30,9 +30,9 @@ from symsimpson.discrete.reductions import (
 
 __all__ = [
     "ACCEPTANCE",
-    "CONVERGENCE",
     "SOLVERS",
     "STATE",
+    "convergence",
     "increments",
     "lanes",
     "momentum_stores",
@@ -41,11 +41,8 @@ __all__ = [
     "velocity",
 ]
 
-#: What ends an iteration, and a step.
-CONVERGENCE, ACCEPTANCE = (
-    Call("check_convergence", ("W", "lane")),
-    Call("check_acceptance", ("W", "lane")),
-)
+#: What ends a step.
+ACCEPTANCE = Call("check_acceptance", ("W", "lane"))
 #: What a step that is taken back begins with again.
 KEEP_STEP = Call("keep_step", ("W", "lane"))
 #: Levels that a kernel computes which is called on a bare state (q, p).
@@ -151,7 +148,14 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         value = define(block.lower(), sp.Add(*terms), "update")
         stores.append(Store(Row(block, 0), value))
     doc = "One Newton iteration for the increments X_k of the control points."
-    return Kernel("newton", doc, lanes((*low.statements(stores, (Level.ITERATION,)), CONVERGENCE)))
+    lines = low.statements(stores, (Level.ITERATION,))
+    return Kernel("newton", doc, lanes((*lines, *convergence(bool(low.multipliers)))))
+
+
+def convergence(held: bool) -> tuple[Call, ...]:
+    """Return what ends an iteration, where there are constraints or none."""
+    names = ("check_rounding",) if held else ()
+    return tuple(Call(name, ("W", "lane")) for name in (*names, "check_convergence"))
 
 
 def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:

@@ -24,6 +24,10 @@ STAGNATION: float
 FAR: float
 UNRESOLVED: float
 LARGE_CHANGE: float
+ROUNDED: float
+DIMENSION: int
+POSITION: int
+MASS_DIAGONAL: int
 
 
 @compiled
@@ -50,6 +54,22 @@ def check_convergence(W, lane):
     W[CONTRACTION, lane] = ratio if on & finite else W[CONTRACTION, lane]
     W[RELATIVE, lane] = now if on & finite else before
     W[ACTIVE, lane] = state if on else active
+
+
+@compiled
+def check_rounding(W, lane):
+    """Be done where phi = 0 holds as well as rounded positions can, whatever the increments are.
+
+    Near rest these may be as small as rounding.
+    """
+    size = 0.0
+    for a in range(DIMENSION):
+        size += W[MASS_DIAGONAL + a, lane] * W[POSITION + a, lane] ** 2
+    correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
+    stalled = correction >= 0.25 * (W[RELATIVE, lane] * increment)
+    done = (W[ACTIVE, lane] > 0) & stalled & (correction <= ROUNDED * size)
+    W[ITERATIONS, lane] += 1.0 if done else 0.0
+    W[ACTIVE, lane] = 0.0 if done else W[ACTIVE, lane]
 
 
 @compiled
