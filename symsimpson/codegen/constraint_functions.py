@@ -20,6 +20,7 @@ __all__ = ["constraint_family_functions", "constraint_functions"]
 DOCS = {
     "constraint_slopes": "Phi at a point.",
     "constrain": "phi, Phi and the second derivatives of lambda.phi.",
+    "constraint_values": "phi at a point.",
     "curves": "Phi v' as constraints ask for it, -v.phi_qq.v.",
     "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
 }
@@ -29,8 +30,11 @@ Entry = Callable[..., sp.Expr]
 Pair = Callable[[int, int], Row]
 
 
-def constraint_functions(low: Lowering, held: Held) -> list[Function]:
-    """Write constraints at a point, and what they do to a state, by lines of their own."""
+def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[Function]:
+    """Write constraints at a point, and what they do to a state, by lines of their own.
+
+    Drifts ask for phi alone, too.
+    """
     point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
 
     def entry(what: str, *index: int) -> sp.Expr:
@@ -47,18 +51,21 @@ def constraint_functions(low: Lowering, held: Held) -> list[Function]:
     stores = {
         "constraint_slopes": slopes,
         "constrain": [*values, *slopes, *_bends(entry, pair, low.n, add=False)],
+        "constraint_values": values,
         "pushes": [*pushes, *curves],
     }
-    clear = {"constraint_slopes": _calls("clear_constraints"),
-             "constrain": _calls("clear_constraints"), "pushes": ()}  # fmt: skip
+    first = {name: _calls("clear_constraints") for name in ("constraint_slopes", "constrain")}
     return [
-        Function(name, DOCS[name], (*clear[name], *low.statements(some, (Level.ITERATION,))))
+        Function(
+            name, DOCS[name], (*first.get(name, ()), *low.statements(some, (Level.ITERATION,)))
+        )
         for name, some in stores.items()
+        if drifting or name != "constraint_values"
     ]
 
 
 def constraint_family_functions(
-    low: Lowering, families: Sequence[Family], places: Sequence[int]
+    low: Lowering, families: Sequence[Family], places: Sequence[int], *, drifting: bool
 ) -> tuple[list[Function], dict[str, Table]]:
     """Write constraints at a point, and what they do to a state, by loops over families."""
     tables: dict[str, Table] = {}
@@ -66,13 +73,15 @@ def constraint_family_functions(
     calls: dict[str, list[str]] = {
         "constraint_slopes": ["clear_constraints"], "constrain": ["clear_constraints"],
         "pushes": ["jet", "push_of_jet"],
-    }  # fmt: skip
+    } | ({"constraint_values": []} if drifting else {})  # fmt: skip
     for number, family in enumerate(families, 1):
         writer = FamilyWriter(
             low, family, f"CONSTRAINTS_{number}", derive_constraints(family.plain)
         )
         tables[writer.table] = writer.members(places)
         for name, stores, indices in _family_stores(low, writer):
+            if name == "constraint_values" and not drifting:
+                continue
             function = writer.function(f"{name}_{number}", DOCS[name], stores, indices)
             functions.append(function)
             calls["pushes" if name == "curves" else name].append(function.name)
@@ -101,6 +110,7 @@ def _family_stores(
     return [
         ("constraint_slopes", slopes, indices),
         ("constrain", [value, *slopes, *_bends(entry, pair, n, add=True)], indices),
+        ("constraint_values", [value], []),
         ("curves", [curve], []),
     ]
 

@@ -57,6 +57,11 @@ LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps
 _HELD_THRESHOLDS = """\
 ROUNDED = 2.0**-92  # corrections that stop shrinking below this, relative to q, are round-off
 """
+_DRIFT_THRESHOLDS = f"""\
+# when a drift ends on the constraints; relative sizes, squared
+INFINITE = real("inf")
+{_HELD_THRESHOLDS}MOST_CORRECTIONS = 100
+"""
 #: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
@@ -101,6 +106,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         if "STRIDE" in module.tables:
             thresholds += _STAGE_THRESHOLDS
         constants = f"{constants}\n{thresholds}" if constants else thresholds
+    elif module.names.constraints:
+        constants += _DRIFT_THRESHOLDS
     made = _made(equations, module)
     library = _library(f"{body}\n{made}")
     numbers = "\n".join(

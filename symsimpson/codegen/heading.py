@@ -38,10 +38,16 @@ def banner(equations: DiscreteEquations) -> str:
     )
 
 
-#: What constraints add to the equations of a scheme.
+#: What constraints add to an explicit scheme, and to the equations of another one.
 _HELD = (
-    "    with D_k L_d - Phi^T mu_k for D_k L_d, k < d, and phi(X_k) = 0, k > 0;",
-    "    p1 is projected, so that Phi v1 = 0",
+    (
+        "    each drift with p - Phi^T mu for p, so that phi(X_k) = 0 where it ends;",
+        "    p1 is projected, so that Phi v1 = 0",
+    ),
+    (
+        "    with D_k L_d - Phi^T mu_k for D_k L_d, k < d, and phi(X_k) = 0, k > 0;",
+        "    p1 is projected, so that Phi v1 = 0",
+    ),
 )
 
 
@@ -86,7 +92,7 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     lines += [
         "",
         *scheme.formula,
-        *(_HELD if plain.constraints else ()),
+        *(_HELD[bool(module.newton_unknowns)] if plain.constraints else ()),
         "",
         *folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
         *folded("Parameters: ", ", ".join(names.parameters) or "none", "    "),

@@ -94,8 +94,9 @@ def lower(equations: DiscreteEquations) -> Module:
 def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether the parts are written out one by one, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
-    if equations.plain.constraints:
-        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS
+    if equations.plain.constraints:  # drifts of these are loops
+        drifting = any(isinstance(part, Composed) for part in equations.parts)
+        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting
     return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
 
 
@@ -132,7 +133,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
         functions = unrolled_functions(low, ("jet",))
         if held:
             functions = unrolled_functions(low, ("jet", "mass"))
-            functions += constraint_functions(low, held)
+            functions += constraint_functions(low, held, drifting=False)
             kernels.append(loops.multipliers())
             (part,) = equations.parts
             assert isinstance(part, Constrained)
@@ -169,8 +170,9 @@ def _looped(equations: DiscreteEquations) -> Module:
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
         storage, held = _banded(low, both, met, storage, held)
     names = ("gradient", "mass", "potential")
-    if not isinstance(part, Composed):
-        names = ("jet", *(("forces",) if constant else ()), *names)
+    drifting = isinstance(part, Composed)
+    if held or not drifting:
+        names = ("jet", *(("forces",) if constant and not drifting else ()), *names)
     tables: dict[str, object] = {}
     members = sum(len(family.coordinates) for family in (*found, *met))
     if alike and (storage.banded or members >= FAMILY_MEMBERS * len((*found, *met))):
@@ -178,12 +180,12 @@ def _looped(equations: DiscreteEquations) -> Module:
         functions, own = family_functions(low, found, places, names)
         tables |= own
         if held:
-            more, own = constraint_family_functions(low, met, places)
+            more, own = constraint_family_functions(low, met, places, drifting=drifting)
             functions += more
             tables |= own
     else:
         functions = unrolled_functions(low, names)
-        functions += constraint_functions(low, held) if held else []
+        functions += constraint_functions(low, held, drifting=drifting) if held else []
     loops = _loops(low, storage, held)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
@@ -207,10 +209,11 @@ def _looped(equations: DiscreteEquations) -> Module:
             **solve_constants(storage, part.columns, held),
             **solve_tables(part, equations.scheme),
         }
-    elif not loops.alike:
-        own_tables["REACHED"] = tuple(accumulate(part.drifts))
+    else:
+        own_tables |= {} if loops.alike else {"REACHED": tuple(accumulate(part.drifts))}
+        own_tables |= held.constants(degree) if held else {}
     tables = own_tables | tables
-    unknowns = blocks * low.n + equations.unknowns.behind
+    unknowns = blocks * low.n + (equations.unknowns.behind if blocks else 0)
     return _module(
         low, storage, held, functions, kernels, tables, unknowns, constant_mass=constant
     )  # fmt: skip

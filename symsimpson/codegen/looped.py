@@ -214,19 +214,21 @@ class LoopKernels:
         """Return the kernels of an explicit step with loops over kicks and drifts."""
         momentum = (*self._start(), _call("mass"))
         begin = (
-            *momentum, _call("factor_mass"), _call("momentum_to_solve"), _call("solve_mass"),
-            *self._start(), _call("gradient"),
+            *momentum, *self._factors(), *self._solve_momentum(), *self._start(), _call("gradient"),
         )  # fmt: skip
+        drift, held = ("drift_held", self._factors()) if self.held else ("drift", ())
         parts = Loop(
             "part", "range(len(DRIFTS))",
-            (_call("drift", "W", "h", "part", "lane"),
-             *self._time("t + REACHED[part] * h", "part + 1"), _call("gradient"),
+            (_call(drift, "W", "h", "part", "lane"),
+             *self._time("t + REACHED[part] * h", "part + 1"), *held, _call("gradient"),
              _call("kick", "W", "h", "part + 1", "lane")),
         )  # fmt: skip
         # the force at the end of a step is that at the start of the next one, unless t is rounded
         # or inputs are others there
         again = () if self.alike else (*self._start(), _call("gradient"))
-        closing = (*again, _call("first_kick", "W", "h", "lane"), parts, _call("close_composed"))
+        end = (_call("free_velocity"),) if self.held else ()
+        kick = _call("first_kick", "W", "h", "lane")
+        closing = (*again, kick, parts, *end, _call("close_composed"))
         step = lanes((When(closing),))
         return [
             Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),

@@ -62,6 +62,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "QUADRATIC",
         "STAGNATION",
         "ROUNDED",
+        "MOST_CORRECTIONS",
         "FAR",
         "UNRESOLVED",
         "LARGE_CHANGE",
@@ -129,7 +130,17 @@ RESERVED = frozenset(BLOCKS) | frozenset(
 
 #: Functions that loops over nodes call.
 NODE_FUNCTIONS = frozenset(
-    ["jet", "forces", "gradient", "mass", "potential", "constraint_slopes", "constrain", "pushes"]
+    [
+        "jet",
+        "forces",
+        "gradient",
+        "mass",
+        "potential",
+        "constraint_slopes",
+        "constrain",
+        "constraint_values",
+        "pushes",
+    ]
 )
 
 

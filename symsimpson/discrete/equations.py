@@ -191,11 +191,16 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
-    if plain.constraints:
+    if plain.constraints and (plain.dragged or not scheme.of_verlet):
+        why = (
+            "friction in its kicks is not held by them"
+            if plain.dragged
+            else (f"the order {scheme.order} of {scheme.name} rests on drifts along straight lines")
+        )
         raise SchemeError(
-            f"{scheme.name} is made of kicks and drifts, and a drift of a system with constraints "
-            "follows them: it is no step along a straight line.\nChoose a scheme of the family, as "
-            "'simpson', 'gauss8' or 'lobatto2' (RATTLE)."
+            f"a drift of a system with constraints follows them, and {why}.\nChoose "
+            + ("a" if plain.dragged else "a composition of steps of RATTLE, as 'kahan_li8', or a")
+            + " scheme of the family, as 'simpson' or 'gauss8'."
         )
     structure = system.structure
     linear = plain.dragged and structure.constant_mass and not structure.gyroscopic

@@ -212,6 +212,8 @@ def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tup
     """
     if structure.plain.constraints:
         every = tuple(range(structure.n))
+        if isinstance(scheme, Composition):
+            return (Composed(every, scheme.kicks, scheme.drifts),)
         return (Constrained(every, *elimination_order(scheme.degree)),)
     subsystems: tuple[Subsystem, ...] = structure.subsystems
     if "decoupled" not in exploit and len(subsystems) > 1:

@@ -247,7 +247,7 @@ class _Look:
         rigid = not any(self._dragged(plain.f[i]) for i in group)
         nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
         held = any(nodes[n].symbols & own_q for _, n in plain.constraints.values())
-        separable = constant and rigid and not held and all(vanishes(plain.a[i]) for i in group)
+        separable = constant and rigid and all(vanishes(plain.a[i]) for i in group)
         forces = [self._slope[i] for i in group]
         x = [self.q[i] for i in group]
         free = not any(plain.f[i][0] for i in group) and not any(map(self._timed, forces))
@@ -258,7 +258,7 @@ class _Look:
             ),
             constant_mass=constant,
             separable=separable,
-            linear=separable and free and all(self._findings.affine(forces, x)),
+            linear=separable and free and not held and all(self._findings.affine(forces, x)),
             affine=constant
             and not (free or held)
             and len(group) <= MOST_AFFINE
