@@ -84,6 +84,7 @@ BLOCKS = {
     "HELD_RIGHT": "right side of its equations, or all rows in another order",
     "HELD_PIVOT": "what is left of each constraint in them",
     "HELD_CHANGE": "change of q that takes phi to zero",
+    "DRIFT_VELOCITY": "velocity of a drift that constraints hold",
     "CURVATURE": "Phi v, or Phi v', as constraints ask for it",
     "DEPENDENCE": "how far constraints are from following from one another: 0 to 1",
     "RESIDUAL": "residual, then the correction",
@@ -93,8 +94,8 @@ BLOCKS = {
 #: Blocks of systems that need them: with forces, t, inputs, damped momenta, constraints, stages.
 OPTIONAL = (
     "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
-    "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "CURVATURE", "DEPENDENCE", "NODE_F_V", "NODE_TIME",
-    "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
+    "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
+    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 

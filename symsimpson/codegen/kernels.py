@@ -95,8 +95,7 @@ def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether the parts are written out one by one, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     if equations.plain.constraints:  # drifts of these are loops
-        drifting = any(isinstance(part, Composed) for part in equations.parts)
-        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting
+        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not _drifting(equations)
     return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
 
 
@@ -106,7 +105,7 @@ def _lines(equations: DiscreteEquations) -> float:
     Two kernels evaluate the jet at all nodes and eliminate, others parts of it once.
     """
     operations, stages = equations.jet.operations, equations.scheme.stages
-    if any(isinstance(part, Composed) for part in equations.parts):
+    if _drifting(equations):
         return operations + equations.jet.force_operations * stages
     if equations.plain.constraints:  # half of the matrix is zero
         size = equations.unknowns.size
@@ -170,7 +169,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
         storage, held = _banded(low, both, met, storage, held)
     names = ("gradient", "mass", "potential")
-    drifting = isinstance(part, Composed)
+    drifting = _drifting(equations)
     if held or not drifting:
         names = ("jet", *(("forces",) if constant and not drifting else ()), *names)
     tables: dict[str, object] = {}
@@ -305,7 +304,7 @@ def _module(
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
         "GROWTH": scheme.stages + 1 if damped else 0,
-        **(held.sizes(scheme.degree) if held else {}),
+        **(held.sizes(scheme.degree, drifting=_drifting(low.equations)) if held else {}),
         **stage_sizes,
     }
     unknown = low.equations.unknowns
@@ -317,6 +316,11 @@ def _module(
         low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
         unknowns, tables,
     )  # fmt: skip
+
+
+def _drifting(equations: DiscreteEquations) -> bool:
+    """Return whether steps are kicks and drifts."""
+    return any(isinstance(part, Composed) for part in equations.parts)
 
 
 def _size(part: Part) -> int:

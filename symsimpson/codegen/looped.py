@@ -226,7 +226,7 @@ class LoopKernels:
         # the force at the end of a step is that at the start of the next one, unless t is rounded
         # or inputs are others there
         again = () if self.alike else (*self._start(), _call("gradient"))
-        end = (_call("free_velocity"),) if self.held else ()
+        end = (_call("free_velocity"), _call("take_momentum")) if self.held else ()
         kick = _call("first_kick", "W", "h", "lane")
         closing = (*again, kick, parts, *end, _call("close_composed"))
         step = lanes((When(closing),))

@@ -73,6 +73,15 @@ def check_rounding(W, lane):
 
 
 @compiled
+def check_drift(W, lane):
+    """RELATIVE becomes 0 where a drift ends on the constraints, as well as rounding lets it."""
+    before = W[RELATIVE, lane]
+    now = W[CORRECTION_SQUARED, lane] / W[INCREMENT_SQUARED, lane]
+    done = (now == 0) | ((now <= ROUNDED) & (now >= 0.25 * before))
+    W[RELATIVE, lane] = 0.0 if done else now
+
+
+@compiled
 def check_acceptance(W, lane):
     """Mark a solution that may not be the one that smaller steps lead to, or that says nothing.
 

@@ -9,8 +9,11 @@ allow_no_change: Callable[..., Any]
 constraint_forces: Callable[..., Any]
 constraint_values: Callable[..., Any]
 free_velocity: Callable[..., Any]
-reached: Callable[..., Any]
+take_momentum: Callable[..., Any]
 solve_held: Callable[..., Any]
+momentum_left: Callable[..., Any]
+add_drift: Callable[..., Any]
+check_drift: Callable[..., Any]
 
 DIMENSION: int
 CONSTRAINTS: int
@@ -18,6 +21,7 @@ POSITION: int
 INCREMENT: int
 MOMENTUM: int
 VELOCITY: int
+MULTIPLIER: int
 NODE_POSITION: int
 NODE_VELOCITY: int
 MASS_DIAGONAL: int
@@ -27,30 +31,69 @@ CONSTRAINT_FORCE: int
 CURVATURE: int
 DRIFTS: tuple[float, ...]
 RESIDUAL: int
+DRIFT_VELOCITY: int
+NODE_L_VV: int
+BAND: int
+NODE_STRIDE: int
+NODE_OFFSET: int
+RELATIVE: int
+CORRECTION_SQUARED: int
+INCREMENT_SQUARED: int
 INFINITE: float
-ROUNDED: float
 MOST_CORRECTIONS: int
 
 
 @compiled
 def free_velocity(W, lane):
-    """Solve for the velocity that constraints allow, and take from p what they do not."""
+    """Solve for the velocity that constraints allow, and for what they take from p."""
     for s in range(DIMENSION):
         a = COORDINATE[s]
         W[NODE_VELOCITY + s, lane] = W[MOMENTUM + a, lane] + W[RESIDUAL + a, lane]
     allow_no_change(W, lane)
     solve_held(W, lane)
+
+
+@compiled
+def take_momentum(W, lane):
+    """Take from p what constraints take."""
     constraint_forces(W, lane)
     for a in range(DIMENSION):
         W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
 
 
 @compiled
-def reached(W, lane):
-    """Position after the increments so far."""
+def momentum_left(W, lane):
+    """Return p - Phi^T mu - M v of a drift to the solve, which rounding has left there."""
+    for c in range(CONSTRAINTS):
+        W[MULTIPLIER + c, lane] = W[INCREMENT + DIMENSION + c, lane]
+    constraint_forces(W, lane)
     for s in range(DIMENSION):
         a = COORDINATE[s]
-        W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + W[INCREMENT + a, lane]
+        left = W[MOMENTUM + a, lane] + W[RESIDUAL + a, lane] - W[CONSTRAINT_FORCE + a, lane]
+        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            mass = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+            left -= mass * W[DRIFT_VELOCITY + COORDINATE[b], lane]
+        W[NODE_VELOCITY + s, lane] = left
+
+
+@compiled
+def add_drift(W, share, lane):
+    """Add a velocity to that of the drift, and what it moves; measure that relative to q."""
+    correction = real(0)
+    size = real(0)
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        change = share * W[VELOCITY + a, lane]
+        W[DRIFT_VELOCITY + a, lane] += W[VELOCITY + a, lane]
+        W[INCREMENT + a, lane] += change
+        q = W[POSITION + a, lane] + W[INCREMENT + a, lane]
+        W[NODE_POSITION + s, lane] = q
+        correction += W[MASS_DIAGONAL + a, lane] * change**2
+        size += W[MASS_DIAGONAL + a, lane] * q**2
+    for c in range(CONSTRAINTS):
+        W[INCREMENT + DIMENSION + c, lane] += W[MULTIPLIER + c, lane]
+    W[CORRECTION_SQUARED, lane] = correction
+    W[INCREMENT_SQUARED, lane] = size
 
 
 @compiled
@@ -61,33 +104,25 @@ def drift_held(W, h, part, lane):
     part of the error that is small with h. What does not converge becomes NaN.
     """
     share = h * DRIFTS[part]
-    free_velocity(W, lane)
     for a in range(DIMENSION):
-        W[INCREMENT + a, lane] += share * W[VELOCITY + a, lane]
-    before = INFINITE
-    done = False
+        W[DRIFT_VELOCITY + a, lane] = real(0)
+    for c in range(CONSTRAINTS):
+        W[INCREMENT + DIMENSION + c, lane] = real(0)
+    free_velocity(W, lane)
+    add_drift(W, share, lane)
+    W[RELATIVE, lane] = INFINITE
     for _ in range(MOST_CORRECTIONS):
-        reached(W, lane)
         constraint_values(W, lane)
-        for s in range(DIMENSION):
-            W[NODE_VELOCITY + s, lane] = real(0)
+        momentum_left(W, lane)
         for c in range(CONSTRAINTS):
             W[CURVATURE + c, lane] = -W[CONSTRAINT + c, lane] / share
         solve_held(W, lane)
-        constraint_forces(W, lane)
-        correction = real(0)
-        size = real(0)
-        for s in range(DIMENSION):
-            a = COORDINATE[s]
-            change = share * W[VELOCITY + a, lane]
-            W[INCREMENT + a, lane] += change
-            W[RESIDUAL + a, lane] -= W[CONSTRAINT_FORCE + a, lane]
-            correction += W[MASS_DIAGONAL + a, lane] * change**2
-            size += W[MASS_DIAGONAL + a, lane] * W[NODE_POSITION + s, lane] ** 2
-        if correction <= ROUNDED * size and (4 * correction >= before or correction == 0):
-            done = True
+        add_drift(W, share, lane)
+        check_drift(W, lane)
+        if W[RELATIVE, lane] == 0:
             break
-        before = correction
-    if not done:
+    for c in range(CONSTRAINTS):
+        W[MULTIPLIER + c, lane] = W[INCREMENT + DIMENSION + c, lane]
+    take_momentum(W, lane)
+    if W[RELATIVE, lane] != 0:
         W[RESIDUAL, lane] = INFINITE - INFINITE
-    reached(W, lane)
