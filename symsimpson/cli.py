@@ -169,9 +169,9 @@ def _words(text: str) -> list[str]:
 
 
 def _list(options: argparse.Namespace) -> int:
-    from symsimpson.systems import CATALOGUE, FORCED, MODELS
+    from symsimpson.systems import EVERY
 
-    for name, make in {**CATALOGUE, **MODELS, **FORCED}.items():
+    for name, make in EVERY.items():
         system = make()
         first = (make.__doc__ or "").splitlines()[0]
         print(f"{name:<20} n = {system.n:<4} {first}")
@@ -350,11 +350,10 @@ def _bench(options: argparse.Namespace) -> int:
 def _find(name: str) -> MechanicalSystem:
     """Find a system by its name in the catalogue or by file and attribute."""
     from symsimpson.mechanics.system import MechanicalSystem
-    from symsimpson.systems import CATALOGUE, FORCED, MODELS
+    from symsimpson.systems import CATALOGUE, EVERY
 
-    known = {**CATALOGUE, **MODELS, **FORCED}
-    if name in known:
-        return known[name]()
+    if name in EVERY:
+        return EVERY[name]()
     for make in CATALOGUE.values():
         system = make()
         if system.name == name:

@@ -13,7 +13,7 @@ from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
-from symsimpson.runtime.evaluator import evaluate_equations
+from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 

@@ -25,7 +25,7 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.progress import waiting
-from symsimpson.runtime.evaluator import evaluate_equations
+from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.numbers import FLOAT64

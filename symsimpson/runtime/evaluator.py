@@ -11,16 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.derivation import Derivation
 from symsimpson.errors import InputError
-from symsimpson.runtime.inputs import read_array, read_number, read_parameters, read_vector
+from symsimpson.runtime.equations import evaluate_equations
+from symsimpson.runtime.inputs import read_array, read_parameters
 from symsimpson.runtime.kernels.compiled import Kernels
-from symsimpson.runtime.kernels.header import equations_of, read_header
+from symsimpson.runtime.kernels.header import read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.loaded import Loaded, Tools
-from symsimpson.runtime.runs.driving import NO_INPUTS, read_driving
-from symsimpson.runtime.runs.run import Run, workspace
+from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.runtime.runs.run import workspace
 
-__all__ = ["Evaluator", "evaluate", "evaluate_equations", "evaluate_members", "watching"]
+__all__ = ["Evaluator", "evaluate", "evaluate_members", "watching"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
@@ -102,6 +103,7 @@ class Evaluator:
         *,
         t: float = 0.0,
         inputs: Any = None,
+        multipliers: ArrayLike | None = None,
     ) -> Reals:
         """Evaluate the discrete Euler-Lagrange equations at given nodes.
 
@@ -116,11 +118,14 @@ class Evaluator:
             When the step begins.
         inputs : mapping or array_like, optional
             Those of the step, as for one of :meth:`Stepper.integrate`.
+        multipliers : array_like, shape (d, m), optional
+            mu_k of the constraints at X_0..X_(d-1), impulses.
 
         Returns
         -------
-        ndarray, shape (d n,)
-            D_k L_d for k = 1..d-1, then p0 + D_0 L_d; without the pull of constraints.
+        ndarray, shape (d n,) or (d (n + m),)
+            D_k L_d for k = 1..d-1, then p0 + D_0 L_d. With multipliers, these less Phi^T mu_k, and
+            behind them phi(X_k) for k = 1..d.
 
         Examples
         --------
@@ -130,7 +135,9 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs)[0]
+        return evaluate_equations(
+            self, q0, p0, nodes, h, parameters, t, inputs, multipliers
+        )[0]  # fmt: skip
 
     def jacobian(
         self,
@@ -142,8 +149,11 @@ class Evaluator:
         *,
         t: float = 0.0,
         inputs: Any = None,
+        multipliers: ArrayLike | None = None,
     ) -> Reals:
         """Evaluate the exact Jacobian of :meth:`residual` by the nodes, shape (d n, d n).
+
+        With multipliers it is that by the nodes and by these, shape (d (n + m), d (n + m)).
 
         Examples
         --------
@@ -152,7 +162,9 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs)[1]
+        return evaluate_equations(
+            self, q0, p0, nodes, h, parameters, t, inputs, multipliers
+        )[1]  # fmt: skip
 
     def energy(
         self,
@@ -320,45 +332,3 @@ def evaluate_energy(
     q, p = states
     found: Reals = evaluate(stepper, "energy", "ENERGY", 1, times, q, p, values)
     return found[:, 0]
-
-
-def evaluate_equations(
-    stepper: Evaluator,
-    q0: ArrayLike,
-    p0: ArrayLike,
-    nodes: ArrayLike,
-    h: Any,
-    given: Mapping[Any, Any] | None,
-    t: Any,
-    inputs: Any,
-) -> tuple[Reals, Reals]:
-    """Evaluate residual, shape (d n,), and Jacobian, shape (d n, d n), at given nodes."""
-    header, n, numbers = stepper._module.header, stepper.n, stepper._module.numbers
-    d = header.degree
-    if "equations" not in header.functions:
-        raise InputError(
-            f"{stepper.scheme} is explicit: a step has no equations to evaluate.\n"
-            "Ask a stepper of another scheme, as 'simpson'."
-        )
-    with numbers.working():
-        q = read_vector("q0", q0, stepper.coordinates, numbers)
-        p = read_vector("p0", p0, stepper.coordinates, numbers)
-        h, t = read_number("h", h, numbers), read_number("t", t, numbers)
-        points = read_array("nodes", nodes, numbers)
-        if points.shape != (d, n):
-            raise InputError(
-                f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
-                "Pass the inner control points and q1, one row each."
-            )
-        kernels = stepper._module.kernels
-        run = Run(stepper._module, stepper._values(given), h, h * 0, 0, 1)
-        run.rows("POSITION", n)[:] = q
-        run.rows("MOMENTUM", n)[:] = p
-        run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
-        numbers.driver("evaluate")(
-            kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, header.told,
-            numbers.read([t]), q[None, :], p[None, :], header.layout["RESIDUAL"],
-            numbers.zeros((1, 0)), read_driving(stepper, inputs, h, 1),
-        )  # fmt: skip
-        residual, jacobian = map(numbers.result, equations_of(header, run))
-    return residual.ravel(), jacobian.reshape(d * n, d * n)

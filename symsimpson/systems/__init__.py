@@ -26,7 +26,12 @@ from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
 from symsimpson.systems.henon_heiles import henon_heiles
 from symsimpson.systems.kepler import kepler
 from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
-from symsimpson.systems.linkages import andrews_squeezer, four_bar, slider_crank
+from symsimpson.systems.linkages import (
+    andrews_squeezer,
+    four_bar,
+    hanging_chain,
+    slider_crank,
+)
 from symsimpson.systems.n_pendulum import n_pendulum
 from symsimpson.systems.pendulum import pendulum
 from symsimpson.systems.puma560 import puma560
@@ -91,6 +96,7 @@ _CONSTRAINED: tuple[Callable[[], CatalogueSystem], ...] = (
     slider_crank,
     jointed_bodies,
     andrews_squeezer,
+    hanging_chain,
 )
 
 #: Name of each function of the catalogue, and the function.
@@ -103,10 +109,13 @@ FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make
 CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
     make.__name__: make for make in _CONSTRAINED
 }
+#: All of these.
+EVERY: dict[str, Callable[[], CatalogueSystem]] = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED}
 
 __all__ = [
     "CATALOGUE",
     "CONSTRAINED",
+    "EVERY",
     "FORCED",
     "MODELS",
     "CatalogueSystem",
@@ -128,6 +137,7 @@ __all__ = [
     "ellipsoid_geodesic",
     "fermi_pasta_ulam",
     "four_bar",
+    "hanging_chain",
     "harmonic_oscillator",
     "heavy_top",
     "henon_heiles",

@@ -1,13 +1,43 @@
-"""Linkages: closed chains of bodies in a plane."""
+"""Linkages in a plane: closed chains of bodies, and one that hangs."""
 
 from __future__ import annotations
 
 import sympy as sp
 
+from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["andrews_squeezer", "four_bar", "slider_crank"]
+__all__ = ["andrews_squeezer", "four_bar", "hanging_chain", "slider_crank"]
+
+
+def hanging_chain(n: int = 8) -> CatalogueSystem:
+    """Point masses on n rods, one behind the other, in coordinates x and y of each."""
+    if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+        raise ModelError(f"a chain has a whole number of links, not {n!r}.\nUse hanging_chain(8).")
+    x, y = coordinates(f"x1:{n + 1}"), coordinates(f"y1:{n + 1}")
+    m, l, g = sp.symbols("m l g", positive=True)
+    points = list(zip(x, y, strict=True))
+    rods = [
+        ((a - b) ** 2 + (c - d) ** 2 - l**2) / 2
+        for (a, c), (b, d) in zip(points, [(0, 0), *points[:-1]], strict=True)
+    ]
+    angles = [sp.Rational(4, 5) - sp.Rational(3 * i, 10 * n) for i in range(n)]
+    reach = [sp.Add(*(f(a) for a in angles[: i + 1])) for i in range(n) for f in (sp.sin, sp.cos)]
+    return CatalogueSystem(
+        f"hanging_chain_{n}",
+        coordinates=tuple(q for point in points for q in point),
+        kinetic=sp.Add(*(m * q.diff() ** 2 / 2 for q in (*x, *y))),
+        potential=sp.Add(*(m * g * q for q in y)),
+        constraints={f"rod {i + 1}": rod for i, rod in enumerate(rods)},
+        parameters={m: 1.0, l: 1.0, g: 9.81},
+        positions={"chain": [(0, 0), *points]},
+        reference_state={
+            "q0": tuple(float(s) * (1 - 2 * (k % 2)) for k, s in enumerate(reach)),
+            "v0": (0.0,) * (2 * n),
+        },
+        source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.3",
+    )
 
 
 def four_bar() -> CatalogueSystem:

@@ -18,7 +18,15 @@ from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
 from symsimpson.interface import ADJACENT, BLOCKS, INTERFACE, PIVOTED, TOLD
 
-__all__ = ["SIGNED", "Header", "digest", "equations_of", "read_header", "slopes_of"]
+__all__ = [
+    "SIGNED",
+    "Header",
+    "digest",
+    "equations_of",
+    "held_equations_of",
+    "read_header",
+    "slopes_of",
+]
 
 #: The line above a module that holds the digest of what follows.
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
@@ -114,6 +122,31 @@ def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
     jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
     return residual, jacobian[:, :, [header.column_order.index(k) for k in range(1, d + 1)]]
+
+
+def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read residual and Jacobian with constraints: rows of phi and columns of mu come last.
+
+    In the workspace they are divided by h, as what they stand beside.
+    """
+    at, n, d, m = header.layout, header.n, header.degree, len(header.constraints)
+    own_residual, own = equations_of(header, run)
+    place = np.array(header.held_places)
+    place[:n] = place[np.argsort(header.coordinate_order)]
+    blocks = np.arange(d)[:, None] * at["HELD_ROW_STEP"]
+    of_q, of_mu = (blocks + some * at["HELD_PLACE_STEP"] for some in (place[:n], place[n:]))
+    rows = np.concatenate([of_q.ravel(), of_mu.ravel()])
+    order = [header.column_order.index(k) for k in range(1, d + 1)]
+    columns = np.concatenate([of_q[order].ravel(), of_mu.ravel()])
+    near = np.abs(rows[:, None] - columns) < d * (at["HELD_BAND"] + 1)
+    entries = rows[:, None] * at["SOLVE_STRIDE"] + at["SOLVE_OFFSET"] + columns
+    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
+    jacobian = np.where(near, matrix[np.where(near, entries, 0)], h * 0)
+    jacobian[: d * n, : d * n] += own.reshape(d * n, d * n)
+    jacobian[d * n :] *= h
+    jacobian[:, d * n :] *= h
+    phi = run.rows("RESIDUAL", d * (n + m))[d * n :] * h
+    return np.concatenate([own_residual.ravel(), phi]), jacobian
 
 
 def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
