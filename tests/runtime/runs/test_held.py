@@ -171,3 +171,40 @@ def test_forces_and_time_beside_constraints():
     assert np.abs(first["x"] - np.sin(second["theta"])).max() < 1e-10
     assert np.abs(first.energy_balance).max() < 1e-9
     assert np.abs(first.work["total"] - second.work["total"]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("name", "scheme"), [("four_bar", "simpson"), ("four_bar", "gauss6")])
+def test_residual_and_jacobian_with_multipliers(name, scheme):
+    """Derivatives against differences; residuals of a step that was solved are zero."""
+    system = ss.systems.CONSTRAINED[name]()
+    stepper = ss.compile(system, scheme, precision=30)
+    n, m, d = system.n, len(system.constraints), stepper._module.header.degree
+    q0 = np.array(system.reference_state["q0"])
+    random, h = np.random.default_rng(1), 0.1
+    p0, u = 0.1 * random.normal(size=n), random.normal(size=d * (n + m))
+
+    def split(u):
+        return q0 + 0.01 * u[: d * n].reshape(d, n), u[d * n :].reshape(d, m)
+
+    def residual(u):
+        nodes, mu = split(u)
+        return stepper.residual(q0, p0, nodes, h, multipliers=mu)
+
+    nodes, mu = split(u)
+    exact = stepper.jacobian(q0, p0, nodes, h, multipliers=mu).astype(float)
+    exact[:, : d * n] *= 0.01
+    moved = [(residual(u + 1e-4 * e) - residual(u - 1e-4 * e)) / 2e-4 for e in np.eye(len(u))]
+    assert np.abs(exact - np.array(moved, dtype=float).T).max() < 1e-8 * np.abs(exact).max()
+    assert np.abs(exact[: d * n, d * n :]).max() > 0.1
+    without = stepper.residual(q0, p0, nodes, h)
+    still = stepper.residual(q0, p0, nodes, h, multipliers=0 * mu)
+    assert max(abs(still[: d * n] - without)) < 1e-28
+
+
+def test_multipliers_of_another_shape():
+    stepper = ss.compile(ss.systems.four_bar(), precision=20)
+    with pytest.raises(ss.InputError, match=r"multipliers has shape \(1,\), but four_bar has 2"):
+        stepper.residual([1, 0, 1], [0, 0, 0], np.ones((2, 3)), 0.1, multipliers=[1.0])
+    free = ss.compile(ss.systems.pendulum(), "midpoint", precision=20)
+    with pytest.raises(ss.InputError, match="none to a system without constraints"):
+        free.residual([1], [0], [[1]], 0.1, multipliers=np.ones((1, 0)))

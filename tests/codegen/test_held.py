@@ -1,0 +1,41 @@
+"""Places of coordinates and constraints in one order: who stands behind whom, and how close."""
+
+import pytest
+
+import symsimpson as ss
+from symsimpson.codegen.held import Held
+from symsimpson.codegen.kernels import lower
+from symsimpson.discrete.equations import discretise
+
+#: Seven coordinates in an order of its own; constraints on neighbours, one of them alone.
+ORDER = (3, 1, 4, 0, 2, 6, 5)
+MEMBERS = [frozenset(x) for x in ((3, 1), (4, 0, 2), (6, 5), (1,))]
+NEAR = [{2, 4, 3}, {3}, {0, 4}, {1, 0}, {0, 2}, {6}, {5}]
+
+
+@pytest.mark.parametrize(
+    "held", [Held.chain(ORDER, MEMBERS, NEAR), Held.dense(7, 4)], ids=["chain", "dense"]
+)
+def test_each_constraint_stands_behind_its_coordinates(held):
+    n = 7
+    order = ORDER if held.storage.banded else range(n)
+    place = dict(zip([*order, *range(n, n + 4)], held.place, strict=True))
+    assert sorted(place.values()) == list(range(n + 4))
+    for c, members in enumerate(MEMBERS):
+        distances = [place[n + c] - place[a] for a in members]
+        assert all(0 < distance <= held.storage.band for distance in distances)
+    pairs = [(a, b) for a, others in enumerate(NEAR) for b in others]
+    assert max(abs(place[a] - place[b]) for a, b in pairs) <= held.storage.band
+    found = held.constants(1)["CONSTRAINT_AT"]
+    assert [found[place[n + c]] for c in range(4)] == [0, 1, 2, 3]
+    assert sum(c >= 0 for c in found) == 4
+
+
+def test_chains_grow_in_proportion_to_their_links():
+    """Rows of the workspace, and lines of text, which are those of three families of terms."""
+    systems = map(ss.systems.hanging_chain, (20, 40, 80))
+    modules = [lower(discretise(system, ss.SIMPSON)) for system in systems]
+    rows = [module.rows for module in modules]
+    assert rows[2] - rows[1] == 2 * (rows[1] - rows[0])
+    assert {module.tables["HELD_BAND"] for module in modules} == {5}
+    assert len({len(module.functions) for module in modules}) == 1

@@ -1,0 +1,102 @@
+"""Chains of rods: bands and families of terms give the steps that all entries do."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import symsimpson as ss
+
+
+@pytest.mark.parametrize("scheme", ["simpson", pytest.param("gauss6", marks=pytest.mark.slow)])
+def test_bands_give_the_steps_of_dense_matrices(scheme):
+    """In 20 digits, so that nothing is compiled; with results that are made of constraints."""
+    system = ss.systems.hanging_chain(6)
+    banded, dense = (
+        ss.compile(system, scheme, exploit=exploit, precision=20)
+        .integrate(**system.reference_state, h=0.02, steps=3)
+        for exploit in ("all", ())
+    )  # fmt: skip
+    for name in ("q", "p", "multipliers", "constraint_forces"):
+        assert max(abs(getattr(banded, name) - getattr(dense, name)).ravel()) < 1e-15, name
+    assert max(abs(banded.constraint_error).ravel()) < 1e-19
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 6, 10])
+def test_rods_move_as_angles_do(n):
+    """Two formulations of one model, the second with n coordinates and a full M(q)."""
+    chain, angles = ss.systems.hanging_chain(n), ss.systems.n_pendulum(n)
+    rods = ss.compile(chain, "gauss8").integrate(**chain.reference_state, h=0.01, steps=100)
+    names = [name for name in angles.parameters if str(name).startswith("l")]
+    free = ss.compile(angles, "gauss8").integrate(
+        **angles.reference_state, h=0.01, steps=100, parameters=dict.fromkeys(names, 1.0)
+    )
+    x, y = np.cumsum(np.sin(free.q), axis=1), -np.cumsum(np.cos(free.q), axis=1)
+    assert np.abs(rods.q[:, ::2] - x).max() < 1e-9
+    assert np.abs(rods.q[:, 1::2] - y).max() < 1e-9
+    assert np.abs(rods.energy - free.energy).max() < 1e-9
+    assert rods.newton_iterations.sum() <= 3.1 * len(rods)
+
+
+@pytest.mark.slow
+def test_long_chains_hang_still_and_stay_on_their_rods():
+    """Increments as small as rounding, at positions far from 0: Newton's method must end."""
+    system = ss.systems.hanging_chain(200)
+    stepper = ss.compile(system)
+    still = np.zeros(400)
+    still[1::2] = -np.arange(1, 201)
+    run = stepper.integrate(still, v0=0 * still, h=0.01, steps=50)
+    assert np.abs(run.q - still).max() < 1e-11
+    run = stepper.integrate(**system.reference_state, h=0.01, steps=200)
+    assert np.abs(run.constraint_error).max() < 4e-16 * 200
+    assert np.ptp(run.energy) < 1e-6 * np.abs(run.energy).max()
+    assert run.newton_iterations.max() <= 6
+
+
+@pytest.mark.parametrize(
+    "scheme", ["suzuki4", *(pytest.param(x, marks=pytest.mark.slow) for x in ("kahan_li6",))]
+)
+def test_compositions_of_rattle_keep_their_order(scheme):
+    """In 25 digits: errors fall by the order; positions and velocities stay allowed."""
+    system = ss.systems.cartesian_pendulum()
+    stepper = ss.compile(system, scheme, precision=25)
+    ends = [
+        stepper.integrate(**system.reference_state, h=f"{0.32 / k}", steps=k) for k in (8, 16, 32)
+    ]
+    errors = [float(max(abs(a.q[-1] - b.q[-1]))) for a, b in pairwise(ends)]
+    assert abs(np.log2(errors[0] / errors[1]) - stepper.order) < 0.15
+    assert max(abs(ends[0].constraint_error).ravel()) < 1e-23
+    assert max(abs((ends[0].q * ends[0].p).sum(axis=1))) < 1e-22
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [("cartesian_pendulum", "suzuki4"), ("cartesian_pendulum", "kahan_li8"),
+     ("hanging_chain", "suzuki4")],
+)  # fmt: skip
+def test_certificates_of_compositions(name, scheme):
+    system = getattr(ss.systems, name)(*([3] if name == "hanging_chain" else []))
+    certificate = ss.compile(system, scheme).certify(h=0.05)
+    assert certificate.passed, certificate
+
+
+@pytest.mark.slow
+def test_compositions_follow_the_schemes_of_the_family():
+    """A chain, whose loops are those of bands, and a drive in its forces."""
+    x, y = ss.coordinates("x y")
+    driven = ss.MechanicalSystem(
+        "driven", coordinates=(x, y), kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
+        potential=9.81 * y, forces={x: ss.time}, constraints=[x**2 + y**2 - 1],
+    )  # fmt: skip
+    starts = {driven: {"q0": [0.6, -0.8], "v0": [0.8, 0.6]}}
+    chain = ss.systems.hanging_chain(12)
+    starts[chain] = chain.reference_state
+    for system, start in starts.items():
+        ends = [
+            ss.compile(system, scheme).integrate(**start, h=0.005, steps=100)
+            for scheme in ("kahan_li6", "gauss8")
+        ]
+        assert np.abs(ends[0].q - ends[1].q).max() < 1e-10
+        assert np.abs(ends[0].p - ends[1].p).max() < 1e-8
