@@ -47,36 +47,58 @@ def consistent(
     at = _functions(system, parameters)
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
-    goal, best, stalled = q[free], np.inf, 0
-    for _ in range(MOST):
-        phi, slopes, _ = at(q)
-        size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
-        off = np.abs(phi) / np.where(size > 0, size, 1.0)
-        if not np.isfinite(off).all():
+    # the nearest of all; where the way to it does not settle, one that Newton's method reaches
+    for nearest in (True, False):
+        found, left = _followed(at, q, free, metric, nearest=nearest)
+        if left <= 1e-12:
             break
-        worst = float(off.max())
-        stalled = 0 if worst < 0.5 * best else stalled + 1
-        best = min(best, worst)
-        # near the end the way back to q0 would but add noise
-        wish = goal - q[free] if worst > 1e-9 else np.zeros(len(free))
-        step = _nearest(metric, slopes[:, free], wish, -phi)
-        if worst <= NEAR and (np.abs(step) <= 1e-15 * max(1.0, np.abs(q).max())).all():
-            break
-        if stalled > 20:
-            break
-        q[free] += step
-    if not best <= 1e-12:
+    if not left <= 1e-12:
         raise InputError(
             f"{system.name}: there is no state near q0={np.round(np.asarray(q0), 6).tolist()} "
             "that satisfies the constraints"
             + (f" with {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
         )
+    q = found
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
     wanted = -slopes @ v
     v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), wanted)
     return q, v
+
+
+def _followed(
+    at: Callable[[Reals], tuple[Reals, Reals, Reals]], start: Reals, free: Sequence[int],
+    metric: Reals, *, nearest: bool,
+) -> tuple[Reals, float]:  # fmt: skip
+    """Return positions that satisfy the constraints, and how far off they are."""
+    q, goal, best, stalled = start.copy(), start[free], np.inf, 0
+    for _ in range(MOST):
+        phi, slopes, _ = at(q)
+        size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
+        off = np.abs(phi) / np.where(size > 0, size, 1.0)
+        if not np.isfinite(off).all():
+            return q, np.inf
+        worst = float(off.max())
+        stalled = 0 if worst < 0.5 * best else stalled + 1
+        best = min(best, worst)
+        # near the end the way back to the start would but add noise
+        back = nearest and worst > 1e-9
+        wish = goal - q[free] if back else np.zeros(len(free))
+        step = _nearest(metric, slopes[:, free], wish, -phi)
+        if worst <= NEAR and (np.abs(step) <= 1e-15 * max(1.0, np.abs(q).max())).all():
+            break
+        if stalled > 20:
+            break
+        share = 1.0
+        while not nearest and share > 1e-3:  # no further than phi falls
+            moved = q.copy()
+            moved[free] += share * step
+            if np.linalg.norm(at(moved)[0]) <= (1 - share / 4) * np.linalg.norm(phi) + NEAR:
+                break
+            share /= 2
+        q[free] += share * step
+    return q, best
 
 
 def _vector(name: str, given: ArrayLike, names: Sequence[str]) -> Reals:

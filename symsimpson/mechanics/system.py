@@ -296,7 +296,8 @@ class MechanicalSystem:
         Returns
         -------
         q0, v0 : ndarray, shape (n,)
-            phi(q) = 0 and Phi v = 0 to rounding; changed as little as can be, measured by M.
+            phi(q) = 0 and Phi v = 0 to rounding; changed as little as can be, measured by M; or,
+            where the search for the least does not settle, by little.
 
         Raises
         ------

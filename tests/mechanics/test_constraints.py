@@ -116,6 +116,23 @@ def test_the_nearest_state():
     assert free.consistent([1, 2, 3], [4, 5, 6])[1].tolist() == [4, 5, 6]
 
 
+def test_a_state_where_the_nearest_is_not_found():
+    """A loop of three bars in angles between them: the way to the nearest goes to and fro."""
+    angles = ss.coordinates("a b c")
+    turned = [sp.Add(*angles[: k + 1]) for k in range(3)]
+    sides = list(zip((1.0, 2.2, 1.6), turned, strict=True))
+    loop = ss.MechanicalSystem(
+        "loop", coordinates=angles, kinetic=sum(angle.diff() ** 2 for angle in turned),
+        potential=0, constraints=[sum(l * sp.cos(angle) for l, angle in sides) - 2.5,
+                                  sum(l * sp.sin(angle) for l, angle in sides)],
+    )  # fmt: skip
+    q, v = loop.consistent([1.2, -0.9, -1.6], [0.5, 0.0, 0.0])
+    ends = np.cumsum([l * np.exp(1j * s) for l, s in zip((1.0, 2.2, 1.6), np.cumsum(q))])  # noqa: B905
+    assert abs(ends[-1] - 2.5) < 1e-15
+    assert np.abs(q - [1.2, -0.9, -1.6]).max() < 0.3
+    assert np.linalg.norm(v) > 0.1
+
+
 def test_states_that_there_are_not():
     system = pendulum()
     with pytest.raises(ss.InputError, match="no state near"):
