@@ -45,7 +45,7 @@ def rows(found: Structure) -> list[Row]:
             (
                 "constraints",
                 _some(list(found.system.constraints)),
-                f"phi(q) = 0; {found.system.degrees_of_freedom} degrees of freedom",
+                f"phi(q) = 0; degrees of freedom: {found.system.degrees_of_freedom}",
                 "",
             )
         )

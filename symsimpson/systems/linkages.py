@@ -31,7 +31,7 @@ def hanging_chain(n: int = 8) -> CatalogueSystem:
         potential=sp.Add(*(m * g * q for q in y)),
         constraints={f"rod {i + 1}": rod for i, rod in enumerate(rods)},
         parameters={m: 1.0, l: 1.0, g: 9.81},
-        positions={"chain": [(0, 0), *points]},
+        positions={"chain": [(0, 0), *points, *points[-2::-1]]},  # there and back: an open line
         reference_state={
             "q0": tuple(float(s) * (1 - 2 * (k % 2)) for k, s in enumerate(reach)),
             "v0": (0.0,) * (2 * n),
