@@ -1,10 +1,12 @@
-"""Bodies that a step turns too far."""
+"""Bodies that a step turns too far, and oscillations that it does not resolve."""
 
 import warnings
 
 import pytest
+import sympy as sp
 
 import symsimpson as ss
+from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.stability.turning import fastest_turn
 
 BODY = ss.RigidBody("b", inertia=(1, 2, 3))
@@ -29,3 +31,17 @@ def test_a_step_that_turns_too_far_is_warned_of():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stepper.integrate(q, v, h=0.05, steps=1)
+
+
+def test_oscillations_are_those_that_constraints_allow():
+    """A stiff spring along a rod is none; what gravity makes of a pendulum is left."""
+    x, y = ss.coordinates("x y")
+    rod = ss.MechanicalSystem(
+        "rod", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=1e6 * (sp.sqrt(x**2 + y**2) - 1) ** 2 + 9.81 * y,
+        constraints=[x**2 + y**2 - 1],
+    )  # fmt: skip
+    assert largest_frequency(rod, [0.0, -1.0], []) == pytest.approx(9.81**0.5, rel=1e-12)
+    assert largest_frequency(rod, [0.0, 1.0], []) == 0
+    with pytest.warns(ss.StabilityWarning, match=r"omega=3\.13(.|\n)*h below 0\.90"):
+        ss.compile(rod).integrate([0.0, -1.0], [0.0, 0.0], h=1.0, steps=1)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sympy as sp
+from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["largest_damping", "largest_frequency", "largest_stable", "warn_of_step"]
 
+Reals = NDArray[np.float64]
 #: Limits beyond this are as good as none.
 LARGEST = 12.0
 #: The Hessian of larger systems takes too long for a warning.
@@ -38,7 +40,8 @@ def largest_frequency(
 ) -> float:
     """Return the largest omega of K x = omega^2 M x, K the Hessian of V at q.
 
-    It is 0 if none is positive, or K or M have no value there.
+    With constraints K is that of V + lambda.phi for the lambda that holds q at rest, and x is what
+    they allow. It is 0 if none is positive, or K or M have no value there.
 
     Parameters
     ----------
@@ -49,7 +52,8 @@ def largest_frequency(
     t : float
     """
     try:
-        stiffness, mass = map(np.array, _matrices(system)(*map(float, (*q, *parameters, t))))
+        found = _matrices(system)(*map(float, (*q, *parameters, t)))
+        mass, stiffness = _allowed(*found) if system.constraints else (found[-1], found[0])
         squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0
@@ -58,11 +62,25 @@ def largest_frequency(
 
 @lru_cache(maxsize=64)
 def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
-    """Return a function of q, the parameters and t for (K, M)."""
-    plain = system.plain
+    """Return a function of q, the parameters and t for K, V_q, Phi, each Hess phi, and M."""
+    plain, n = system.plain, system.n
     derivatives, q = Derivatives(plain.graph), plain.numbers(plain.q)
-    slopes = [derivatives(plain.V, x) for x in q]
-    return _function(system, {"K": [derivatives(slope, x) for slope in slopes for x in q]}, plain.q)
+    energies = [plain.V, *plain.constraints.values()]
+    slopes = [[derivatives(energy, x) for x in q] for energy in energies]
+    stiffness, *bends = ([derivatives(slope, x) for slope in row for x in q] for row in slopes)
+    entries = {"K": stiffness, "F": slopes[0], "Phi": [x for row in slopes[1:] for x in row],
+               "B": [x for bend in bends for x in bend]}  # fmt: skip
+    m = len(bends)
+    return _function(system, entries, plain.q, [(n, n), (n,), (m, n), (m, n, n), (n, n)])
+
+
+def _allowed(K: Reals, force: Reals, slopes: Reals, bends: Reals, M: Reals) -> tuple[Reals, Reals]:
+    """Return M and the Hessian of V + lambda.phi for what constraints allow."""
+    n, m = len(M), len(slopes)
+    matrix = np.block([[M, slopes.T], [slopes, np.zeros((m, m))]])
+    multipliers = np.linalg.solve(matrix, np.concatenate([-force, np.zeros(m)]))[n:]
+    free = np.linalg.svd(slopes)[2][m:].T
+    return free.T @ M @ free, free.T @ (K + np.tensordot(multipliers, bends, 1)) @ free
 
 
 def largest_damping(
@@ -98,13 +116,14 @@ def _drag(system: MechanicalSystem) -> Callable[..., Any]:
     plain = system.plain
     derivatives, v = Derivatives(plain.graph), plain.numbers(plain.v)
     slopes = [derivatives(force, x) for force in plain.f for x in v]
-    return _function(system, {"D": slopes}, (*plain.q, *plain.v))
+    return _function(system, {"D": slopes}, (*plain.q, *plain.v), [(system.n, system.n)] * 2)
 
 
 def _function(
-    system: MechanicalSystem, entries: dict[str, list[Value]], state: tuple[sp.Symbol, ...]
-) -> Callable[..., Any]:
-    """Return a function of a state, parameters, inputs and t for n by n matrices, M the last."""
+    system: MechanicalSystem, entries: dict[str, list[Value]], state: tuple[sp.Symbol, ...],
+    shapes: Sequence[tuple[int, ...]],
+) -> Callable[..., list[Reals]]:  # fmt: skip
+    """Return a function of a state, parameters, inputs and t for arrays of shapes, M the last."""
     plain, size = system.plain, range(system.n)
     entries["M"] = [plain.entry(i, j) for i in size for j in size]
     outputs: dict[tuple[Hashable, ...], Value] = {
@@ -113,7 +132,11 @@ def _function(
     lines = Lines(plain, outputs)
     arguments = [*state, *plain.parameters, *plain.u, plain.t]
     function = lines.function(arguments, [lines.value(*key) for key in outputs], "math")
-    return lambda *numbers: np.array(function(*numbers)).reshape(-1, system.n, system.n)
+    ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
+    return lambda *numbers: [
+        part.reshape(shape)
+        for part, shape in zip(np.split(np.array(function(*numbers)), ends), shapes, strict=True)
+    ]
 
 
 @cache
@@ -136,12 +159,11 @@ def warn_of_step(
 ) -> None:
     """Warn of a step that does not resolve what is fast at the start: oscillations, or damping."""
     if system.constraints:
-        # what V and M tell of coordinates that are not free says little of the motion
         warn_of_turning(stepper, system, v, h)
-        return
     if system.n > MOST_COORDINATES:
         return
-    _warn_of_damping(stepper, system, (q, v, values, t), h)
+    if not system.constraints:  # else M says little of what damps
+        _warn_of_damping(stepper, system, (q, v, values, t), h)
     omega = largest_frequency(system, q, values, t)
     if abs(h) * omega < ALWAYS_STABLE:
         return
