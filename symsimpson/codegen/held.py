@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from symsimpson.codegen.storage import Storage
+from symsimpson.discrete.families import Family, band_of, neighbours, ordering
 
-__all__ = ["Held"]
+__all__ = ["Held", "dense", "smaller"]
 
 
 @dataclass(frozen=True)
@@ -100,3 +101,36 @@ class Held:
             "DRIFT_VELOCITY": n if drifting else 0,
             "DEPENDENCE": 1,
         }
+
+
+def dense(n: int, constraints: int) -> tuple[Storage, Held | None]:
+    """Keep the order of coordinates, constraints behind them if there are any, and all entries."""
+    return Storage.dense(n), Held.dense(n, constraints) if constraints else None
+
+
+def smaller(
+    storage: Storage, held: Held | None, found: Sequence[Family], met: Sequence[Family], degree: int
+) -> tuple[Storage, Held | None]:
+    """Return bands where these are smaller than what is given.
+
+    Parameters
+    ----------
+    storage, held : Storage, Held or None
+    found, met : sequences of Family
+        The terms of L, and the constraints.
+    degree : int
+    """
+    near = neighbours([*found, *met], storage.n)
+    order, band = ordering(near)
+    if held is None:
+        banded = Storage(order, band, banded=True)
+        return (banded if banded.size(degree) < storage.size(degree) else storage), None
+    members = {
+        c: frozenset(member)
+        for family in met
+        for c, member in zip(family.constraints, family.coordinates, strict=True)
+    }
+    chain = Held.chain(order, [members[c] for c in range(held.count)], near)
+    if chain.storage.size(degree) >= held.storage.size(degree):
+        return storage, held
+    return Storage(order, band_of(order, neighbours(found, storage.n)), banded=True), chain

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import accumulate
 
 import sympy as sp
@@ -12,7 +11,7 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
-from symsimpson.codegen.held import Held
+from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout, node_stride
 from symsimpson.codegen.levels import Level
@@ -41,14 +40,7 @@ from symsimpson.codegen.unrolled import (
     velocity,
 )
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.families import (
-    Family,
-    band_of,
-    constraint_families,
-    families,
-    neighbours,
-    ordering,
-)
+from symsimpson.discrete.families import constraint_families, families
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -117,7 +109,7 @@ def _lines(equations: DiscreteEquations) -> float:
 
 def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
-    storage, held = Storage.dense(low.n), _held(low)
+    storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
     loops = _loops(low, storage, held)
     kernels = [*unrolled_kernels(low), _energy(low)]
@@ -163,11 +155,11 @@ def _looped(equations: DiscreteEquations) -> Module:
     alike = plain.conservative
     found = families(plain) if alike else ()
     met = constraint_families(plain) if alike else ()
-    storage, held = Storage.dense(low.n), _held(low)
+    storage, held = dense(low.n, len(low.multipliers))
     if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
-        storage, held = _banded(low, both, met, storage, held)
+        storage, held = smaller(storage, held, both, met, degree)
     names = ("gradient", "mass", "potential")
     drifting = _drifting(equations)
     if held or not drifting:
@@ -216,33 +208,6 @@ def _looped(equations: DiscreteEquations) -> Module:
     return _module(
         low, storage, held, functions, kernels, tables, unknowns, constant_mass=constant
     )  # fmt: skip
-
-
-def _held(low: Lowering) -> Held | None:
-    """Return constraints behind all coordinates, if there are any."""
-    count = len(low.multipliers)
-    return Held.dense(low.n, count) if count else None
-
-
-def _banded(
-    low: Lowering, found: Sequence[Family], met: Sequence[Family], storage: Storage,
-    held: Held | None,
-) -> tuple[Storage, Held | None]:  # fmt: skip
-    """Return a storage of bands where it is smaller than a dense one."""
-    degree = low.equations.scheme.degree
-    near = neighbours([*found, *met], low.n)
-    order, band = ordering(near)
-    if held is None:
-        banded = Storage(order, band, banded=True)
-        return (banded if banded.size(degree) < storage.size(degree) else storage), None
-    members = dict(zip(
-        (c for family in met for c in family.constraints),
-        (frozenset(m) for family in met for m in family.coordinates), strict=True,
-    ))  # fmt: skip
-    chain = Held.chain(order, [members[c] for c in range(held.count)], near)
-    if chain.storage.size(degree) >= held.storage.size(degree):
-        return storage, held
-    return Storage(order, band_of(order, neighbours(found, low.n)), banded=True), chain
 
 
 def _loops(low: Lowering, storage: Storage, held: Held | None) -> LoopKernels:
