@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning
+from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.evaluator import evaluate_members, watching
@@ -23,6 +23,7 @@ from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kernel, reduce_values
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -223,12 +224,14 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
     """Run members that failed once more, each by itself, where robust kernels may help it.
 
     What a member comes to then is what a single run of it comes to. So are those at whose stored
-    states the energy is not real.
+    states the energy is not real, or constraints follow from one another.
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
     if not stepper._module.header.real_everywhere:
         good &= _real(stepper, task, results)
+    if len(stepper._module.header.constraints) > 1 and task.every:
+        good &= _unfolded(stepper, task, results)
     good |= (status == Status.BAD_INPUT) & small
     for member in np.flatnonzero(~good):
         given = {task.given: task.other0[member]}
@@ -236,6 +239,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ResolutionWarning)
                 warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
+                warnings.simplefilter("ignore", ConstraintWarning)
                 run = stepper.integrate(
                     task.q0[member], **given, h=task.h, steps=task.steps, t0=task.t0,
                     parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
@@ -272,6 +276,30 @@ def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
     t = np.concatenate([[task.t0], np.atleast_1d(task.times)])
     energies = evaluate_members(stepper, "energy", "ENERGY", 1, t, q, p, task.parameters)
     return np.asarray(np.isfinite(energies).all(axis=(1, 2)))
+
+
+def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
+    """Return at whose stored states all constraints are independent; warn of those nearly not."""
+    count = len(stepper._module.header.constraints)
+    pivots = evaluate_members(
+        stepper, "multipliers", "HELD_PIVOT", count, task.times, results.q, results.p,
+        task.parameters,
+    )  # fmt: skip
+    with np.errstate(invalid="ignore"):  # of members that failed
+        independence = independence_of(pivots)
+    folded = (independence < SINGULAR).any(axis=1)
+    near = np.flatnonzero(close(independence).any(axis=1) & ~folded)
+    if near.size and task.every == 1:
+        warnings.warn(
+            f"{stepper.system}, {stepper.scheme}: in {near.size} of {task.members} members, the "
+            f"first of them {near[0]}, constraints may follow from one another between two steps, "
+            f"as where bars of a linkage fold into a line. From there it may go on either "
+            f"way, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at which "
+            "it does not fold.",
+            ConstraintWarning,
+            stacklevel=7,  # where ensemble is called
+        )
+    return np.asarray(~folded)
 
 
 def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:

@@ -19,9 +19,35 @@ if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.runs.run import Run
 
-__all__ = ["look_at_folds"]
+__all__ = ["SINGULAR", "close", "independence_of", "look_at_folds"]
 
 Reals = NDArray[Any]
+#: Where they are less independent than this, constraints follow from one another.
+SINGULAR = DEPENDENT**0.5
+
+
+def independence_of(pivots: Reals) -> NDArray[np.float64]:
+    """Return how far constraints are from following from one another at states one by one.
+
+    Parameters
+    ----------
+    pivots : ndarray, shape (..., N, m)
+        What is left of each constraint in HELD.
+
+    Returns
+    -------
+    ndarray, shape (..., N)
+        1 where each is held best, 0 where one follows from others.
+    """
+    # roots, as sizes of slopes are; each relative to its largest, since units may differ
+    sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
+    found: NDArray[np.float64] = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
+    return found
+
+
+def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return between which states one constraint may have followed from others."""
+    return np.asarray(independence[..., 1:] < np.abs(np.diff(independence, axis=-1)))
 
 
 def look_at_folds(
@@ -38,10 +64,8 @@ def look_at_folds(
     header = stepper._module.header
     t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
     pivots = evaluate_in(run.W, stepper, "multipliers", "HELD_PIVOT", len(names), t, q, p)
-    # roots, as sizes of slopes are; each relative to its largest, since units may differ
-    sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
-    independence = (sizes / sizes.max(axis=0)).min(axis=1)
-    singular = np.flatnonzero(independence < np.sqrt(DEPENDENT))
+    independence = independence_of(pivots)
+    singular = np.flatnonzero(independence < SINGULAR)
     who = f"{stepper.system}, {stepper.scheme}"
     if singular.size:
         bad = int(singular[0])
@@ -62,7 +86,7 @@ def look_at_folds(
         return Trajectory(
             **about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message}
         )  # fmt: skip
-    near = np.flatnonzero(independence[1:] < np.abs(np.diff(independence)))
+    near = np.flatnonzero(close(independence)) if run.every == 1 else singular
     if not near.size:
         return trajectory
     since = float(t[near[0] + 1])

@@ -208,3 +208,21 @@ def test_multipliers_of_another_shape():
     free = ss.compile(ss.systems.pendulum(), "midpoint", precision=20)
     with pytest.raises(ss.InputError, match="none to a system without constraints"):
         free.residual([1], [0], [[1]], 0.1, multipliers=np.ones((1, 0)))
+
+
+@pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
+def test_members_that_fold_are_told_apart():
+    """Of three members one goes over the fold, one stands in it at a step, one never meets it."""
+    stepper, rates = ss.compile(parallelogram()), [1.0, np.pi - 1, 0.01]
+    starts = np.tile([1.0, 0.0, 1.0], (3, 1))
+    given = np.array([[rate, 0.0, rate] for rate in rates])
+    with pytest.warns(ss.ConstraintWarning, match="in 1 of 3 members, the first of them 0") as told:
+        many = stepper.ensemble(starts, v0=given, h=0.05, steps=50, every=1)
+    assert len(told) == 1
+    assert told[0].filename == __file__
+    assert many.status.tolist() == [0, ss.Status.SINGULAR_CONSTRAINTS, 0]
+    assert many.steps.tolist() == [50, 19, 50]
+    assert np.isnan(many.q[1, 20:]).all()
+    assert np.isfinite(many.q[1, :20]).all()
+    few = stepper.ensemble(starts, v0=given, h=0.05, steps=50, every=10)
+    assert few.status.tolist() == [0, ss.Status.SINGULAR_CONSTRAINTS, 0]
