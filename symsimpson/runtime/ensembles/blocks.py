@@ -297,7 +297,7 @@ def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool
             f"way, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at which "
             "it does not fold.",
             ConstraintWarning,
-            stacklevel=7,  # where ensemble is called
+            stacklevel=6,  # where ensemble is called
         )
     return np.asarray(~folded)
 
