@@ -58,8 +58,9 @@ __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 MOST_LINES = 4000
 #: Parts with more unknowns are not written out, whatever they are made of.
 UNROLLED_UNKNOWNS = 16
-#: Those with constraints are sparse, and longer unrolled than others are.
-CONSTRAINED_UNKNOWNS = 32
+#: Those with constraints are sparse, and longer unrolled than others are: their loops take 18 s to
+#: compile, and five times as long to run.
+CONSTRAINED_UNKNOWNS, CONSTRAINED_LINES = 32, 5000
 #: Nor are explicit steps with more forces, one for each kick and coordinate.
 UNROLLED_FORCES = 270
 #: Loops over families of terms are worth their indices from so many members on, on average.
@@ -88,7 +89,8 @@ def unrolled(equations: DiscreteEquations) -> bool:
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     if equations.plain.constraints:  # drifts of these are loops
         few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not _drifting(equations)
-    return equations.scheme.exact and few and _lines(equations) <= MOST_LINES
+    most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
+    return equations.scheme.exact and few and _lines(equations) <= most
 
 
 def _lines(equations: DiscreteEquations) -> float:

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import sympy as sp
 
@@ -109,6 +109,13 @@ class DiscreteEquations:
 
         What the equations themselves are made of stands in :mod:`symsimpson.codegen.weighted`.
         """
+        return self._coefficients(what, i, k, m)
+
+    @cached_property
+    def _coefficients(self) -> Callable[[str, int, int, int], sp.Expr]:
+        return cache(self._coefficient)  # the same for all pairs of coordinates
+
+    def _coefficient(self, what: str, i: int, k: int, m: int) -> sp.Expr:
         b, A, B = self.scheme.quadrature.weights[i], self.scheme.A[i], self.scheme.B[i]
         factors = {
             "F_q": self.h * b * A[k] * A[m],
