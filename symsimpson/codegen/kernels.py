@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import accumulate
 
 import sympy as sp
@@ -40,7 +41,7 @@ from symsimpson.codegen.unrolled import (
     velocity,
 )
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.discrete.families import constraint_families, families
+from symsimpson.discrete.families import Family, constraint_families, families
 from symsimpson.discrete.reductions import (
     Affine,
     Composed,
@@ -167,18 +168,18 @@ def _looped(equations: DiscreteEquations) -> Module:
     if held or not drifting:
         names = ("jet", *(("forces",) if constant and not drifting else ()), *names)
     tables: dict[str, object] = {}
-    members = sum(len(family.coordinates) for family in (*found, *met))
-    if alike and (storage.banded or members >= FAMILY_MEMBERS * len((*found, *met))):
-        places = sorted(range(low.n), key=storage.order.__getitem__)
+    places = sorted(range(low.n), key=storage.order.__getitem__)
+    if alike and (storage.banded or _many(found)):
         functions, own = family_functions(low, found, places, names)
         tables |= own
-        if held:
-            more, own = constraint_family_functions(low, met, places, drifting=drifting)
-            functions += more
-            tables |= own
     else:
         functions = unrolled_functions(low, names)
-        functions += constraint_functions(low, held, drifting=drifting) if held else []
+    if held and alike and (storage.banded or _many(met)):
+        more, own = constraint_family_functions(low, met, places, drifting=drifting)
+        functions += more
+        tables |= own
+    elif held:
+        functions += constraint_functions(low, held, drifting=drifting)
     loops = _loops(low, storage, held)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
@@ -210,6 +211,12 @@ def _looped(equations: DiscreteEquations) -> Module:
     return _module(
         low, storage, held, functions, kernels, tables, unknowns, constant_mass=constant
     )  # fmt: skip
+
+
+def _many(found: Sequence[Family]) -> bool:
+    """Return whether families have members enough to be worth a loop."""
+    members = sum(len(family.coordinates) for family in found)
+    return members >= FAMILY_MEMBERS * len(found)
 
 
 def _loops(low: Lowering, storage: Storage, held: Held | None) -> LoopKernels:
