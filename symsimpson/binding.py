@@ -35,6 +35,7 @@ MATH = (
 _CHECKS = (
     "check_convergence",
     "check_rounding",
+    "expect_rounding",
     "check_acceptance",
     "check_stage_convergence",
     "check_stage_acceptance",

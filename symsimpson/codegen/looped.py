@@ -9,7 +9,7 @@ import sympy as sp
 from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.unrolled import ACCEPTANCE, convergence, lanes
+from symsimpson.codegen.unrolled import acceptance, convergence, lanes
 from symsimpson.discrete.reductions import (
     Constrained,
     Coupled,
@@ -168,7 +168,8 @@ class LoopKernels:
         )
         held = (_call("project_momentum"), _call("carry_multipliers")) if self.held else ()
         following: tuple[Statement, ...] = (
-            *again, *held, _call("predict", "W", "h", "lane"), ACCEPTANCE
+            *again, *held, _call("predict", "W", "h", "lane"),
+            *acceptance(bool(self.held)),
         )  # fmt: skip
         closing: tuple[Statement, ...] = ()
         if isinstance(part, Separable) and part.last is not None:

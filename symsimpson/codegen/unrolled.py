@@ -29,9 +29,9 @@ from symsimpson.discrete.reductions import (
 )
 
 __all__ = [
-    "ACCEPTANCE",
     "SOLVERS",
     "STATE",
+    "acceptance",
     "convergence",
     "increments",
     "lanes",
@@ -41,8 +41,6 @@ __all__ = [
     "velocity",
 ]
 
-#: What ends a step.
-ACCEPTANCE = Call("check_acceptance", ("W", "lane"))
 #: What a step that is taken back begins with again.
 KEEP_STEP = Call("keep_step", ("W", "lane"))
 #: Levels that a kernel computes which is called on a bare state (q, p).
@@ -154,8 +152,16 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
 
 def convergence(held: bool) -> tuple[Call, ...]:
     """Return what ends an iteration, where there are constraints or none."""
-    names = ("check_rounding",) if held else ()
-    return tuple(Call(name, ("W", "lane")) for name in (*names, "check_convergence"))
+    return _calls(*(["check_rounding"] if held else []), "check_convergence")
+
+
+def acceptance(held: bool) -> tuple[Call, ...]:
+    """Return what ends a step."""
+    return _calls(*(["expect_rounding"] if held else []), "check_acceptance")
+
+
+def _calls(*names: str) -> tuple[Call, ...]:
+    return tuple(Call(name, ("W", "lane")) for name in names)
 
 
 def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
@@ -196,7 +202,8 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     closed = low.statements(stores, (Level.ITERATION,))
     if iterated:
         doc = "Close a step: p1 and q1 by compensated sums, then predict the next increments."
-        return Kernel("advance", doc, lanes((KEEP_STEP, *closed, ACCEPTANCE)))
+        checked = acceptance(bool(low.multipliers))
+        return Kernel("advance", doc, lanes((KEEP_STEP, *closed, *checked)))
     doc = "Take as many steps as W[COUNT] says, without Newton's method."
     return Kernel("advance", doc, (Loop("step", "range(int(W[COUNT, 0]))", lanes(closed)),))
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 compiled: Callable[[Any], Any]
+rounding_of_q: Callable[..., Any]
 
 ACTIVE: int
 CORRECTION_SQUARED: int
@@ -57,17 +58,30 @@ def check_convergence(W, lane):
 
 
 @compiled
+def rounding_of_q(W, lane):
+    """Increments that rounding of positions makes, squared, with room."""
+    size = 0.0
+    for a in range(DIMENSION):
+        size += W[MASS_DIAGONAL + a, lane] * W[POSITION + a, lane] ** 2
+    return ROUNDED * size
+
+
+@compiled
+def expect_rounding(W, lane):
+    """Expect increments as large as rounding makes them, where all so far were smaller: at rest."""
+    known, least = W[LARGEST_SQUARED, lane], rounding_of_q(W, lane)
+    W[LARGEST_SQUARED, lane] = least if (known > 0) & (known < least) else known
+
+
+@compiled
 def check_rounding(W, lane):
     """Be done where phi = 0 holds as well as rounded positions can, whatever the increments are.
 
     Near rest these may be as small as rounding.
     """
-    size = 0.0
-    for a in range(DIMENSION):
-        size += W[MASS_DIAGONAL + a, lane] * W[POSITION + a, lane] ** 2
     correction, increment = W[CORRECTION_SQUARED, lane], W[INCREMENT_SQUARED, lane]
     stalled = correction >= 0.25 * (W[RELATIVE, lane] * increment)
-    done = (W[ACTIVE, lane] > 0) & stalled & (correction <= ROUNDED * size)
+    done = (W[ACTIVE, lane] > 0) & stalled & (correction <= rounding_of_q(W, lane))
     W[ITERATIONS, lane] += 1.0 if done else 0.0
     W[ACTIVE, lane] = 0.0 if done else W[ACTIVE, lane]
 
