@@ -167,7 +167,8 @@ def choose(
     frequency = largest_frequency(system, q, values.values())
     problem = _Problem(q, p, values, pilot, float(t_end), float(error), on, h0, frequency, [])
     if schemes is None:
-        schemes = WITH_EXPLICIT if system.structure.separable else CANDIDATES
+        straight = system.structure.separable and not system.constraints
+        schemes = WITH_EXPLICIT if straight else CANDIDATES
     found = [one for scheme in schemes if (one := problem.solve(compile_system(system, scheme)))]
     if not found:
         raise InputError(

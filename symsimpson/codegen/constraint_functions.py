@@ -19,9 +19,9 @@ __all__ = ["constraint_family_functions", "constraint_functions"]
 
 DOCS = {
     "constraint_slopes": "Phi at a point.",
-    "constrain": "phi, Phi and the second derivatives of lambda.phi.",
+    "constrain": "phi, and derivatives of lambda.phi.",
     "constraint_values": "phi at a point.",
-    "curves": "Phi v' as constraints ask for it, -v.phi_qq.v.",
+    "curves": "Phi v', -v.phi_qq.v.",
     "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
 }
 #: What is evaluated is asked for by its name and indices.

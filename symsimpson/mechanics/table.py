@@ -59,7 +59,8 @@ def rows(found: Structure) -> list[Row]:
         why = "M is constant and L has no terms a(q).v"
         table.append(("separable", energies,
                       f"{why}, nor forces with v" if found.forced else why,
-                      "the end of the path from Newton's unknowns"))  # fmt: skip
+                      "" if found.system.constraints  # which hold it, too
+                      else "the end of the path from Newton's unknowns"))  # fmt: skip
     if found.linear:
         table.append(
             (

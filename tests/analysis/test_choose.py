@@ -7,6 +7,7 @@ import pytest
 from workspace import sweep
 
 import symsimpson as ss
+from symsimpson.analysis.choose import CANDIDATES
 from symsimpson.analysis.stability.frequency import largest_frequency, largest_stable
 
 PENDULUM = ss.systems.double_pendulum()
@@ -140,3 +141,12 @@ def test_a_step_beyond_linear_stability_is_warned_of():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stepper.integrate(**start, h=-2.9)
+
+
+@pytest.mark.slow
+def test_of_separable_systems_with_constraints_the_family_alone_is_tried():
+    """Compositions whose drifts are straight are refused, and so not tried."""
+    system = ss.systems.cartesian_pendulum()
+    assert system.structure.separable
+    choice = ss.choose(system, **system.reference_state, t_end=10.0, error=1e-6)
+    assert choice.stepper.scheme in CANDIDATES
