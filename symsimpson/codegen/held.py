@@ -58,24 +58,20 @@ class Held:
             behind[max(at[a] for a in coordinates)].append(n + c)
         both = [item for s, a in enumerate(order) for item in (a, *behind[s])]
         place = {item: s for s, item in enumerate(both)}
-        band = max(
-            *(abs(place[a] - place[b]) for a, others in enumerate(near) for b in others),
-            *(place[n + c] - place[a] for c, some in enumerate(members) for a in some),
-        )
+        distances = [abs(place[a] - place[b]) for a, others in enumerate(near) for b in others]
+        distances += [place[n + c] - place[a] for c, some in enumerate(members) for a in some]
         places = tuple(place[item] for item in (*order, *range(n, len(both))))
-        return cls(Storage(tuple(both), band, banded=True), places, len(members))
+        return cls(Storage(tuple(both), max(distances), banded=True), places, len(members))
 
     def entry(self, i: int, j: int) -> int:
         """Return where two coordinates, or constraints behind these, meet in the node's matrix."""
-        node = self.storage.node_constants()
-        stride, offset = int(str(node["NODE_STRIDE"])), int(str(node["NODE_OFFSET"]))
-        return self.place[i] * stride + offset + self.place[j]
+        first = self.storage.node_offset + self.place[i] * self.storage.node_stride
+        return first + self.place[j]
 
     def constants(self, blocks: int) -> dict[str, object]:
         """Return what loops over coordinates and constraints must know."""
         n = len(self.storage.order) - self.count
         steps = self.storage.constants("HELD", blocks)
-        node = self.storage.node_constants()
         return {
             "CONSTRAINTS": self.count,
             "HELD_PLACE": self.place,
@@ -83,8 +79,8 @@ class Held:
             "HELD_PLACES": len(self.place),
             "HELD_SIZE": self.storage.node_size,
             "HELD_BAND": self.storage.band,
-            "HELD_STRIDE": node["NODE_STRIDE"],
-            "HELD_OFFSET": node["NODE_OFFSET"],
+            "HELD_STRIDE": self.storage.node_stride,
+            "HELD_OFFSET": self.storage.node_offset,
             "HELD_ROW_STEP": steps["HELD_ROW_STEP"],
             "HELD_PLACE_STEP": steps["HELD_PLACE_STEP"],
         }

@@ -44,6 +44,16 @@ class Storage:
         """Rows of an n by n matrix."""
         return self.n * (2 * self.band + 1) if self.banded else self.n**2
 
+    @property
+    def node_stride(self) -> int:
+        """From an entry of an n by n matrix to the one below it."""
+        return 2 * self.band if self.banded else self.n
+
+    @property
+    def node_offset(self) -> int:
+        """Where the first entry of an n by n matrix stands."""
+        return self.band if self.banded else 0
+
     def size(self, blocks: int) -> int:
         """Rows of a matrix of all unknowns."""
         unknowns = self.unknowns(blocks)
@@ -58,8 +68,8 @@ class Storage:
         return {
             "COORDINATE": self.order,
             "BAND": self.band,
-            "NODE_STRIDE": 2 * self.band if self.banded else self.n,
-            "NODE_OFFSET": self.band if self.banded else 0,
+            "NODE_STRIDE": self.node_stride,
+            "NODE_OFFSET": self.node_offset,
         }
 
     def constants(self, prefix: str, blocks: int, before: int = 0) -> dict[str, object]:

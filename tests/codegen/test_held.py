@@ -39,3 +39,10 @@ def test_chains_grow_in_proportion_to_their_links():
     assert rows[2] - rows[1] == 2 * (rows[1] - rows[0])
     assert {module.tables["HELD_BAND"] for module in modules} == {5}
     assert len({len(module.functions) for module in modules}) == 1
+
+
+def test_a_constraint_on_one_coordinate_of_many():
+    """Nothing meets anything but the constraint and its coordinate."""
+    held = Held.chain((0, 1, 2), [frozenset({1})], [set(), set(), set()])
+    assert held.place == (0, 1, 3, 2)
+    assert held.storage.band == 1
