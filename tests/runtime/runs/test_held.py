@@ -131,7 +131,9 @@ def test_lanes_and_states_between(stepper):
     assert np.abs(between.q[0] - fine.q[-1]).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", ["cartesian_pendulum", "jointed_bodies"])
+@pytest.mark.parametrize(
+    "name", ["cartesian_pendulum", pytest.param("jointed_bodies", marks=pytest.mark.slow)]
+)
 def test_pivots_in_rows_lead_to_the_same_states(name):
     """The kernels that take over where a fixed order of elimination fails; and plain loops."""
     system = ss.systems.CONSTRAINED[name]()
