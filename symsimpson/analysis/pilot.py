@@ -99,7 +99,11 @@ def choose_step(
         finer = stepper.integrate(
             q, p0=p, h=h / 2, steps=16, parameters=parameters, every=2, on_failure="return"
         )
-        if finer.steps < 16 or apart(finer.q, run.q[:9]) > CLOSE:
+        if finer.steps < 16:
+            continue
+        # all of it: friction brings every path to rest, so that ends alone say nothing
+        path = run.q[:9]
+        if np.abs(finer.q - path).max() > CLOSE * np.ptp(path, axis=0).max():
             continue
         far = stepper.integrate(
             q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
@@ -110,11 +114,3 @@ def choose_step(
         f"{stepper.system}: no step is small enough at this state.\n"
         "Pass h, or another state: look where T or V are singular."
     )
-
-
-def apart(one: Floats, other: Floats) -> float:
-    """Return how far two paths are apart at worst, as a part of the length of the second.
-
-    Their ends alone say nothing where friction brings every path to rest.
-    """
-    return float(np.abs(one - other).max() / np.ptp(other, axis=0).max())

@@ -95,6 +95,17 @@ def test_compositions_of_rattle_keep_their_order(scheme):
     assert max(abs((ends[0].q * ends[0].p).sum(axis=1))) < 1e-22
 
 
+def test_a_drift_may_end_where_all_coordinates_are_zero():
+    """Rest at the origin has no size that a correction could be relative to."""
+    x, y = ss.coordinates("x y")
+    line = ss.MechanicalSystem(
+        "line", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**2 / 2, constraints=[x - y],
+    )  # fmt: skip
+    stepper = ss.compile(line, "suzuki4", precision=20)
+    assert not stepper.integrate([0, 0], [0, 0], h="0.1", steps=2).q.any()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scheme"),

@@ -89,8 +89,8 @@ def check_rounding(W, lane):
 @compiled
 def check_drift(W, lane):
     """RELATIVE becomes 0 where a drift ends on the constraints, as well as rounding lets it."""
-    before = W[RELATIVE, lane]
-    now = W[CORRECTION_SQUARED, lane] / W[INCREMENT_SQUARED, lane]
+    before, size = W[RELATIVE, lane], W[INCREMENT_SQUARED, lane]
+    now = W[CORRECTION_SQUARED, lane] / (size if size != 0 else 1.0)
     done = (now == 0) | ((now <= ROUNDED) & (now >= 0.25 * before))
     W[RELATIVE, lane] = 0.0 if done else now
 
