@@ -54,7 +54,8 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
         "constraint_values": values,
         "pushes": [*pushes, *curves],
     }
-    first = {name: _calls("clear_constraints") for name in ("constraint_slopes", "constrain")}
+    cleared = (Call("clear_constraints"),)
+    first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
     return [
         Function(
             name, DOCS[name], (*first.get(name, ()), *low.statements(some, (Level.ITERATION,)))
@@ -85,7 +86,9 @@ def constraint_family_functions(
             function = writer.function(f"{name}_{number}", DOCS[name], stores, indices)
             functions.append(function)
             calls["pushes" if name == "curves" else name].append(function.name)
-    functions += [Function(name, DOCS[name], _calls(*some)) for name, some in calls.items()]
+    functions += [
+        Function(name, DOCS[name], tuple(map(Call, some))) for name, some in calls.items()
+    ]
     return functions, tables
 
 
@@ -128,7 +131,3 @@ def _bends(entry: Entry, pair: Pair, n: int, *, add: bool) -> list[Store]:
         Store(pair(a, b), entry("pull", a, b), add=add)
         for a in range(n) for b in range(n) if entry("pull", a, b) != 0
     ]  # fmt: skip
-
-
-def _calls(*names: str) -> tuple[Call, ...]:
-    return tuple(Call(name, ("W", "lane")) for name in names)

@@ -90,10 +90,10 @@ class SinCos:
 
 @dataclass(frozen=True)
 class Call:
-    """A call of a function on the workspace, of which ``result`` takes the value."""
+    """A call of a function on one lane of the workspace, of which ``result`` takes the value."""
 
     function: str
-    arguments: tuple[str, ...]
+    arguments: tuple[str, ...] = ("W", "lane")
     result: sp.Symbol | None = None
 
 

@@ -22,13 +22,12 @@ from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["LoopKernels", "equation_constants", "solve_constants", "solve_tables"]
 
-_HERE = ("W", "lane")
 _NODE = ("W", "h", "node", "lane")
 _POINT = ("W", "h", "point", "lane")
 
 
 def _call(name: str, *arguments: str) -> Call:
-    return Call(name, arguments or _HERE)
+    return Call(name, arguments) if arguments else Call(name)
 
 
 @dataclass(frozen=True)
@@ -261,11 +260,11 @@ class LoopKernels:
 
     def multipliers(self) -> Kernel:
         """Return phi and the multipliers at a state: those that keep its accelerations allowed."""
+        # all at one place: its slopes and factors serve three solves
         nearest = (*self._velocity(), *map(_call, ("constrain", "change_to_constraints")))
-        moving = (*self._start(), _call("mass"), *self._solve_momentum())
-        names = ("pushes", "push_to_solve", "solve_held", "constrain", "constraint_forces")
+        names = ("pushes", "push_to_solve", "solve_held", "constraint_forces")
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
-        body = (*nearest, *moving, *self._start(), *map(_call, names))
+        body = (*nearest, *self._solve_momentum(), *map(_call, names))
         return Kernel("multipliers", doc, lanes(body))
 
 

@@ -31,7 +31,6 @@ __all__ = ["StageKernels"]
 MOST_OPERATIONS = 3000
 #: What is computed in the first half of an iteration.
 FIRST = (Level.STEP, Level.ITERATION)
-HERE = ("W", "lane")
 
 
 class StageKernels:
@@ -91,7 +90,7 @@ class StageKernels:
         if not self.kernels:
             return ()
         timed = not self._low.equations.plain.autonomous
-        places = (Call("stage_places", HERE),) if timed else ()
+        places = (Call("stage_places"),) if timed else ()
         return (Call("stage_constants", ("W", "h", "lane")), *places)
 
     @property
@@ -191,7 +190,7 @@ class StageKernels:
         body = [
             *self._over_nodes(opening),
             *self._over_nodes(ending),
-            Call("check_stage_convergence", HERE),
+            Call("check_stage_convergence"),
         ]
         operations = sum(
             count_operations(low.graph.definitions[s].value)
@@ -285,7 +284,7 @@ class StageKernels:
         smooth = Index(
             "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
         )
-        body = [*closing, smooth, Call("check_stage_acceptance", HERE), *following]
+        body = [*closing, smooth, Call("check_stage_acceptance"), *following]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))
 

@@ -63,7 +63,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
                 if value != 0 or not sparse:
                     stores.append(Store(Row(_BLOCKS[what], number), value, add=what == "V"))
         cleared = [x for x in asked if x in _CLEARED] if sparse else []
-        body = [Call(_CLEARED[x], ("W", "lane")) for x in cleared]
+        body = [Call(_CLEARED[x]) for x in cleared]
         lines = low.statements(stores, (Level.ITERATION,))
         found.append(Function(name, doc, (*body, *lines)))
     return found
@@ -104,12 +104,12 @@ def family_functions(
     functions: list[Function] = []
     for name in names:
         doc, parts = FUNCTIONS[name]
-        calls: list[Statement] = [Call(_CLEARED[p], ("W", "lane")) for p in parts if p in _CLEARED]
+        calls: list[Statement] = [Call(_CLEARED[p]) for p in parts if p in _CLEARED]
         for number, writer in writers:
             stores = _family_stores(writer, parts)
             if stores:
                 functions.append(writer.function(f"{name}_{number}", doc, stores))
-                calls.append(Call(functions[-1].name, ("W", "lane")))
+                calls.append(Call(functions[-1].name))
         functions.append(Function(name, doc, tuple(calls)))
     return functions, tables
 

@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 #: What a step that is taken back begins with again.
-KEEP_STEP = Call("keep_step", ("W", "lane"))
+KEEP_STEP = Call("keep_step")
 #: Levels that a kernel computes which is called on a bare state (q, p).
 STATE = (Level.STEP, Level.ITERATION)
 
@@ -152,16 +152,14 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
 
 def convergence(held: bool) -> tuple[Call, ...]:
     """Return what ends an iteration, where there are constraints or none."""
-    return _calls(*(["check_rounding"] if held else []), "check_convergence")
+    names = ("check_rounding", "check_convergence") if held else ("check_convergence",)
+    return tuple(map(Call, names))
 
 
 def acceptance(held: bool) -> tuple[Call, ...]:
     """Return what ends a step."""
-    return _calls(*(["expect_rounding"] if held else []), "check_acceptance")
-
-
-def _calls(*names: str) -> tuple[Call, ...]:
-    return tuple(Call(name, ("W", "lane")) for name in names)
+    names = ("expect_rounding", "check_acceptance") if held else ("check_acceptance",)
+    return tuple(map(Call, names))
 
 
 def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:

@@ -86,8 +86,8 @@ def look_at_folds(
         return Trajectory(
             **about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message}
         )  # fmt: skip
-    near = np.flatnonzero(close(independence)) if run.every == 1 else singular
-    if not near.size:
+    near = np.flatnonzero(close(independence))
+    if run.every > 1 or not near.size:  # of states that are far apart nothing can be said
         return trajectory
     since = float(t[near[0] + 1])
     message = (
