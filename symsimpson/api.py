@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from symsimpson.codegen.pipeline import derive, source
+from symsimpson.codegen.pipeline import derive
+from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
-from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.loaded import Tools
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -106,18 +108,26 @@ def compile(
         from symsimpson.runtime.kernels.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
-    defaults = {symbol.name: value for symbol, value in system.parameters.items()}
-    with waiting(f"deriving {found.name} for {system.name}", progress):
-        derivation = derive(system, found, exploit)
+    return _compiled(system, found, read_exploit(exploit), numbers, progress, None)
+
+
+def _compiled(
+    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str], numbers: Numbers,
+    progress: bool | None, varied: tuple[str, ...] | None,
+) -> Stepper:  # fmt: skip
+    """Make a stepper; its steps are differentiated if it is said by what, beside q and p."""
+    with waiting(f"deriving {scheme.name} for {system.name}", progress):
+        derivation = derive(system, scheme, exploit, varied)
     return Stepper(
         derivation.text,
-        f"{system.name}__{found.name}",
-        defaults=defaults,
+        f"{system.name}__{scheme.name}",
+        defaults={symbol.name: value for symbol, value in system.parameters.items()},
         numbers=numbers,
         reference_state=getattr(system, "reference_state", None),
         declared=system,
         derivation=derivation,
         tools=TOOLS,
+        differentiate=partial(_compiled, system, scheme, exploit, numbers, progress),
     )
 
 
@@ -128,6 +138,7 @@ def generate(
     directory: str | os.PathLike[str] = "generated",
     *,
     exploit: str | Iterable[str] = "all",
+    derivatives: Iterable[str] | None = None,
 ) -> Path:
     """Write the module of a system and a scheme to ``<directory>/<name>__<scheme>.py``.
 
@@ -139,6 +150,9 @@ def generate(
         Made if need be.
     exploit : "all" or iterable of str
         As for :func:`compile`.
+    derivatives : iterable of str, optional
+        Names of parameters and inputs by which the module can differentiate its steps, beside
+        positions and momenta; ``()`` for these alone. Without it, it cannot.
 
     Returns
     -------
@@ -159,7 +173,7 @@ def generate(
     _check_system(system)
     found = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{found.name}.py"
-    content = source(system, found, exploit).encode()
+    content = derive(system, found, exploit, derivatives).text.encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:

@@ -89,13 +89,19 @@ BLOCKS = {
     "DEPENDENCE": "how far constraints are from following from one another: 0 to 1",
     "RESIDUAL": "residual, then the correction",
     "JACOBIAN": "its derivatives",
+    "NODE_F_A": "derivatives of F by the parameters that are varied, at a node",
+    "NODE_P_A": "those of P",
+    "EXCHANGE": "which rows elimination has exchanged",
+    "TANGENTS": "number of variations of the state that are carried along",
+    "TANGENT": "these variations; they stand last, as many as a run has room for",
 }
 
 #: Blocks of systems that need them: with forces, t, inputs, damped momenta, constraints, stages.
 OPTIONAL = (
     "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
     "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
-    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK",
+    "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
+    "NODE_P_A", "EXCHANGE", "TANGENTS", "TANGENT",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -107,19 +113,21 @@ ADJACENT = (
 
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
 #: unknowns, the number of coordinates, how many of the unknowns are measured, how many steps an
-#: explicit kernel may take in one call, as it is told the time of the first, and from one input to
-#: the next how many rows.
+#: explicit kernel may take in one call, as it is told the time of the first, from one input to
+#: the next how many rows, and where variations of the state begin.
 TOLD = (
     "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
     "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
     "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
     "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT", "INPUT_STRIDE",
+    "TANGENT",
 )  # fmt: skip
 (
     ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
     PARAMETER, MASS_PIVOT, ROWS, MEASURED, STEPS_A_CALL, INPUT, INPUT_STRIDE,
+    TANGENT,
 ) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE
@@ -135,9 +143,9 @@ ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
 EXPLICIT, NEWTON, STAGES, NEWTON_AFTER_STAGES = range(4)
 
 #: A set of kernels as the driver takes it: the mode, then addresses, 0 where there is none.
-MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE = range(6)
+MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE, DIFFERENTIATE = range(7)
 
-#: The kernels of each set by name, in that order.
+#: The kernels of each set by name, in that order; that which differentiates a step may follow.
 KERNEL_SETS = {
     EXPLICIT: ("prepare", "start", "", "advance", ""),
     NEWTON: ("prepare", "start", "newton", "advance", ""),
@@ -150,5 +158,5 @@ PIVOTED = "newton_pivoted"
 KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
-    "multipliers",
+    "multipliers", "tangent", "momentum_slopes",
 )  # fmt: skip

@@ -25,6 +25,7 @@ from symsimpson.codegen.looped import (
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
+from symsimpson.codegen.tangents import differentiate, tangent_sizes
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import (
     family_functions,
@@ -135,7 +136,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
         kernels.append(loops.equations())
         tables |= storage.node_constants() | equation_constants(storage, degree, held)
     works = bool(equations.rows and equations.plain.powers)
-    if unknowns or works:
+    if unknowns or works or equations.varied is not None:
         solved = {a for _, a in increments(part_solvers(low))}
         following = tuple(int(a not in solved) for a in range(low.n))
         tables |= solve_constants(storage, equations.columns, held)
@@ -146,6 +147,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
+    differentiate(low, loops, range(low.n), functions, kernels, tables, following=follow)
     return _module(low, storage, held, functions, kernels, tables, unknowns, constant_mass=False)
 
 
@@ -197,6 +199,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         if part.columns and equations.plain.powers:
             functions.append(power_function(low))
             kernels.append(loops.work(following=False))
+        differentiate(low, loops, places, functions, kernels, tables, following=False)
         blocks = len(part.columns)
         own_tables |= {
             **equation_constants(storage, degree, held),
@@ -278,6 +281,7 @@ def _module(
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
         "GROWTH": scheme.stages + 1 if damped else 0,
+        **tangent_sizes(low),
         **(held.sizes(scheme.degree, drifting=_drifting(low.equations)) if held else {}),
         **stage_sizes,
     }
@@ -286,6 +290,8 @@ def _module(
     if held:
         sizes["JACOBIAN"] += held.storage.size(unknown.control_points)
     first, rows = layout(storage, unknown, sizes, constant_mass=constant_mass)
+    if low.equations.varied is not None:
+        first["TANGENT"] = rows  # behind all others, as much as a run needs
     return Module(
         low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
         unknowns, tables,

@@ -74,16 +74,18 @@ class LoopKernels:
         timed = () if self.autonomous else (_call("node_time", "W", time, "lane"),)
         return (*timed, *((_call("node_inputs", "W", node, "lane"),) if self.driven else ()))
 
-    def _start(self, time: str = "t") -> tuple[Statement, ...]:
+    def start(self, time: str = "t") -> tuple[Statement, ...]:
+        """Go to the start of the path."""
         return (_call("path_start"), *self._time(time, "0"))
 
-    def _nodes(self, over: str, *body: Statement) -> Loop:
+    def nodes(self, over: str, *body: Statement) -> Loop:
+        """Go over nodes of the path."""
         time = self._time("t + PLACES[node] * h", "node")
         return Loop("node", over, (_call("path", *_NODE), *time, *body))
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
-        return (*self._start(time), _call("mass"), *self._factors())
+        return (*self.start(time), _call("mass"), *self._factors())
 
     def _factors(self) -> tuple[Statement, ...]:
         if not self.held:
@@ -99,19 +101,22 @@ class LoopKernels:
     def equations(self) -> Kernel:
         """Return the equations themselves, all of them, whatever a step solves."""
         doc = "Residual and Jacobian of the step, rows in the order of elimination."
-        return Kernel("equations", doc, lanes(self._all_rows()))
+        return Kernel("equations", doc, lanes(self.all_rows()))
 
-    def _all_rows(self) -> tuple[Statement, ...]:
+    def all_rows(self, *more: Statement) -> tuple[Statement, ...]:
+        """Assemble the equations; ``more`` is done at each node, with its jet, behind them."""
         drag = (_call("assemble_drag", "W", "node", "lane"),) if self.dragged else ()
         grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
         return (
             _call("clear_residual"),
             _call("clear_matrix", "W", "lane", str(self.entries)),
-            self._nodes("range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag),
-            *self._points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
+            self.nodes(
+                "range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag, *more
+            ),
+            *self.points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
         )
 
-    def _points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:
+    def points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:
         """Go over control points, if there are constraints at them."""
         if not self.held:
             return ()
@@ -124,7 +129,7 @@ class LoopKernels:
         Coordinates whose increments are ``following`` from those of the others are solved for
         first: what is left is the iteration of the reduced equations.
         """
-        rows = self._all_rows()
+        rows = self.all_rows()
         first = (*rows, _call("solve_following"), *rows) if following else rows
         leave = (_call("clear_following"),) if following else ()
         body = (*first, *self._corrected(*leave))
@@ -145,7 +150,7 @@ class LoopKernels:
         again = self._solve_momentum()
         first = (_call("keep_mass"),) if constant else ()
         begin = (
-            *self._start(), _call("mass"), *first, *self._factors(), *again,
+            *self.start(), _call("mass"), *first, *self._factors(), *again,
             _call("straight_path", "W", "h", "lane"),
             *((_call("clear_multipliers"),) if self.held else ()),
         )  # fmt: skip
@@ -155,10 +160,10 @@ class LoopKernels:
             rows = (
                 _call("clear_matrix", "W", "lane", size),
                 _call("inertia", "W", "h", "lane"),
-                self._nodes("FORCE_NODES", _call("forces"), _call("assemble_forces", *_NODE)),
+                self.nodes("FORCE_NODES", _call("forces"), _call("assemble_forces", *_NODE)),
             )
         else:
-            rows = self._all_rows()
+            rows = self.all_rows()
         if isinstance(part, Separable) and part.last is not None:
             rows = (*self._end_of_path(), *rows)
         newton: tuple[Statement, ...] = (
@@ -176,10 +181,8 @@ class LoopKernels:
         advance = (
             *closing,
             _call("clear_momentum"),
-            self._nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
-            *self._points(
-                "range(DEGREE)", "constraint_slopes", _call("add_pull", "W", "h", "lane")
-            ),
+            self.nodes("range(NODES)", _call("gradient"), _call("accumulate", *_NODE)),
+            *self.points("range(DEGREE)", "constraint_slopes", _call("add_pull", "W", "h", "lane")),
             _call("close_step"),
             *(() if constant else self._velocity("t + h")),
             *(following if part.columns else ()),
@@ -188,7 +191,7 @@ class LoopKernels:
         beginning = [
             Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
             Kernel("legendre", "p = dL/dv from q and v.",
-                   lanes((*self._start(), _call("mass"), _call("momentum")))),
+                   lanes((*self.start(), _call("mass"), _call("momentum")))),
         ]  # fmt: skip
         if not part.columns:  # nothing to solve, nothing to predict
             step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
@@ -206,15 +209,15 @@ class LoopKernels:
         """Find X_d where it is no unknown."""
         return (
             _call("clear_momentum"),
-            self._nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
+            self.nodes("LAST_NODES", _call("gradient"), _call("accumulate_last", *_NODE)),
             _call("end_path", "W", "h", "lane"),
         )
 
     def composed(self) -> list[Kernel]:
         """Return the kernels of an explicit step with loops over kicks and drifts."""
-        momentum = (*self._start(), _call("mass"))
+        momentum = (*self.start(), _call("mass"))
         begin = (
-            *momentum, *self._factors(), *self._solve_momentum(), *self._start(), _call("gradient"),
+            *momentum, *self._factors(), *self._solve_momentum(), *self.start(), _call("gradient"),
         )  # fmt: skip
         drift, held = ("drift_held", self._factors()) if self.held else ("drift", ())
         parts = Loop(
@@ -225,7 +228,7 @@ class LoopKernels:
         )  # fmt: skip
         # the force at the end of a step is that at the start of the next one, unless t is rounded
         # or inputs are others there
-        again = () if self.alike else (*self._start(), _call("gradient"))
+        again = () if self.alike else (*self.start(), _call("gradient"))
         end = (_call("free_velocity"), _call("take_momentum")) if self.held else ()
         kick = _call("first_kick", "W", "h", "lane")
         closing = (*again, kick, parts, *end, _call("close_composed"))
@@ -240,7 +243,7 @@ class LoopKernels:
 
     def energy(self) -> Kernel:
         """Return H = v.(p - a)/2 + V, and the first of the two alone."""
-        body = (*self.before_state(), _call("kinetic_energy"), *self._start(), _call("potential"))
+        body = (*self.before_state(), _call("kinetic_energy"), *self.start(), _call("potential"))
         doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
         return Kernel("energy", doc, lanes(body))
 
@@ -249,8 +252,8 @@ class LoopKernels:
 
         Those of coordinates that are ``following`` from the others are solved for first.
         """
-        first = (*self._all_rows(), _call("solve_following")) if following else ()
-        nodes = self._nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
+        first = (*self.all_rows(), _call("solve_following")) if following else ()
+        nodes = self.nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
         doc = "Add the work of forces in a step, and the integral of dL/dt."
         return Kernel("work", doc, lanes((*first, nodes)))
 

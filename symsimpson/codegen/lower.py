@@ -17,6 +17,7 @@ from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
+from symsimpson.discrete.slopes import derive_slopes
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
@@ -105,6 +106,20 @@ class Lowering:
     def held(self) -> JetTemplate:
         """Constraints, and what of L tells their multipliers."""
         return self._template(derive_constraints(self.equations.plain))
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the parameters and inputs that derivatives of a step are taken by."""
+        plain = self.equations.plain
+        own = dict(zip((*plain.parameters, *plain.u),
+                       (*self.names.parameters, *self.names.inputs), strict=True))  # fmt: skip
+        return tuple(own[symbol] for symbol in self.equations.varied or ())
+
+    @cached_property
+    def slopes(self) -> JetTemplate:
+        """Derivatives of F and P by these."""
+        varied = dict(zip(self.varied, self.equations.varied or (), strict=True))
+        return self._template(derive_slopes(self.equations.plain, varied))
 
     @cached_property
     def stiffened(self) -> bool:

@@ -89,6 +89,14 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "SIGNS",
         "INVARIANTS",
         "CONFORMAL",
+        "VARIED",
+        "VARIED_BY",
+        "variation",
+        "TANGENT_UNKNOWNS",
+        "TANGENT_LOWER",
+        "TANGENT_UPPER",
+        "TANGENT_STRIDE",
+        "TANGENT_OFFSET",
         "CONSTRAINTS",
         "HELD_BY",
         "INPUTS",
@@ -140,6 +148,7 @@ NODE_FUNCTIONS = frozenset(
         "constrain",
         "constraint_values",
         "pushes",
+        "parameter_slopes",
     ]
 )
 

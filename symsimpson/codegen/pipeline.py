@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from functools import lru_cache
 
+import sympy as sp
+
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower, unrolled
+from symsimpson.codegen.names import NameTable
 from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.errors import SchemeError
+from symsimpson.errors import GenerationError, SchemeError
 from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
@@ -46,6 +49,7 @@ def derive(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
     exploit: str | Iterable[str] = "all",
+    varied: Iterable[str] | None = None,
 ) -> Derivation:
     """Generate the module of a system and a scheme, and say what that took.
 
@@ -53,26 +57,55 @@ def derive(
     ----------
     system, scheme, exploit
         As for :func:`source`.
+    varied : iterable of str, optional
+        Names of parameters and inputs: a step is then differentiated by these, and by q and p.
 
     Returns
     -------
     Derivation
     """
-    return _derive(system, read_scheme(scheme), read_exploit(exploit))
+    names = None if varied is None else tuple(varied)
+    return _derive(system, read_scheme(scheme), read_exploit(exploit), names)
+
+
+def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
+    """Return the plain symbols of parameters and inputs, by the user's names or the module's.
+
+    Raises
+    ------
+    GenerationError
+        If there is no such parameter or input.
+    """
+    plain, table = system.plain, NameTable(system)
+    symbols = (*plain.parameters, *plain.u)
+    users = [str(symbol) for symbol in (*system.parameters, *system.inputs)]
+    own = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
+    own |= dict(zip(users, symbols, strict=True))
+    for name in names:
+        if name not in own:
+            raise GenerationError(
+                f"derivatives names {name!r}, which is no parameter or input of {system.name}.\n"
+                f"It has {', '.join(users) or 'none'}."
+            )
+    return tuple(own[name] for name in names)
 
 
 @lru_cache(maxsize=64)
-def _derive(system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str]) -> Derivation:
+def _derive(
+    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
+    names: tuple[str, ...] | None,
+) -> Derivation:  # fmt: skip
+    varied = None if names is None else _varied(system, names)
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
-        equations = discretise(system, scheme, exploit)
+        equations = discretise(system, scheme, exploit, varied)
         if not unrolled(equations) and equations.plain.rates:
             raise SchemeError(
                 f"{system.name} is so large that steps of {scheme.name} are loops, whose kicks "
                 "have no friction yet.\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
             )
         if not unrolled(equations):  # in loops, forces damp
-            equations = discretise(system, scheme, exploit - {"conformal"})
+            equations = discretise(system, scheme, exploit - {"conformal"}, varied)
         with timed("text"):
             module = lower(equations)
             text = emit(equations, module)

@@ -61,6 +61,8 @@ class DiscreteEquations:
     Rows and columns are blocks of n. ``rows`` lists the control points whose D_k L_d are the
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
     elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
+    Derivatives of a step are taken by q, p and what is ``varied``, plain symbols of parameters and
+    inputs; there are none of them if that is None.
     """
 
     system: MechanicalSystem
@@ -71,6 +73,7 @@ class DiscreteEquations:
     rows: tuple[int, ...]
     columns: tuple[int, ...]
     parts: tuple[Part, ...]
+    varied: tuple[sp.Symbol, ...] | None = None
 
     @cached_property
     def jet(self) -> Jet:
@@ -147,8 +150,9 @@ class DiscreteEquations:
 
 
 def discretise(
-    system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all"
-) -> DiscreteEquations:
+    system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all",
+    varied: tuple[sp.Symbol, ...] | None = None,
+) -> DiscreteEquations:  # fmt: skip
     """Derive the equations of one step.
 
     Parameters
@@ -157,6 +161,8 @@ def discretise(
     scheme : Scheme
     exploit : str or iterable of str
         Findings about the system that may shorten them.
+    varied : tuple of sympy.Symbol, optional
+        Plain symbols by which a step is differentiated, beside q and p.
 
     Returns
     -------
@@ -173,6 +179,8 @@ def discretise(
     structure = system.structure
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
+    if varied is not None:
+        _check_differentiable(system, scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:
@@ -180,7 +188,9 @@ def discretise(
         assert rates is not None
         plain = replace(plain, rates=rates, acting=undamped(plain))
     free = not (explicit or plain.constraints)
-    if "conformal" in wanted and structure.damping is not None and free:
+    # weights are not differentiated: where what is varied stands in them, damping is a force
+    still = _free_of(plain, structure.damping, varied or ())
+    if "conformal" in wanted and structure.damping is not None and free and still:
         # nodes have weights of their own, so that M is not the same at all of them
         plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)
         parts = tuple(
@@ -190,7 +200,28 @@ def discretise(
         )  # fmt: skip
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
-    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts)
+    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied)
+
+
+def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) -> bool:
+    """Return whether none of the symbols stand in a value."""
+    if value is None:
+        return True
+    return plain.graph.nodes[value[1]].symbols.isdisjoint(plain.numbers(symbols))
+
+
+def _check_differentiable(system: MechanicalSystem, scheme: Scheme) -> None:
+    """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
+    if isinstance(scheme, Composition):
+        raise SchemeError(
+            f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet."
+            "\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
+        )
+    if system.plain.constraints:
+        raise SchemeError(
+            f"{system.name} has constraints, and derivatives of such steps are not taken yet.\n"
+            "Declare it with coordinates that need no constraints."
+        )
 
 
 def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:

@@ -45,6 +45,7 @@ class Evaluator:
         declared: Any = None,
         derivation: Derivation | None = None,
         tools: Tools | None = None,
+        differentiate: Callable[[tuple[str, ...]], Evaluator] | None = None,
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
@@ -58,6 +59,9 @@ class Evaluator:
         self._input_names = {name: i for i, name in enumerate(header.inputs)}
         #: Names of constraints, those that a user gave beside those of the module.
         self._constraint_names = {name: i for i, name in enumerate(header.constraints)}
+        self._differentiate = differentiate
+        #: Steppers that differentiate by these parameters and inputs.
+        self._variants: dict[tuple[str, ...], Evaluator] = {}
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
@@ -86,7 +90,7 @@ class Evaluator:
         given = {
             "defaults": self._given and dict(self._given), "declared": self._module.declared,
             "reference_state": state and dict(state), "numbers": self._module.numbers,
-            "tools": self._module.tools,
+            "tools": self._module.tools, "differentiate": self._differentiate,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 
@@ -213,16 +217,17 @@ class Evaluator:
 
 def evaluate(
     stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    values: Reals, inputs: Reals = NO_INPUTS,
+    values: Reals, inputs: Reals = NO_INPUTS, before: str = "",
 ) -> Reals:  # fmt: skip
     """Evaluate a kernel of the state at many states; shape (len(q), count).
 
-    ``inputs`` has states in the places of steps; they stand in powers alone.
+    ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
+    come ``before`` it.
     """
     header, numbers = stepper._module.header, stepper._module.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs)
+        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs, before=before)
 
 
 def evaluate_members(
@@ -247,7 +252,7 @@ def evaluate_members(
 
 def evaluate_in(
     W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    inputs: Reals = NO_INPUTS,
+    inputs: Reals = NO_INPUTS, *, before: str = "",
 ) -> Reals:  # fmt: skip
     """Evaluate a kernel of the state in a workspace that holds parameters.
 
@@ -258,7 +263,8 @@ def evaluate_in(
 
     def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
-        return _evaluated(stepper, W, (0, address), place, t, q, p, inputs)
+        first = kernels.address(before, any_angle=any_angle) if before else 0
+        return _evaluated(stepper, W, (first, address), place, t, q, p, inputs)
 
     found = values(t, q, p, inputs, any_angle=False)
     if stepper._module.header.fast_sines and not numbers.all_finite(found):

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
 from symsimpson.derivation import Report
 from symsimpson.errors import InputError, Interrupted
+from symsimpson.runtime.derivatives import Differentiating
 from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
-from symsimpson.runtime.stepping import Stepping
+from symsimpson.runtime.runs.variations import read_tangents
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["Stepper"]
 
 
-class Stepper(Stepping):
+class Stepper(Differentiating):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
     Parameters
@@ -103,6 +105,8 @@ class Stepper(Stepping):
         parameters: Parameters | None = None,
         inputs: Any = None,
         every: int | None = 1,
+        tangents: ArrayLike | None = None,
+        sensitivities: Any = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -132,6 +136,12 @@ class Stepper(Stepping):
             :meth:`node_times`; a number; or :func:`symsimpson.samples`.
         every : int or None
             Store each so-many-th state; None stores only the last.
+        tangents : int or array_like, shape (2 n, k), optional
+            Variations (dq, dp) of the initial state, which the run carries along exactly: columns,
+            or the first so many unit vectors. ``run.tangent`` has them.
+        sensitivities : name, symbol or sequence of them, optional
+            Parameters and inputs to differentiate by, at given q0, and given v0 or p0;
+            ``run.sensitivity`` has the result. Of an input it is the same change at all steps.
         checkpoint : path, optional
             A file that keeps the run, so that it can go on after whatever ends it, with the same
             bits: by the same call, or :func:`symsimpson.resume`. Stored states go to a file beside
@@ -172,8 +182,11 @@ class Stepper(Stepping):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs)
-        return integrate(self, spec, checkpoint, checkpoint_every, progress, on_failure)
+        stepper = self._differentiating(tangents, sensitivities, checkpoint)
+        spec = read_run(stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs)
+        if tangents is not None or sensitivities is not None:
+            spec = replace(spec, tangents=read_tangents(stepper, tangents))
+        return integrate(stepper, spec, checkpoint, checkpoint_every, progress, on_failure)
 
     def ensemble(
         self,

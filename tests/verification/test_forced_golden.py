@@ -4,57 +4,11 @@
 integral of dL/dt. Inputs are held over steps, or given at their nodes.
 """
 
-import json
-from pathlib import Path
-
 import mpmath as mp
 import numpy as np
 import pytest
-import sympy as sp
+from forced_cases import CONFORMAL, OTHERS, run_of, stepper_of
 from workspace import sweep
-
-import symsimpson as ss
-
-CASES = json.loads((Path(__file__).parents[1] / "data" / "golden_forced.json").read_text())["cases"]
-CONFORMAL = [case for case in CASES if case.get("conformal")]
-OTHERS = [case for case in CASES if not case.get("conformal")]
-
-
-def system_of(case):
-    q = ss.coordinates(" ".join(f"q{i}" for i in range(len(case["q0"]))))
-    names = {"t": ss.time}
-    for i, x in enumerate(q):
-        names |= {f"q{i}": x, f"v{i}": x.diff()}
-    values = {sp.Symbol(name, real=True): float(sp.Rational(value))
-              for name, value in case["parameters"].items()}  # fmt: skip
-    inputs = [sp.Symbol(name, real=True) for name in case.get("inputs", ())]
-    names |= {symbol.name: symbol for symbol in (*values, *inputs)}
-    L = sp.sympify(case["L"], locals=names)
-    forces = {x: sp.sympify(f, locals=names) for x, f in zip(q, case["f"], strict=True)}
-    if case.get("conformal"):  # exp(2 gam t) L is what damping by -2 gam L_v comes to
-        L = sp.sympify(case["L"], locals={**names, "t": sp.S.Zero})
-        forces = {x: -2 * names["gam"] * L.diff(x.diff()) for x in q}
-    return ss.MechanicalSystem.from_lagrangian("golden", L, q, values, forces=forces, inputs=inputs)
-
-
-def stepper_of(case, **options):
-    wanted = case["scheme"]
-    scheme = wanted["name"] or ss.galerkin(
-        wanted["quadrature"], nodes=wanted["nodes"], degree=wanted["degree"]
-    )
-    return ss.compile(system_of(case), scheme, **options)
-
-
-def run_of(case, stepper, number, **options):
-    """Integrate with numbers of one kind, inputs included."""
-    read = np.frompyfunc(number, 1, 1)
-    q, p = (read(case[name]) for name in ("q0", "p0"))
-    values = {name: number(value) for name, value in case["parameters"].items()}
-    inputs = read(case["u"]) if "inputs" in case else None
-    return stepper.integrate(
-        q, p0=p, h=number(case["h"]), t0=number(case["t0"]), steps=case["steps"],
-        parameters=values, inputs=inputs, **options,
-    )  # fmt: skip
 
 
 def last_state(case, stepper, number):

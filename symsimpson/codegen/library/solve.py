@@ -22,6 +22,7 @@ FOLLOWING: tuple[int, ...]
 SOLVE_COLUMNS: tuple[int, ...]
 RESIDUAL: int
 JACOBIAN: int
+EXCHANGE: int
 CORRECTION_SQUARED: int
 INCREMENT_SQUARED: int
 
@@ -140,3 +141,71 @@ def clear_following(W, lane):
             if FOLLOWING[s] != 0:
                 W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] = real(0)
                 W[INCREMENT + row * DIMENSION + s, lane] = real(0)
+
+
+@compiled
+def factor_pivoted(W, first, count, lower, upper, stride, lane):
+    """Factorise P A = L U in the place of A, with exchanges of rows; EXCHANGE tells which."""
+    for k in range(count):
+        last = min(count, k + lower + 1)
+        end = min(count, k + upper + 1)
+        row_k = first + k * stride
+        pivot = k
+        largest = abs(W[row_k + k, lane])
+        for i in range(k + 1, last):
+            here = abs(W[first + i * stride + k, lane])
+            if here > largest:
+                largest = here
+                pivot = i
+        W[EXCHANGE + k, lane] = pivot
+        if pivot != k:
+            row_pivot = first + pivot * stride
+            for j in range(k, end):
+                swap = W[row_k + j, lane]
+                W[row_k + j, lane] = W[row_pivot + j, lane]
+                W[row_pivot + j, lane] = swap
+        inverse = 1 / W[row_k + k, lane]
+        for i in range(k + 1, last):
+            row_i = first + i * stride
+            factor = W[row_i + k, lane] * inverse
+            W[row_i + k, lane] = factor
+            for j in range(k + 1, end):
+                W[row_i + j, lane] -= factor * W[row_k + j, lane]
+
+
+@compiled
+def solve_factored(W, first, right, count, lower, upper, stride, lane):
+    """Solve A x = b with these factors; x takes the place of b."""
+    for k in range(count):
+        pivot = int(W[EXCHANGE + k, lane])
+        x = W[right + pivot, lane]
+        W[right + pivot, lane] = W[right + k, lane]
+        W[right + k, lane] = x
+        for i in range(k + 1, min(count, k + lower + 1)):
+            W[right + i, lane] -= W[first + i * stride + k, lane] * x
+    for back in range(count):
+        k = count - 1 - back
+        row_k = first + k * stride
+        x = W[right + k, lane]
+        for j in range(k + 1, min(count, k + upper + 1)):
+            x -= W[row_k + j, lane] * W[right + j, lane]
+        W[right + k, lane] = x / W[row_k + k, lane]
+
+
+@compiled
+def solve_transposed(W, first, right, count, lower, upper, stride, lane):
+    """Solve A^T x = b with these factors; x takes the place of b."""
+    for k in range(count):
+        row_k = first + k * stride
+        x = W[right + k, lane] / W[row_k + k, lane]
+        W[right + k, lane] = x
+        for j in range(k + 1, min(count, k + upper + 1)):
+            W[right + j, lane] -= W[row_k + j, lane] * x
+    for back in range(count):
+        k = count - 1 - back
+        x = W[right + k, lane]
+        for i in range(k + 1, min(count, k + lower + 1)):
+            x -= W[first + i * stride + k, lane] * W[right + i, lane]
+        pivot = int(W[EXCHANGE + k, lane])
+        W[right + k, lane] = W[right + pivot, lane]
+        W[right + pivot, lane] = x

@@ -10,11 +10,13 @@ from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
     COUNT,
+    DIFFERENTIATE,
     DIMENSION,
     ENERGY,
     MOMENTUM,
     NOT_FINITE,
     POSITION,
+    PREVIOUS,
     START,
     STATUS,
     STEPS_A_CALL,
@@ -40,7 +42,7 @@ from symsimpson.runtime.driver.steps import (
 SIGNATURES |= {
     "take_explicit_steps": types.void(
         SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1], types.int64,
-        types.int64, STATES, STATES, COUNTS, INPUTS,
+        types.int64, STATES, STATES, STATES, COUNTS, INPUTS,
     ),
     "evaluate": types.void(
         types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS,
@@ -67,7 +69,8 @@ def finite(W, first, last, lane):
 
 @njit(**DRIVER_OPTIONS)
 def take_explicit_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out, inputs
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, tangents_out, iterations_out,
+    inputs,
 ):  # fmt: skip
     """Take steps that need no iteration, all up to the next state to store in one call.
 
@@ -80,9 +83,10 @@ def take_explicit_steps(
     kept = np.empty((4 * n, lanes))
     step, before = progress[0], progress[2]
     single = 0
+    varied = kernels[DIFFERENTIATE] != 0 and tangents_out.shape[1] > 0
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
-        count = 1 if single > 0 else min(count, AT_ONCE, at[STEPS_A_CALL])
+        count = 1 if single > 0 or varied else min(count, AT_ONCE, at[STEPS_A_CALL])
         alive = 0
         for lane in range(lanes):
             keep(W, position, state_end, lane, kept)
@@ -111,10 +115,16 @@ def take_explicit_steps(
                 continue
             if alive == 0:
                 break
+        if varied:
+            for lane in range(lanes):
+                for row in range(4 * n):
+                    W[at[PREVIOUS] + row, lane] = kept[row, lane]
+                W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            call(kernels[DIFFERENTIATE], h, t0 + h * (before + step), W)
         step += count
         single -= 1
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, iterations_out)
+            store(W, at, step // every, q_out, p_out, tangents_out, iterations_out)
     progress[0] = step
 
 

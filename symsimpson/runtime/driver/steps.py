@@ -16,6 +16,7 @@ from symsimpson.interface import (
     ADVANCE,
     CONTRACTION,
     COUNT,
+    DIFFERENTIATE,
     DIMENSION,
     ENERGY,
     IN_DOUBT,
@@ -40,6 +41,7 @@ from symsimpson.interface import (
     STATE_END,
     STATUS,
     STEP_TOO_LARGE,
+    TANGENT,
 )
 
 #: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
@@ -72,7 +74,7 @@ SIGNATURES = {
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "take_steps": types.void(
         SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1],
-        types.int64, types.int64, STATES, STATES, COUNTS, INPUTS,
+        types.int64, types.int64, STATES, STATES, STATES, COUNTS, INPUTS,
     ),
 }  # fmt: skip
 
@@ -193,13 +195,18 @@ def switch(kernels, h, t, W, at):
 
 
 @njit(**INLINE)
-def store(W, at, place, q_out, p_out, iterations_out):
-    """Store the states of lanes that go on, and their iterations since the states before."""
+def store(W, at, place, q_out, p_out, tangents_out, iterations_out):
+    """Store the states of lanes that go on, and their iterations since the states before.
+
+    Variations of the state are stored where there is room for them.
+    """
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
             for a in range(at[DIMENSION]):
                 q_out[place, a, lane] = W[at[POSITION] + a, lane]
                 p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
+            for k in range(tangents_out.shape[1] if tangents_out.shape[0] > place else 0):
+                tangents_out[place, k, lane] = W[at[TANGENT] + k, lane]
             iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
             W[at[ITERATIONS], lane] = 0.0
 
@@ -222,14 +229,16 @@ def watch(kernels, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def take_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, iterations_out, inputs,
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, tangents_out, iterations_out,
+    inputs,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left.
 
     ``progress`` is (step, event, before), the last the steps that were taken before all of these.
 
     ``inputs`` are those of all steps. States are stored after each ``every`` steps, none for
-    ``every = 0``. A lane with a status other than 0 is not touched. At an event the step is not
+    ``every = 0``; variations are carried along where there is room to store them. A
+    lane with a status other than 0 is not touched. At an event the step is not
     finished: ``recover`` does that, and ``take_steps`` goes on.
     """
     lanes = LANES
@@ -237,6 +246,7 @@ def take_steps(
     step, recovered, before = progress[0], progress[1] != 0, progress[2]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
+    varied = kernels[DIFFERENTIATE] != 0 and tangents_out.shape[1] > 0
     if watched and not recovered:
         call(kernels[MEASURE], h, t0 + h * (before + step), W)
     while step < stop:
@@ -268,7 +278,11 @@ def take_steps(
             if W[status, 0] != 0.0:
                 break
         recovered = False
+        if varied:
+            for lane in range(lanes):
+                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            call(kernels[DIFFERENTIATE], h, t0 + h * (before + step), W)
         step += 1
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, iterations_out)
+            store(W, at, step // every, q_out, p_out, tangents_out, iterations_out)
     progress[0] = step

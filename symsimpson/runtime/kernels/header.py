@@ -59,6 +59,7 @@ class Header:
     conformal: bool
     constraints: tuple[str, ...]
     held_places: tuple[int, ...]
+    varied_by: tuple[str, ...] | None
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -92,6 +93,10 @@ class Header:
         """Whether Newton's method is written out, without loops and pivots."""
         return PIVOTED in self.functions
 
+    def room_for_tangents(self, count: int) -> int:
+        """Return how many rows of the workspace so many variations of the state need."""
+        return count * (3 * self.n + self.layout["UNKNOWNS"])
+
     @cached_property
     def told(self) -> NDArray[np.int64]:
         """What the driver must know of the layout, in its order."""
@@ -101,7 +106,7 @@ class Header:
             "ROWS": self.rows,
             "STEPS_A_CALL": 1 << 62 if self.autonomous and not self.inputs else 1,
         }  # fmt: skip
-        none = {"INPUT": 0, "INPUT_STRIDE": 0}
+        none = {"INPUT": 0, "INPUT_STRIDE": 0, "TANGENT": self.rows}
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
 
 
@@ -205,6 +210,7 @@ def read_header(text: str, where: str) -> Header:
         "CONFORMAL": False,
         "HELD_BY": (),
         "HELD_PLACE": (),
+        "VARIED_BY": None,
         **constants,
     }
     names = {
@@ -217,6 +223,7 @@ def read_header(text: str, where: str) -> Header:
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
         "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
         "constraints": "HELD_BY", "held_places": "HELD_PLACE",
+        "varied_by": "VARIED_BY",
     }  # fmt: skip
     blocks = {
         name: value

@@ -65,7 +65,9 @@ class KernelSets(ABC):
         kernels = self.compiled(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
-        return self.joined(mode, [*kernels, measure])
+        after = "tangent" in self.header.functions
+        differentiate = self.address("tangent", any_angle=robust) if after else 0
+        return self.joined(mode, [*kernels, measure, differentiate])
 
     @property
     @abstractmethod

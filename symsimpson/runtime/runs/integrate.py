@@ -31,6 +31,7 @@ from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.variations import begin_variations
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -193,9 +194,17 @@ def new_run(
     InputError
         If they do not fit into memory.
     """
+    numbers, varied = stepper._module.numbers, len(stepper._module.header.varied_by or ())
+    given: dict[str, Any] = {}
+    if spec.tangents is not None:  # nodes as lanes do not leave what a step is differentiated by
+        own = [spec.tangents, numbers.zeros((2 * stepper.n, varied))]
+        given = {
+            "tangents": np.concatenate(own, axis=1),
+            "fallbacks": [s for s in stepper._module.kernels.fallbacks if s != "stages"],
+        }
     try:
         return Run(stepper._module, spec.parameters, spec.h, spec.t0,
-            stride, stored, inputs=spec.inputs if inputs is None else inputs,
+            stride, stored, inputs=spec.inputs if inputs is None else inputs, **given,
         )  # fmt: skip
     except (MemoryError, ValueError):
         raise InputError(
@@ -215,6 +224,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     """
     numbers, q = stepper._module.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities)
+    begin_variations(stepper, run, velocity=spec.velocities)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
     if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True)
@@ -257,6 +267,7 @@ def trajectory_of(
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
         q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
         iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
+    tangents = tangents_of(stepper, run, spec, len(t) if every else 0)
     message = status.message
     if status is not Status.SUCCESS:
         time, h = float(run.t0 + run.h * done), float(run.h)
@@ -272,8 +283,22 @@ def trajectory_of(
         t=t, q=q, p=p, newton_iterations=iterations, h=stepper._module.numbers.single(run.h),
         steps=done,
         every=every or None, status=status, message=message,
-        _stepper=stepper, _values=values, _inputs=result(spec.inputs),
+        _stepper=stepper, _values=values, _inputs=result(spec.inputs), _tangents=tangents,
     )  # fmt: skip
+
+
+def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Reals | None:
+    """Return the variations at so many stored states, or at the last one for 0; None for none.
+
+    They have shape (N, 2 n, k), those of parameters behind the others.
+    """
+    if spec.tangents is None:
+        return None
+    rows = run.tangents[:stored, :, 0]
+    if not stored:
+        rows = run.rows("TANGENT", run.tangents.shape[1])[None].copy()
+    found: Reals = stepper._module.numbers.result(rows)
+    return found.reshape(len(rows), -1, 2 * stepper.n).swapaxes(1, 2)
 
 
 def raise_failure(run: Run, ended: Trajectory, result: Trajectory | Events) -> None:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Run", "workspace"]
 
+#: No variations of the state are carried along.
+NO_TANGENTS = np.zeros((0, 0))
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: After a step that only slower and more robust kernels could take, so many more are taken with
@@ -52,16 +54,24 @@ class Run:
         stored: int,
         fallbacks: Sequence[str] | None = None,
         inputs: NDArray[Any] = NO_INPUTS,
+        tangents: NDArray[Any] = NO_TANGENTS,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._inputs = inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
-        self.W = workspace(header, numbers, parameters)
+        count = tangents.shape[1]
+        self.W = workspace(header, numbers, parameters, header.room_for_tangents(count))
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]
         self.q, self.p = numbers.zeros((2, stored, n, 1))
+        #: Variations of the state, one behind the other; stored like it.
+        self.tangents = numbers.zeros((stored, 2 * n * count, 1))
+        if count:
+            self.rows("TANGENTS", 1)[:] = count
+            self.rows("TANGENT", 2 * n * count)[:] = tangents.T.ravel()
+            self.tangents[0, :, 0] = tangents.T.ravel()
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
@@ -200,14 +210,14 @@ class Run:
         if self.header.newton_unknowns == 0:
             self._driver("take_explicit_steps")(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
-                self.iterations, self._inputs,
+                self.tangents, self.iterations, self._inputs,
             )  # fmt: skip
             return
         take_steps = self._driver("take_steps")
         while True:
             take_steps(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every,
-                self.q, self.p, self.iterations, self._inputs,
+                self.q, self.p, self.tangents, self.iterations, self._inputs,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -39,6 +39,8 @@ class RunSpec:
         Each so-many-th state is stored; 0 for the last one alone.
     inputs : ndarray, shape (K, N, s, u)
         By member, step, node and input; an axis of one entry stands for all.
+    tangents : ndarray, shape (2 n, k), or None
+        Variations of the initial state; those of parameters begin by themselves.
     """
 
     q0: Reals
@@ -50,6 +52,7 @@ class RunSpec:
     steps: int
     every: int
     inputs: Reals
+    tangents: Reals | None = field(default=None, kw_only=True)
 
     @property
     def velocities(self) -> bool:

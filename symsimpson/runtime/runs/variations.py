@@ -1,0 +1,127 @@
+"""Variations of a state: what a run is asked to differentiate, and how they begin."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.inputs import read_array, whole_number
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.runs.run import Run
+
+__all__ = ["begin_variations", "read_tangents", "read_varied", "varied_stepper"]
+
+Reals = NDArray[Any]
+
+
+def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
+    """Read names of parameters and inputs, or their symbols; as the module names them.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter or input, or one is named twice.
+    """
+    given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
+    found: list[str] = []
+    for name in given:
+        key = str(name)
+        if key in stepper._aliases:
+            found.append(stepper.parameters[stepper._aliases[key]])
+        elif key in stepper._input_names:
+            found.append(stepper.inputs[stepper._input_names[key]])
+        else:
+            known = ", ".join((*stepper.parameters, *stepper.inputs))
+            raise InputError(
+                f"{key!r} is no parameter or input of {stepper.system}.\nIt has {known or 'none'}."
+            )
+    if len(set(found)) < len(found):
+        raise InputError(
+            f"sensitivities names one of {', '.join(found)} twice.\nName each parameter once."
+        )
+    return tuple(found)
+
+
+def varied_stepper(stepper: Evaluator, names: tuple[str, ...]) -> Evaluator:
+    """Return a stepper whose module differentiates its steps by these parameters and inputs.
+
+    Raises
+    ------
+    InputError
+        If the module was loaded from a file that does not.
+    """
+    own = stepper._module.header.varied_by
+    if own == names:
+        return stepper
+    if names not in stepper._variants:
+        if stepper._differentiate is None:
+            known = "" if own is None else f" but by {', '.join(own) or 'the state alone'}"
+            raise InputError(
+                f"this module of {stepper.system} does not differentiate its steps by "
+                f"{', '.join(names) or 'the state'}{known}.\nMake a stepper with "
+                "symsimpson.compile, or a module with symsimpson.generate(..., "
+                f"derivatives={names!r})."
+            )
+        stepper._variants[names] = stepper._differentiate(names)
+    return stepper._variants[names]
+
+
+def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
+    """Read variations of the initial state: so many unit vectors, or columns (dq, dp).
+
+    Raises
+    ------
+    InputError
+        If there are too many, or the shape is another.
+    """
+    numbers, size = stepper._module.numbers, 2 * stepper.n
+    if tangents is None:
+        return numbers.zeros((size, 0))
+    count = whole_number(tangents)
+    if count is not None:
+        if not 0 <= count <= size:
+            raise InputError(
+                f"tangents={tangents!r}, but {stepper.system} has a state of {size} numbers.\n"
+                f"Pass tangents={size} for the whole derivative, or an array of shape ({size}, k)."
+            )
+        return numbers.read(np.eye(size)[:, :count])
+    columns = read_array("tangents", tangents, numbers)
+    columns = columns[:, None] if columns.ndim == 1 else columns
+    if columns.ndim != 2 or columns.shape[0] != size or not numbers.all_finite(columns):
+        raise InputError(
+            f"tangents has shape {columns.shape}, or is not finite; expected ({size}, k): a column "
+            f"of {stepper.n} numbers dq and {stepper.n} numbers dp for each variation.\n"
+            "Pass tangents=k for the first k unit vectors."
+        )
+    return columns
+
+
+def begin_variations(stepper: Evaluator, run: Run, *, velocity: bool) -> None:
+    """Let variations of parameters begin: q0 stays, and p0 or, where that was given, v0.
+
+    Then p0 = L_v(q0, v0) changes with the parameters.
+    """
+    from symsimpson.runtime.evaluator import evaluate
+
+    varied, n = len(stepper._module.header.varied_by or ()), stepper.n
+    count = run.tangents.shape[1] // (2 * n)
+    if not (velocity and varied and count):
+        return
+    numbers = stepper._module.numbers
+    q, p = (run.rows(block, n).copy() for block in ("POSITION", "MOMENTUM"))
+    values = run.rows("PARAMETER", len(stepper.parameters)).copy()
+    slopes = evaluate(
+        stepper, "momentum_slopes", "NODE_P_A", varied * n, numbers.read([run.t0]), q[None],
+        p[None], values, before="energy",
+    )  # fmt: skip
+    order = list(stepper._module.header.coordinate_order)
+    columns = run.rows("TANGENT", 2 * n * count).reshape(count, 2, n)
+    for j in range(varied):
+        columns[count - varied + j, 1, order] = slopes[0, j * n : (j + 1) * n]
+    run.tangents[0, :, 0] = columns.ravel()

@@ -1,0 +1,116 @@
+"""Derivatives of steps and runs: what they are, and what is said where there are none."""
+
+import numpy as np
+import pytest
+from workspace import sweep
+
+import symsimpson as ss
+
+H = 0.01
+
+
+def symplectic_defect(D):
+    n = len(D) // 2
+    J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    return np.abs(D.T @ J @ D - J).max() / np.abs(D).max() ** 2
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return ss.compile(ss.systems.pendulum())
+
+
+def started(system):
+    state = dict(system.reference_state)
+    return state.pop("q0"), state
+
+
+@pytest.mark.parametrize(
+    "name", sweep(["heavy_top", "harmonic_oscillator", "henon_heiles", "lagrange_top",
+                   "fermi_pasta_ulam", "kepler", "cart_pole", "damped_oscillator"], 2),
+)  # fmt: skip
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss6", "midpoint"], 1))
+def test_reduced_paths_have_the_derivatives_of_the_general_one(name, scheme):
+    system = getattr(ss.systems, name)()
+    found = []
+    for exploit in ("all", ()):
+        stepper = ss.compile(system, scheme, exploit=exploit)
+        q0, given = started(system)
+        run = stepper.integrate(
+            q0, **given, h=H, steps=20, tangents=2 * stepper.n,
+            sensitivities=stepper.parameters[0],
+        )  # fmt: skip
+        found.append(np.concatenate(
+            [run.tangent[-1], run.sensitivity[stepper.parameters[0]][-1][:, None]], axis=1
+        ))  # fmt: skip
+        if not stepper._module.header.forces:
+            assert symplectic_defect(run.tangent[-1]) < 1e-13
+    assert np.abs(found[0] - found[1]).max() < 1e-12 * np.abs(found[1]).max()
+
+
+def test_carrying_derivatives_along_does_not_change_a_run(pendulum):
+    plain = pendulum.integrate([1.0], v0=[0.5], h=H, steps=100)
+    varied = pendulum.integrate([1.0], v0=[0.5], h=H, steps=100, tangents=2, sensitivities=("g",))
+    assert np.array_equal(plain.q, varied.q)
+    assert np.array_equal(plain.p, varied.p)
+
+
+def test_derivatives_are_those_of_the_stored_states(pendulum):
+    whole = pendulum.integrate([1.0], v0=[0.5], h=H, steps=40, tangents=2, sensitivities="l")
+    some = pendulum.integrate(
+        [1.0], v0=[0.5], h=H, steps=40, tangents=2, sensitivities="l", every=8
+    )
+    last = pendulum.integrate([1.0], v0=[0.5], h=H, steps=40, tangents=[0, 1], every=None)
+    assert np.array_equal(whole.tangent[::8], some.tangent)
+    assert np.array_equal(whole.sensitivity["l"][::8], some.sensitivity["l"])
+    assert np.allclose(whole.tangent[-1][:, 1], last.tangent[0, :, 0], rtol=1e-15)
+
+
+def test_velocities_that_are_given_stay_when_a_parameter_changes(pendulum):
+    """p0 = m l^2 v0 changes with l then; a difference sees it."""
+    run = pendulum.integrate([1.0], v0=[0.5], h=H, steps=50, sensitivities="l")
+    values = dict(zip(pendulum.parameters, pendulum._defaults, strict=True))
+    ends = [
+        pendulum.integrate([1.0], v0=[0.5], h=H, steps=50, parameters={"l": values["l"] + e}).y[:, -1]
+        for e in (1e-5, -1e-5)
+    ]  # fmt: skip
+    assert np.abs((ends[0] - ends[1]) / 2e-5 - run.sensitivity["l"][-1]).max() < 1e-8
+
+
+def test_a_step_with_its_derivative(pendulum):
+    q1, p1, D = pendulum.tangent([1.0], p=[0.2], h=H, wrt=("q", "l", "p"))
+    assert np.array_equal([q1, p1], pendulum.step([1.0], p=[0.2], h=H))
+    assert D.shape == (2, 3)
+    assert abs(np.linalg.det(D[:, [0, 2]]) - 1) < 1e-15
+
+
+def test_what_cannot_be_differentiated_is_refused(pendulum, tmp_path):
+    with pytest.raises(ss.InputError, match="no parameter or input"):
+        pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, sensitivities="x")
+    with pytest.raises(ss.InputError, match="a state of 2 numbers"):
+        pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=3)
+    with pytest.raises(ss.InputError, match="expected \\(2, k\\)"):
+        pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=np.eye(3))
+    with pytest.raises(ss.InputError, match="a checkpoint keeps states alone"):
+        pendulum.integrate([1.0], v0=[0.0], h=H, steps=1, tangents=1, checkpoint=tmp_path / "c")
+    with pytest.raises(ss.InputError, match="carried no derivatives"):
+        _ = pendulum.integrate([1.0], v0=[0.0], h=H, steps=1).tangent
+    explicit = ss.compile(ss.systems.henon_heiles(), "blanes_moan4")
+    with pytest.raises(ss.SchemeError, match="kicks and drifts"):
+        explicit.tangent([0.1, 0.1], p=[0.0, 0.0], h=H)
+    held = ss.compile(ss.systems.cartesian_pendulum())
+    with pytest.raises(ss.SchemeError, match="constraints"):
+        held.integrate([0.0, -1.0], v0=[0.0, 0.0], h=H, steps=1, tangents=1)
+
+
+def test_a_module_from_a_file_differentiates_if_it_was_made_to(tmp_path):
+    system = ss.systems.pendulum()
+    plain = ss.load(ss.generate(system, "midpoint", tmp_path / "plain"))
+    with pytest.raises(ss.InputError, match="does not differentiate"):
+        plain.tangent([1.0], p=[0.0], h=H)
+    varied = ss.load(ss.generate(system, "midpoint", tmp_path / "varied", derivatives=("l",)))
+    D = varied.tangent([1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2]
+    assert np.array_equal(D, ss.compile(system, "midpoint").tangent(
+        [1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2])  # fmt: skip
+    with pytest.raises(ss.GenerationError, match="no parameter or input"):
+        ss.generate(system, "midpoint", tmp_path, derivatives=("x",))
