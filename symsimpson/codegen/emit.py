@@ -162,9 +162,7 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
     facts |= {"CONFORMAL": True} if plain.rate is not None else {}
     facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
     if equations.varied is not None:
-        own = dict(zip((*plain.parameters, *plain.u), (*names.parameters, *names.inputs),
-                       strict=True))  # fmt: skip
-        facts |= {"VARIED_BY": tuple(own[symbol] for symbol in equations.varied)}
+        facts |= {"VARIED_BY": names.of(plain, equations.varied)}
     facts |= {"HELD_BY": names.constraints} if names.constraints else {}
     if names.inputs:  # texts, so that many digits are not lost
         places = (sp.N(c, 50) for c in scheme.quadrature.nodes)

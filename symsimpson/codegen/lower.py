@@ -110,10 +110,7 @@ class Lowering:
     @property
     def varied(self) -> tuple[str, ...]:
         """Names of the parameters and inputs that derivatives of a step are taken by."""
-        plain = self.equations.plain
-        own = dict(zip((*plain.parameters, *plain.u),
-                       (*self.names.parameters, *self.names.inputs), strict=True))  # fmt: skip
-        return tuple(own[symbol] for symbol in self.equations.varied or ())
+        return self.names.of(self.equations.plain, self.equations.varied or ())
 
     @cached_property
     def slopes(self) -> JetTemplate:

@@ -13,6 +13,7 @@ import sympy as sp
 
 from symsimpson.codegen.library import library_sources
 from symsimpson.interface import BLOCKS, KERNELS
+from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["NameTable"]
@@ -202,6 +203,12 @@ class NameTable:
         self.invariants = _shown(system.plain.invariants, "invariant")
         self.forces = _shown(system.plain.forces, "force")
         self.constraints = _shown(system.plain.constraints, "constraint")
+
+    def of(self, plain: Plain, symbols: Iterable[sp.Symbol]) -> tuple[str, ...]:
+        """Return the names of plain symbols of parameters and inputs."""
+        names = (*self.parameters, *self.inputs)
+        own = dict(zip((*plain.parameters, *plain.u), names, strict=True))
+        return tuple(own[symbol] for symbol in symbols)
 
     def _user(self, name: str, substitute: str) -> str:
         plain = _written_out(name)

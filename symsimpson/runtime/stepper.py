@@ -48,6 +48,8 @@ class Stepper(Differentiating):
         What generating it took.
     tools : Tools, optional
         What certifies it, and checks steps.
+    differentiate : callable, optional
+        Makes a stepper that differentiates its steps by parameters and inputs of these names.
 
     Attributes
     ----------
