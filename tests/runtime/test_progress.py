@@ -7,7 +7,7 @@ import pytest
 
 import symsimpson as ss
 from symsimpson import api, progress
-from symsimpson.codegen.pipeline import source
+from symsimpson.codegen.pipeline import derive
 from symsimpson.mechanics import system as system_module
 from symsimpson.runtime.kernels import cache
 
@@ -115,7 +115,7 @@ def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
 
 
 def test_compile_takes_progress(told, monkeypatch):
-    monkeypatch.setattr(api, "source", lambda *given: time.sleep(0.2) or source(*given))
+    monkeypatch.setattr(api, "derive", lambda *given: time.sleep(0.2) or derive(*given))
     system = ss.systems.pendulum()
     ss.compile(system, "gauss6", progress=False)
     assert told == []
