@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
-from symsimpson.runtime.runs.variations import read_tangents, read_varied, varied_stepper
+from symsimpson.runtime.runs.variations import read_varied, varied_stepper
 from symsimpson.runtime.stepping import Stepping, of_a_step
 
 if TYPE_CHECKING:
@@ -77,10 +76,9 @@ class Differentiating(Stepping):
         own = [name for name in given if name not in ("q", "p")]
         stepper = varied_stepper(self, read_varied(self, own))
         spec = read_run(
-            stepper, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(stepper, inputs)
+            stepper, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(stepper, inputs), 2 * n
         )  # fmt: skip
-        whole = read_tangents(stepper, 2 * n)
-        end = integrate(stepper, replace(spec, tangents=whole), None, None, None, "raise")
+        end = integrate(stepper, spec, None, None, None, "raise")
         assert end._tangents is not None
         D = end._tangents[0]
         places = {"q": range(n), "p": range(n, 2 * n)}

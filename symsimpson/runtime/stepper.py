@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
@@ -17,7 +16,6 @@ from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
-from symsimpson.runtime.runs.variations import read_tangents
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
@@ -185,9 +183,10 @@ class Stepper(Differentiating):
         ((201, 1), True)
         """
         stepper = self._differentiating(tangents, sensitivities, checkpoint)
-        spec = read_run(stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs)
-        if tangents is not None or sensitivities is not None:
-            spec = replace(spec, tangents=read_tangents(stepper, tangents))
+        carried = 0 if tangents is None and sensitivities is not None else tangents
+        spec = read_run(
+            stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs, carried
+        )  # fmt: skip
         return integrate(stepper, spec, checkpoint, checkpoint_every, progress, on_failure)
 
     def ensemble(

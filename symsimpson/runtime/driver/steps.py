@@ -205,7 +205,7 @@ def store(W, at, place, q_out, p_out, tangents_out, iterations_out):
             for a in range(at[DIMENSION]):
                 q_out[place, a, lane] = W[at[POSITION] + a, lane]
                 p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
-            for k in range(tangents_out.shape[1] if tangents_out.shape[0] > place else 0):
+            for k in range(tangents_out.shape[1]):
                 tangents_out[place, k, lane] = W[at[TANGENT] + k, lane]
             iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
             W[at[ITERATIONS], lane] = 0.0

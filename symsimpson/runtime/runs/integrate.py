@@ -224,7 +224,6 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     """
     numbers, q = stepper._module.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities)
-    begin_variations(stepper, run, velocity=spec.velocities)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
     if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True)
@@ -234,6 +233,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+    begin_variations(stepper, run, velocity=spec.velocities)
 
 
 def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.runtime.inputs import read_every, read_given, read_steps, read_vector
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.variations import read_tangents
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -83,6 +84,7 @@ def read_run(
     parameters: Mapping[Any, Any] | None,
     every: int | None,
     inputs: Any = None,
+    tangents: Any = None,
 ) -> RunSpec:
     """Read what a single run is asked for.
 
@@ -96,6 +98,7 @@ def read_run(
     parameters : mapping or None
     every : int or None
     inputs : mapping, array_like or None
+    tangents : int, array_like or None
 
     Raises
     ------
@@ -116,4 +119,5 @@ def read_run(
         return RunSpec(
             q, second, given, values, h, t0, steps, stride,
             read_driving(stepper, inputs, h, steps),
+            tangents=None if tangents is None else read_tangents(stepper, tangents),
         )  # fmt: skip

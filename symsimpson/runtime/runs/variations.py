@@ -43,7 +43,7 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
             )
     if len(set(found)) < len(found):
         raise InputError(
-            f"sensitivities names one of {', '.join(found)} twice.\nName each parameter once."
+            f"one of {', '.join(found)} is named twice.\nName each parameter or input once."
         )
     return tuple(found)
 
@@ -81,8 +81,6 @@ def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
         If there are too many, or the shape is another.
     """
     numbers, size = stepper._module.numbers, 2 * stepper.n
-    if tangents is None:
-        return numbers.zeros((size, 0))
     count = whole_number(tangents)
     if count is not None:
         if not 0 <= count <= size:
