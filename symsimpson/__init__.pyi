@@ -41,6 +41,8 @@ from .plotting.animate import Animation as Animation
 from .runtime.ensembles.ensemble import Ensemble as Ensemble
 from .runtime.results.archive import open_trajectory as open_trajectory
 from .runtime.results.events import Events as Events
+from .runtime.results.gradient import Gradient as Gradient
+from .runtime.results.gradient import hessian_product as hessian_product
 from .runtime.results.interpolate import DenseOutput as DenseOutput
 from .runtime.results.states import States as States
 from .runtime.results.status import Status as Status

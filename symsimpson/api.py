@@ -113,11 +113,14 @@ def compile(
 
 def _compiled(
     system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str], numbers: Numbers,
-    progress: bool | None, varied: tuple[str, ...] | None,
+    progress: bool | None, varied: tuple[str, ...] | None, running: Any = None,
 ) -> Stepper:  # fmt: skip
-    """Make a stepper; its steps are differentiated if it is said by what, beside q and p."""
+    """Make a stepper; its steps are differentiated if it is said by what, beside q and p.
+
+    Then it can integrate a ``running`` cost, too.
+    """
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
-        derivation = derive(system, scheme, exploit, varied)
+        derivation = derive(system, scheme, exploit, varied, running)
     return Stepper(
         derivation.text,
         f"{system.name}__{scheme.name}",

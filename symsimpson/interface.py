@@ -92,8 +92,14 @@ BLOCKS = {
     "NODE_F_A": "derivatives of F by the parameters that are varied, at a node",
     "NODE_P_A": "those of P",
     "EXCHANGE": "which rows elimination has exchanged",
+    "ADJOINT": "derivatives of a cost by q and p",
+    "ADJOINT_RIGHT": "right side of the equations of a step for them, or their solution",
+    "ADJOINT_START": "derivative of a cost by q at the start of a step, through forces and momenta",
+    "COST": "integral of a running cost, and what rounding has taken from it",
+    "COST_SLOPE": "derivatives of a cost by the parameters that are varied, through each node",
+    "NODE_COST": "a running cost at a node, its derivatives by q, by v and by these parameters",
     "TANGENTS": "number of variations of the state that are carried along",
-    "TANGENT": "these variations; they stand last, as many as a run has room for",
+    "TANGENT": "these variations, or what else is kept behind each step; as long as a run asks for",
 }
 
 #: Blocks of systems that need them: with forces, t, inputs, damped momenta, constraints, stages.
@@ -101,7 +107,8 @@ OPTIONAL = (
     "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
     "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
     "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
-    "NODE_P_A", "EXCHANGE", "TANGENTS", "TANGENT",
+    "NODE_P_A", "EXCHANGE", "ADJOINT", "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_SLOPE",
+    "NODE_COST", "TANGENTS", "TANGENT",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -143,9 +150,9 @@ ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
 EXPLICIT, NEWTON, STAGES, NEWTON_AFTER_STAGES = range(4)
 
 #: A set of kernels as the driver takes it: the mode, then addresses, 0 where there is none.
-MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE, DIFFERENTIATE = range(7)
+MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE, BEHIND = range(7)
 
-#: The kernels of each set by name, in that order; that which differentiates a step may follow.
+#: The kernels of each set by name, in that order; one to be called behind each step may follow.
 KERNEL_SETS = {
     EXPLICIT: ("prepare", "start", "", "advance", ""),
     NEWTON: ("prepare", "start", "newton", "advance", ""),
@@ -158,5 +165,6 @@ PIVOTED = "newton_pivoted"
 KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
-    "multipliers", "tangent", "momentum_slopes",
+    "multipliers", "tangent", "momentum_slopes", "adjoint", "start_adjoint", "record",
+    "node_states",
 )  # fmt: skip

@@ -40,11 +40,17 @@ def stepper_of(case, **options):
 
 def run_of(case, stepper, number, **options):
     """Integrate with numbers of one kind, inputs included."""
+    start, given = given_to(case, number)
+    return stepper.integrate(start, **given, **options)
+
+
+def given_to(case, number):
+    """Return q0 and what else a run of a case is given, as numbers of one kind."""
     read = np.frompyfunc(number, 1, 1)
     q, p = (read(case[name]) for name in ("q0", "p0"))
     values = {name: number(value) for name, value in case["parameters"].items()}
     inputs = read(case["u"]) if "inputs" in case else None
-    return stepper.integrate(
-        q, p0=p, h=number(case["h"]), t0=number(case["t0"]), steps=case["steps"],
-        parameters=values, inputs=inputs, **options,
-    )  # fmt: skip
+    return q, {
+        "p0": p, "h": number(case["h"]), "t0": number(case["t0"]), "steps": case["steps"],
+        "parameters": values, "inputs": inputs,
+    }  # fmt: skip

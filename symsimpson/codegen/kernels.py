@@ -12,6 +12,7 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
+from symsimpson.codegen.differentials import sizes as differential_sizes
 from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout, node_stride
@@ -25,7 +26,7 @@ from symsimpson.codegen.looped import (
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
-from symsimpson.codegen.tangents import differentiate, tangent_sizes
+from symsimpson.codegen.tangents import differentiating
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import (
     family_functions,
@@ -147,7 +148,6 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
-    differentiate(low, loops, range(low.n), functions, kernels, tables, following=follow)
     return _module(low, storage, held, functions, kernels, tables, unknowns, constant_mass=False)
 
 
@@ -199,7 +199,6 @@ def _looped(equations: DiscreteEquations) -> Module:
         if part.columns and equations.plain.powers:
             functions.append(power_function(low))
             kernels.append(loops.work(following=False))
-        differentiate(low, loops, places, functions, kernels, tables, following=False)
         blocks = len(part.columns)
         own_tables |= {
             **equation_constants(storage, degree, held),
@@ -241,7 +240,15 @@ def _module(
     *,
     constant_mass: bool,
 ) -> Module:
-    """Add what is computed once a run, when it is known what that is; lay out the workspace."""
+    """Add what is computed once a run, when it is known what that is; lay out the workspace.
+
+    Derivatives of a step are taken of all that it is made of.
+    """
+    more, own_kernels, own_tables = differentiating(
+        low, _loops(low, storage, held), sorted(range(low.n), key=storage.order.__getitem__),
+        following="FOLLOWING" in tables,
+    )  # fmt: skip
+    functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
@@ -281,9 +288,9 @@ def _module(
         "INPUT": inputs * node_stride(low.equations.scheme),
         "NODE_INPUT": inputs,
         "GROWTH": scheme.stages + 1 if damped else 0,
-        **tangent_sizes(low),
         **(held.sizes(scheme.degree, drifting=_drifting(low.equations)) if held else {}),
         **stage_sizes,
+        **differential_sizes(low),
     }
     unknown = low.equations.unknowns
     sizes["JACOBIAN"] = storage.size(unknown.control_points)

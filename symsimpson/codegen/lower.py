@@ -17,7 +17,7 @@ from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
-from symsimpson.discrete.slopes import derive_slopes
+from symsimpson.discrete.slopes import derive_cost, derive_slopes
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
@@ -115,8 +115,17 @@ class Lowering:
     @cached_property
     def slopes(self) -> JetTemplate:
         """Derivatives of F and P by these."""
-        varied = dict(zip(self.varied, self.equations.varied or (), strict=True))
-        return self._template(derive_slopes(self.equations.plain, varied))
+        return self._template(derive_slopes(self.equations.plain, self._by_name))
+
+    @cached_property
+    def cost(self) -> JetTemplate:
+        """A running cost and its derivatives."""
+        assert self.equations.cost is not None
+        return self._template(derive_cost(self.equations.plain, self._by_name, self.equations.cost))
+
+    @property
+    def _by_name(self) -> dict[str, sp.Symbol]:
+        return dict(zip(self.varied, self.equations.varied or (), strict=True))
 
     @cached_property
     def stiffened(self) -> bool:

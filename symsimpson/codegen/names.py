@@ -150,6 +150,7 @@ NODE_FUNCTIONS = frozenset(
         "constraint_values",
         "pushes",
         "parameter_slopes",
+        "cost_slopes",
     ]
 )
 

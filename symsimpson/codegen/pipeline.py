@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any
 
 import sympy as sp
 
@@ -15,6 +16,8 @@ from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, SchemeError
 from symsimpson.garbage import rarely_collected
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
@@ -50,6 +53,7 @@ def derive(
     scheme: str | Scheme = "simpson",
     exploit: str | Iterable[str] = "all",
     varied: Iterable[str] | None = None,
+    running: Any = None,
 ) -> Derivation:
     """Generate the module of a system and a scheme, and say what that took.
 
@@ -59,13 +63,30 @@ def derive(
         As for :func:`source`.
     varied : iterable of str, optional
         Names of parameters and inputs: a step is then differentiated by these, and by q and p.
+    running : sympy.Expr, optional
+        A cost that is integrated along the path, in the user's symbols.
 
     Returns
     -------
     Derivation
     """
     names = None if varied is None else tuple(varied)
-    return _derive(system, read_scheme(scheme), read_exploit(exploit), names)
+    cost = None if running is None else _cost(system, running)
+    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, cost)
+
+
+def _cost(system: MechanicalSystem, running: Any) -> sp.Expr:
+    """Read a running cost g(t, q, v, u) in the user's symbols, into plain ones.
+
+    Raises
+    ------
+    ModelError
+        If it contains something else.
+    """
+    own = Symbols(system.coordinates, system.parameters, system.inputs)
+    allowed = (*own.q, *own.v, *own.a, *own.u, own.t)
+    read_expression(system.name, "running cost", running, own, own.known, allowed)
+    return sp.sympify(running).xreplace(own.replace)
 
 
 def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
@@ -93,19 +114,19 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
 @lru_cache(maxsize=64)
 def _derive(
     system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
-    names: tuple[str, ...] | None,
+    names: tuple[str, ...] | None, cost: sp.Expr | None,
 ) -> Derivation:  # fmt: skip
     varied = None if names is None else _varied(system, names)
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
-        equations = discretise(system, scheme, exploit, varied)
+        equations = discretise(system, scheme, exploit, varied, cost)
         if not unrolled(equations) and equations.plain.rates:
             raise SchemeError(
                 f"{system.name} is so large that steps of {scheme.name} are loops, whose kicks "
                 "have no friction yet.\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
             )
         if not unrolled(equations):  # in loops, forces damp
-            equations = discretise(system, scheme, exploit - {"conformal"}, varied)
+            equations = discretise(system, scheme, exploit - {"conformal"}, varied, cost)
         with timed("text"):
             module = lower(equations)
             text = emit(equations, module)

@@ -62,7 +62,8 @@ class DiscreteEquations:
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
     elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
     Derivatives of a step are taken by q, p and what is ``varied``, plain symbols of parameters and
-    inputs; there are none of them if that is None.
+    inputs; there are none of them if that is None. A running ``cost`` is an expression in plain
+    symbols.
     """
 
     system: MechanicalSystem
@@ -74,6 +75,7 @@ class DiscreteEquations:
     columns: tuple[int, ...]
     parts: tuple[Part, ...]
     varied: tuple[sp.Symbol, ...] | None = None
+    cost: sp.Expr | None = None
 
     @cached_property
     def jet(self) -> Jet:
@@ -151,7 +153,7 @@ class DiscreteEquations:
 
 def discretise(
     system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all",
-    varied: tuple[sp.Symbol, ...] | None = None,
+    varied: tuple[sp.Symbol, ...] | None = None, cost: sp.Expr | None = None,
 ) -> DiscreteEquations:  # fmt: skip
     """Derive the equations of one step.
 
@@ -163,6 +165,8 @@ def discretise(
         Findings about the system that may shorten them.
     varied : tuple of sympy.Symbol, optional
         Plain symbols by which a step is differentiated, beside q and p.
+    cost : sympy.Expr, optional
+        A running cost in plain symbols, whose derivatives steps carry back, too.
 
     Returns
     -------
@@ -200,7 +204,7 @@ def discretise(
         )  # fmt: skip
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
-    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied)
+    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied, cost)
 
 
 def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) -> bool:

@@ -1,4 +1,4 @@
-"""What derivatives of a step by parameters ask of a node: those of F and P."""
+"""What derivatives of a step ask of a node: F and P by parameters, and a running cost."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ import sympy as sp
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.read import Reader
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain
 
-__all__ = ["derive_slopes"]
+__all__ = ["derive_cost", "derive_slopes"]
 
 
 def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
@@ -42,4 +43,33 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
         for i in range(n):
             outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
             outputs["P_a", i, name] = slopes[n + i]
+    return written_as_jet(plain, graph, outputs)
+
+
+def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: sp.Expr) -> Jet:
+    """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
+
+    Parameters
+    ----------
+    plain : Plain
+    varied : mapping from name to plain symbol
+    cost : sympy.Expr
+        In plain symbols.
+
+    Returns
+    -------
+    Jet
+        Outputs ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
+    """
+    graph, n = Graph(), len(plain.q)
+    for symbol in plain.symbols:
+        graph.symbol(symbol.name)
+    known = {symbol: graph.symbol(symbol.name) for symbol in plain.symbols}
+    value = Reader(graph, known)(cost)
+    moving = graph.numbers(s.name for s in (*plain.q, *plain.v, *varied.values()))
+    slopes = gradient(graph, value, moving)
+    outputs: dict[Key, Value] = {("g",): value}
+    outputs |= {("g_q", i): slopes[i] for i in range(n)}
+    outputs |= {("g_v", i): slopes[n + i] for i in range(n)}
+    outputs |= {("g_a", name): slopes[2 * n + j] for j, name in enumerate(varied)}
     return written_as_jet(plain, graph, outputs)

@@ -45,7 +45,7 @@ class Evaluator:
         declared: Any = None,
         derivation: Derivation | None = None,
         tools: Tools | None = None,
-        differentiate: Callable[[tuple[str, ...]], Evaluator] | None = None,
+        differentiate: Callable[[tuple[str, ...], Any], Evaluator] | None = None,
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
@@ -60,8 +60,8 @@ class Evaluator:
         #: Names of constraints, those that a user gave beside those of the module.
         self._constraint_names = {name: i for i, name in enumerate(header.constraints)}
         self._differentiate = differentiate
-        #: Steppers that differentiate by these parameters and inputs.
-        self._variants: dict[tuple[str, ...], Evaluator] = {}
+        #: Steppers that differentiate by these parameters and inputs, and a running cost.
+        self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
         self._looked_at: set[tuple[float, bytes]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}

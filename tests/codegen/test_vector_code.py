@@ -74,7 +74,8 @@ def test_lanes_do_not_know_of_each_other():
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(3, dtype=np.int64)
         driver("take_steps", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
-                      stored.copy(), stored[:, :0], np.zeros((1, 8), dtype=np.int64), NO_INPUTS)  # fmt: skip
+                      stored.copy(), stored[:, :0], np.zeros((1, 8), dtype=np.int64),
+                      NO_INPUTS)  # fmt: skip
         assert progress.tolist() == [200, 0, 0]
         return W[module.POSITION : module.POSITION + 4]
 

@@ -190,3 +190,21 @@ def solve_factored(W, first, right, count, lower, upper, stride, lane):
         for j in range(k + 1, min(count, k + upper + 1)):
             x -= W[row_k + j, lane] * W[right + j, lane]
         W[right + k, lane] = x / W[row_k + k, lane]
+
+
+@compiled
+def solve_transposed(W, first, right, count, lower, upper, stride, lane):
+    """Solve A^T x = b with these factors; x takes the place of b."""
+    for k in range(count):
+        x = W[right + k, lane] / W[first + k * stride + k, lane]
+        W[right + k, lane] = x
+        for j in range(k + 1, min(count, k + upper + 1)):
+            W[right + j, lane] -= W[first + k * stride + j, lane] * x
+    for back in range(count):
+        k = count - 1 - back
+        x = W[right + k, lane]
+        for i in range(k + 1, min(count, k + lower + 1)):
+            x -= W[first + i * stride + k, lane] * W[right + i, lane]
+        pivot = int(W[EXCHANGE + k, lane])
+        W[right + k, lane] = W[right + pivot, lane]
+        W[right + pivot, lane] = x

@@ -15,7 +15,7 @@ from symsimpson.runtime.kernels.cache import compiled
 __all__ = ["driver", "driver_text"]
 
 #: The modules that are compiled as one text, in this order.
-PARTS = ("steps", "recovery", "explicit", "ensembles", "between", "work")
+PARTS = ("steps", "recovery", "explicit", "ensembles", "between", "work", "backward")
 
 
 def driver_text(lanes: int = 1) -> str:

@@ -137,7 +137,7 @@ def advance_blocks(
     iterations of each member; ``seen`` two numbers for each reduction.
     """
     progress = np.zeros(3, dtype=np.int64)
-    tangents = np.zeros((0, 0, LANES))
+    kept = np.zeros((0, 0, LANES))
     members, n = q0.shape[0], at[DIMENSION]
     watched = kinds.shape[0] > 0
     while cursor[BLOCK] < last and budget > 0:
@@ -162,17 +162,17 @@ def advance_blocks(
             until = min(steps, step + 1 if watched else step + budget)
             if kernels[MODE] == EXPLICIT:
                 take_explicit_steps(
-                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, tangents,
+                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, kept,
                     counted, own,
                 )  # fmt: skip
             else:
                 take_steps(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
-                    tangents, counted, own)  # fmt: skip
+                    kept, counted, own)  # fmt: skip
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is taken and not yet counted: take_steps does that first
                     take_steps(kernels, h, t0, W, at, progress, progress[0] + 1, every,
-                        buffer_q, buffer_p, tangents, counted, own)  # fmt: skip
+                        buffer_q, buffer_p, kept, counted, own)  # fmt: skip
             alive = False
             for lane in range(LANES):
                 if W[at[STATUS], lane] == 0.0:

@@ -9,8 +9,8 @@ from numba import njit, types
 from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
+    BEHIND,
     COUNT,
-    DIFFERENTIATE,
     DIMENSION,
     ENERGY,
     MOMENTUM,
@@ -69,7 +69,7 @@ def finite(W, first, last, lane):
 
 @njit(**DRIVER_OPTIONS)
 def take_explicit_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, tangents_out, iterations_out,
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out,
     inputs,
 ):  # fmt: skip
     """Take steps that need no iteration, all up to the next state to store in one call.
@@ -83,10 +83,10 @@ def take_explicit_steps(
     kept = np.empty((4 * n, lanes))
     step, before = progress[0], progress[2]
     single = 0
-    varied = kernels[DIFFERENTIATE] != 0 and tangents_out.shape[1] > 0
+    followed = kernels[BEHIND] != 0 and kept_out.shape[1] > 0
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
-        count = 1 if single > 0 or varied else min(count, AT_ONCE, at[STEPS_A_CALL])
+        count = 1 if single > 0 or followed else min(count, AT_ONCE, at[STEPS_A_CALL])
         alive = 0
         for lane in range(lanes):
             keep(W, position, state_end, lane, kept)
@@ -115,16 +115,16 @@ def take_explicit_steps(
                 continue
             if alive == 0:
                 break
-        if varied:
+        if followed:
             for lane in range(lanes):
                 for row in range(4 * n):
                     W[at[PREVIOUS] + row, lane] = kept[row, lane]
                 W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            call(kernels[DIFFERENTIATE], h, t0 + h * (before + step), W)
+            call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += count
         single -= 1
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, tangents_out, iterations_out)
+            store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
     progress[0] = step
 
 

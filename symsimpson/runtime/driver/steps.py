@@ -14,9 +14,9 @@ from numba.extending import intrinsic
 from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
+    BEHIND,
     CONTRACTION,
     COUNT,
-    DIFFERENTIATE,
     DIMENSION,
     ENERGY,
     IN_DOUBT,
@@ -195,18 +195,18 @@ def switch(kernels, h, t, W, at):
 
 
 @njit(**INLINE)
-def store(W, at, place, q_out, p_out, tangents_out, iterations_out):
+def store(W, at, place, q_out, p_out, kept_out, iterations_out):
     """Store the states of lanes that go on, and their iterations since the states before.
 
-    Variations of the state are stored where there is room for them.
+    So is what is kept behind each step, where there is room for it.
     """
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
             for a in range(at[DIMENSION]):
                 q_out[place, a, lane] = W[at[POSITION] + a, lane]
                 p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
-            for k in range(tangents_out.shape[1]):
-                tangents_out[place, k, lane] = W[at[TANGENT] + k, lane]
+            for k in range(kept_out.shape[1]):
+                kept_out[place, k, lane] = W[at[TANGENT] + k, lane]
             iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
             W[at[ITERATIONS], lane] = 0.0
 
@@ -229,7 +229,7 @@ def watch(kernels, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def take_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, tangents_out, iterations_out,
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out,
     inputs,
 ):  # fmt: skip
     """Take steps until ``stop``, an event, or no lane is left.
@@ -237,8 +237,8 @@ def take_steps(
     ``progress`` is (step, event, before), the last the steps that were taken before all of these.
 
     ``inputs`` are those of all steps. States are stored after each ``every`` steps, none for
-    ``every = 0``; variations are carried along where there is room to store them. A
-    lane with a status other than 0 is not touched. At an event the step is not
+    ``every = 0``; a kernel is called behind each of them where there is room to store what it
+    keeps. A lane with a status other than 0 is not touched. At an event the step is not
     finished: ``recover`` does that, and ``take_steps`` goes on.
     """
     lanes = LANES
@@ -246,7 +246,7 @@ def take_steps(
     step, recovered, before = progress[0], progress[1] != 0, progress[2]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
-    varied = kernels[DIFFERENTIATE] != 0 and tangents_out.shape[1] > 0
+    followed = kernels[BEHIND] != 0 and kept_out.shape[1] > 0
     if watched and not recovered:
         call(kernels[MEASURE], h, t0 + h * (before + step), W)
     while step < stop:
@@ -278,11 +278,11 @@ def take_steps(
             if W[status, 0] != 0.0:
                 break
         recovered = False
-        if varied:
+        if followed:
             for lane in range(lanes):
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            call(kernels[DIFFERENTIATE], h, t0 + h * (before + step), W)
+            call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += 1
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, tangents_out, iterations_out)
+            store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
     progress[0] = step

@@ -7,7 +7,7 @@ code; only the thresholds that name a rounding error are other ones.
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from fractions import Fraction
 from functools import cache, cached_property
@@ -172,6 +172,25 @@ class Digits(Numbers):
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
         """Return whole numbers to multiply with."""
         return np.array(range(first, stop, stride), dtype=object)
+
+    def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
+        """Return a function that takes numbers of arrays one by one."""
+        import sympy as sp
+
+        own = {name: getattr(self.context, name) for name in dir(self.context)}
+        single = sp.lambdify(symbols, expressions, [own, "mpmath"], cse=True)
+        outer, inner = np.frompyfunc(self._outer, 1, 1), np.frompyfunc(self._inner, 1, 1)
+
+        def every(*arguments: Any) -> list[NDArray[Any]]:
+            given = np.broadcast_arrays(*map(outer, arguments))
+            found = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
+            columns = zip(*found, strict=True)
+            return [inner(np.array(self._converted(x), dtype=object)) for x in columns]
+
+        return every
+
+    def _converted(self, column: Sequence[Any]) -> list[Any]:
+        return [self.context.convert(x) for x in column]
 
     def kernels(self, text: str, header: Header) -> _Functions:
         """Bind the kernels of a module."""

@@ -69,6 +69,11 @@ class Header:
         return len(self.coordinates)
 
     @property
+    def nodes(self) -> int:
+        """Number of nodes of a step."""
+        return self.layout["NODES"]
+
+    @property
     def conservative(self) -> bool:
         """Whether the energy is constant."""
         return self.autonomous and not self.forces

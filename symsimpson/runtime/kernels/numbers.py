@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -79,6 +79,12 @@ class Numbers:
     def result(self, array: NDArray[Any]) -> NDArray[Any]:
         """Return an array as a user gets it."""
         return array
+
+    def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
+        """Return a function of arrays that evaluates expressions of SymPy, a list of arrays."""
+        import sympy as sp
+
+        return sp.lambdify(symbols, expressions, "numpy", cse=True)
 
     def kernels(self, text: str, header: Header) -> KernelSets:
         """Return the kernels of a module."""

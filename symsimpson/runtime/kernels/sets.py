@@ -31,7 +31,7 @@ class KernelSets(ABC):
 
     def __init__(self, header: Header, *, by_stages: bool) -> None:
         self.header, self.by_stages = header, by_stages
-        self._sets: dict[str, Any] = {}
+        self._sets: dict[tuple[str, str], Any] = {}
 
     @cached_property
     def fallbacks(self) -> tuple[str, ...]:
@@ -39,17 +39,17 @@ class KernelSets(ABC):
         first = ("stages",) if self.by_stages else ()
         return (*first, "newton", *(("robust",) if self.header.newton_unknowns else ()))
 
-    def set(self, name: str) -> Any:
-        """Return a set: its mode, then its kernels.
+    def set(self, name: str, behind: str = "") -> Any:
+        """Return a set: its mode, then its kernels, and one to be called ``behind`` each step.
 
         "robust" is Newton's method with row pivoting and the library's sine and cosine. It takes
         any angle and meets no singular pivot, at several times the cost.
         """
-        if name not in self._sets:  # finding compiled code takes the digest of the text
-            self._sets[name] = self._made(name)
-        return self._sets[name]
+        if (name, behind) not in self._sets:  # finding compiled code takes the digest of the text
+            self._sets[name, behind] = self._made(name, behind)
+        return self._sets[name, behind]
 
-    def _made(self, name: str) -> Any:
+    def _made(self, name: str, behind: str) -> Any:
         if name == "stages":
             mode = STAGES
         elif not self.header.newton_unknowns:
@@ -65,9 +65,8 @@ class KernelSets(ABC):
         kernels = self.compiled(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
-        after = "tangent" in self.header.functions
-        differentiate = self.address("tangent", any_angle=robust) if after else 0
-        return self.joined(mode, [*kernels, measure, differentiate])
+        last = self.address(behind, any_angle=robust) if behind else 0
+        return self.joined(mode, [*kernels, measure, last])
 
     @property
     @abstractmethod

@@ -17,7 +17,16 @@ if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
 
-__all__ = ["NO_INPUTS", "Samples", "at_places", "places", "read_driving", "samples", "since"]
+__all__ = [
+    "NO_INPUTS",
+    "Samples",
+    "at_places",
+    "given_inputs",
+    "places",
+    "read_driving",
+    "samples",
+    "since",
+]
 
 Reals = NDArray[Any]
 
@@ -96,7 +105,7 @@ def read_driving(
             f"{stepper.system} has no inputs.\nDeclare them: MechanicalSystem(..., forces={{q: u}},"
             " inputs=(u,))."
         )
-    values = _by_name(stepper, stepper._held if given is None else given)
+    values = given_inputs(stepper, given)
     missing = [name for name in names if name not in values]
     if missing:
         raise InputError(
@@ -117,9 +126,9 @@ def read_driving(
     return found if steps else numbers.zeros((1, 1, 1, len(names)))
 
 
-def _by_name(stepper: Evaluator, given: Any) -> dict[str, Any]:
-    """Return what is given for each input."""
-    names = stepper.inputs
+def given_inputs(stepper: Evaluator, given: Any) -> dict[str, Any]:
+    """Return what is given for each input, by the module's name."""
+    names, given = stepper.inputs, stepper._held if given is None else given
     if given is None:
         return {}
     if isinstance(given, Mapping):

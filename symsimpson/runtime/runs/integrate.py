@@ -29,9 +29,9 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
-from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.run import Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
-from symsimpson.runtime.runs.variations import begin_variations
+from symsimpson.runtime.runs.variations import begin_variations, kept_variations
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -185,26 +185,25 @@ def _checkpoint(
 
 
 def new_run(
-    stepper: Evaluator, spec: RunSpec, stride: int, stored: int, inputs: Reals | None = None
-) -> Run:
-    """Make a run that has room for so many states.
+    stepper: Evaluator, spec: RunSpec, stride: int, stored: int, inputs: Reals | None = None,
+    kept: Kept | None = None,
+) -> Run:  # fmt: skip
+    """Make a run that has room for so many states, and for what is kept beside them.
 
     Raises
     ------
     InputError
         If they do not fit into memory.
     """
-    numbers, varied = stepper._module.numbers, len(stepper._module.header.varied_by or ())
-    given: dict[str, Any] = {}
-    if spec.tangents is not None:  # nodes as lanes do not leave what a step is differentiated by
-        own = [spec.tangents, numbers.zeros((2 * stepper.n, varied))]
-        given = {
-            "tangents": np.concatenate(own, axis=1),
-            "fallbacks": [s for s in stepper._module.kernels.fallbacks if s != "stages"],
-        }
+    if kept is None and spec.tangents is not None:
+        kept = kept_variations(stepper, spec.tangents)
+    fallbacks = stepper._module.kernels.fallbacks
+    if kept is not None:  # nodes as lanes do not leave what a step is differentiated by
+        fallbacks = tuple(name for name in fallbacks if name != "stages")
     try:
-        return Run(stepper._module, spec.parameters, spec.h, spec.t0,
-            stride, stored, inputs=spec.inputs if inputs is None else inputs, **given,
+        return Run(
+            stepper._module, spec.parameters, spec.h, spec.t0, stride, stored, fallbacks,
+            spec.inputs if inputs is None else inputs, kept,
         )  # fmt: skip
     except (MemoryError, ValueError):
         raise InputError(
@@ -233,7 +232,8 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
-    begin_variations(stepper, run, velocity=spec.velocities)
+    if spec.tangents is not None:
+        begin_variations(stepper, run, spec.tangents, velocity=spec.velocities)
 
 
 def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
@@ -294,9 +294,9 @@ def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Rea
     """
     if spec.tangents is None:
         return None
-    rows = run.tangents[:stored, :, 0]
+    rows = run.kept[:stored, :, 0]
     if not stored:
-        rows = run.rows("TANGENT", run.tangents.shape[1])[None].copy()
+        rows = run.rows("TANGENT", run.kept.shape[1])[None].copy()
     found: Reals = stepper._module.numbers.result(rows)
     return found.reshape(len(rows), -1, 2 * stepper.n).swapaxes(1, 2)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +18,8 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.loaded import Loaded
 
-__all__ = ["Run", "workspace"]
+__all__ = ["Kept", "Run", "workspace"]
 
-#: No variations of the state are carried along.
-NO_TANGENTS = np.zeros((0, 0))
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
 #: After a step that only slower and more robust kernels could take, so many more are taken with
@@ -36,6 +35,24 @@ def workspace(
     first = header.layout["PARAMETER"]
     W[first : first + parameters.size, 0] = parameters
     return W
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a kernel that is called behind each step leaves, beside the state.
+
+    Attributes
+    ----------
+    kernel : str
+    rows : int
+        Of these so many are stored with the states.
+    room : int
+        Rows of the workspace that it needs, behind all others.
+    """
+
+    kernel: str = ""
+    rows: int = 0
+    room: int = 0
 
 
 class Run:
@@ -54,24 +71,21 @@ class Run:
         stored: int,
         fallbacks: Sequence[str] | None = None,
         inputs: NDArray[Any] = NO_INPUTS,
-        tangents: NDArray[Any] = NO_TANGENTS,
+        kept: Kept | None = None,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._inputs = inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
-        count = tangents.shape[1]
-        self.W = workspace(header, numbers, parameters, header.room_for_tangents(count))
+        kept = kept or Kept()
+        self._behind = kept.kernel
+        self.W = workspace(header, numbers, parameters, kept.room)
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]
         self.q, self.p = numbers.zeros((2, stored, n, 1))
-        #: Variations of the state, one behind the other; stored like it.
-        self.tangents = numbers.zeros((stored, 2 * n * count, 1))
-        if count:
-            self.rows("TANGENTS", 1)[:] = count
-            self.rows("TANGENT", 2 * n * count)[:] = tangents.T.ravel()
-            self.tangents[0, :, 0] = tangents.T.ravel()
+        #: What is kept beside them.
+        self.kept = numbers.zeros((stored, kept.rows, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
@@ -184,7 +198,7 @@ class Run:
                 self._change_to(0)
 
     def _kernels(self) -> Any:
-        return self.kernels.set(self._fallbacks[self._set])
+        return self.kernels.set(self._fallbacks[self._set], self._behind)
 
     def _change_to(self, number: int) -> None:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
@@ -210,14 +224,14 @@ class Run:
         if self.header.newton_unknowns == 0:
             self._driver("take_explicit_steps")(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
-                self.tangents, self.iterations, self._inputs,
+                self.kept, self.iterations, self._inputs,
             )  # fmt: skip
             return
         take_steps = self._driver("take_steps")
         while True:
             take_steps(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every,
-                self.q, self.p, self.tangents, self.iterations, self._inputs,
+                self.q, self.p, self.kept, self.iterations, self._inputs,
             )  # fmt: skip
             event = self._progress[1]
             if event == 0:

@@ -10,12 +10,19 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, whole_number
+from symsimpson.runtime.runs.run import Kept
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.runs.run import Run
 
-__all__ = ["begin_variations", "read_tangents", "read_varied", "varied_stepper"]
+__all__ = [
+    "begin_variations",
+    "kept_variations",
+    "read_tangents",
+    "read_varied",
+    "varied_stepper",
+]
 
 Reals = NDArray[Any]
 
@@ -48,8 +55,12 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def varied_stepper(stepper: Evaluator, names: tuple[str, ...]) -> Evaluator:
+def varied_stepper(
+    stepper: Evaluator, names: tuple[str, ...], running: Any = None
+) -> Evaluator:  # fmt: skip
     """Return a stepper whose module differentiates its steps by these parameters and inputs.
+
+    A ``running`` cost is integrated by it, too.
 
     Raises
     ------
@@ -57,9 +68,10 @@ def varied_stepper(stepper: Evaluator, names: tuple[str, ...]) -> Evaluator:
         If the module was loaded from a file that does not.
     """
     own = stepper._module.header.varied_by
-    if own == names:
+    if own == names and running is None:
         return stepper
-    if names not in stepper._variants:
+    key = names, running
+    if key not in stepper._variants:
         if stepper._differentiate is None:
             known = "" if own is None else f" but by {', '.join(own) or 'the state alone'}"
             raise InputError(
@@ -68,8 +80,8 @@ def varied_stepper(stepper: Evaluator, names: tuple[str, ...]) -> Evaluator:
                 "symsimpson.compile, or a module with symsimpson.generate(..., "
                 f"derivatives={names!r})."
             )
-        stepper._variants[names] = stepper._differentiate(names)
-    return stepper._variants[names]
+        stepper._variants[key] = stepper._differentiate(names, running)
+    return stepper._variants[key]
 
 
 def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
@@ -100,18 +112,34 @@ def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
     return columns
 
 
-def begin_variations(stepper: Evaluator, run: Run, *, velocity: bool) -> None:
-    """Let variations of parameters begin: q0 stays, and p0 or, where that was given, v0.
+def kept_variations(stepper: Evaluator, tangents: Reals) -> Kept:
+    """Say what a run carries along: these variations, and those of all that is varied."""
+    header = stepper._module.header
+    count = tangents.shape[1] + len(header.varied_by or ())
+    return Kept("tangent", 2 * stepper.n * count, header.room_for_tangents(count))
 
-    Then p0 = L_v(q0, v0) changes with the parameters.
+
+def begin_variations(stepper: Evaluator, run: Run, tangents: Reals, *, velocity: bool) -> None:
+    """Let variations of the state and of parameters begin.
+
+    Those of parameters leave q0 as it is, and p0 or, where that was given, v0: then
+    p0 = L_v(q0, v0) changes with the parameters.
     """
+    n, given = stepper.n, tangents.shape[1]
+    varied = len(stepper._module.header.varied_by or ())
+    count = given + varied
+    run.rows("TANGENTS", 1)[:] = count
+    run.rows("TANGENT", 2 * n * given)[:] = tangents.T.ravel()
+    if velocity and varied:
+        _vary_momentum(stepper, run, count, varied)
+    run.kept[0, :, 0] = run.rows("TANGENT", 2 * n * count)
+
+
+def _vary_momentum(stepper: Evaluator, run: Run, count: int, varied: int) -> None:
+    """Let p0 change with parameters at given q0 and v0."""
     from symsimpson.runtime.evaluator import evaluate
 
-    varied, n = len(stepper._module.header.varied_by or ()), stepper.n
-    count = run.tangents.shape[1] // (2 * n)
-    if not (velocity and varied and count):
-        return
-    numbers = stepper._module.numbers
+    numbers, n = stepper._module.numbers, stepper.n
     q, p = (run.rows(block, n).copy() for block in ("POSITION", "MOMENTUM"))
     values = run.rows("PARAMETER", len(stepper.parameters)).copy()
     slopes = evaluate(
@@ -122,4 +150,3 @@ def begin_variations(stepper: Evaluator, run: Run, *, velocity: bool) -> None:
     columns = run.rows("TANGENT", 2 * n * count).reshape(count, 2, n)
     for j in range(varied):
         columns[count - varied + j, 1, order] = slopes[0, j * n : (j + 1) * n]
-    run.tangents[0, :, 0] = columns.ravel()

@@ -1,0 +1,62 @@
+"""Kernels that carry derivatives of a cost from the end of a step back to its start.
+
+They are the transpose of the tangent, and so the exact derivatives of the cost that is computed.
+"""
+
+from __future__ import annotations
+
+from symsimpson.codegen.differentials import Differentials
+from symsimpson.codegen.ir import Call, Kernel, When
+from symsimpson.codegen.unrolled import lanes
+
+__all__ = ["adjoint_kernels"]
+
+_HERE = ("W", "node", "lane")
+_AT_NODE = ("W", "h", "node", "lane")
+
+
+def adjoint_kernels(differentials: Differentials) -> list[Kernel]:
+    """Return the adjoint of a step and of p0 = L_v(q0, v0), and what keeps steps for it."""
+    made = differentials.timed()
+    step = lanes((When(_step(made)),))
+    start = (
+        *made.loops.start(), Call("jet"),
+        *made.if_varied(Call("parameter_slopes"), Call("pull_momentum_slopes")),
+        Call("pull_momentum"),
+    )  # fmt: skip
+    states = (
+        Call("exchange_steps"), *made.path_known(),
+        made.loops.nodes("range(NODES)", Call("keep_node", _HERE)), Call("exchange_steps"),
+    )  # fmt: skip
+    return [
+        Kernel("adjoint", "Carry derivatives of a cost back over the step that was taken.", step),
+        Kernel("start_adjoint", "Derivatives by q0 and v0 from those by q0 and p0.", lanes(start)),
+        Kernel("record", "Keep the step that was taken.", lanes((When((Call("record_step"),)),))),
+        Kernel("node_states", "Position and velocity at the nodes of the step that was taken.",
+               lanes((When(states),))),
+    ]  # fmt: skip
+
+
+def _step(made: Differentials) -> tuple[Call, ...]:
+    cost = made.if_costly(Call("cost_slopes"))
+    of_end = (
+        *made.drag(), *cost, Call("pull_impulse", _AT_NODE),
+        *made.if_costly(Call("add_cost", _AT_NODE)), Call("assemble_adjoint", _AT_NODE),
+    )  # fmt: skip
+    of_nodes = (
+        *made.parameter_slopes(), *cost, Call("weigh_node", _AT_NODE),
+        *made.if_varied(Call("pull_parameters", _HERE)), Call("pull_start", _HERE),
+        *made.if_costly(Call("pull_cost", _AT_NODE)),
+    )  # fmt: skip
+    return (
+        Call("exchange_steps"),
+        *made.path_known(),
+        *((Call("decay_adjoint"),) if made.loops.damped else ()),
+        Call("begin_adjoint"),
+        *made.loops.all_rows(*of_end),
+        Call("factor_equations"),
+        Call("solve_adjoint"),
+        made.nodes(*of_nodes),
+        Call("close_adjoint"),
+        Call("exchange_steps"),
+    )

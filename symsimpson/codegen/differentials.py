@@ -1,0 +1,130 @@
+"""What kernels that differentiate a step have in common: nodes with what changes there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import sympy as sp
+
+from symsimpson.codegen.ir import Call, Function, Loop, Row, Statement, Store
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.looped import LoopKernels
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import Point
+
+__all__ = ["Differentials", "sizes"]
+
+
+@dataclass(frozen=True)
+class Differentials:
+    """Makes the parts of such kernels.
+
+    Attributes
+    ----------
+    low : Lowering
+    loops : LoopKernels
+    places : tuple of int
+        Coordinates in the order in which they are stored.
+    following : bool
+        Whether increments of some coordinates follow from those of the others.
+    """
+
+    low: Lowering
+    loops: LoopKernels
+    places: tuple[int, ...]
+    following: bool
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the parameters that are varied."""
+        return self.low.varied
+
+    @property
+    def costly(self) -> bool:
+        """Whether there is a running cost."""
+        return self.low.equations.cost is not None
+
+    def if_varied(self, *statements: Statement) -> tuple[Statement, ...]:
+        """Return statements where parameters are varied."""
+        return statements if self.varied else ()
+
+    def if_costly(self, *statements: Statement) -> tuple[Statement, ...]:
+        """Return statements where there is a running cost."""
+        return statements if self.costly else ()
+
+    def path_known(self) -> tuple[Statement, ...]:
+        """Find the increments that follow from the others, which are those of the step."""
+        return (*self.loops.all_rows(), Call("solve_following")) if self.following else ()
+
+    def parameter_slopes(self) -> tuple[Statement, ...]:
+        """Find the derivatives of F and P by parameters at a node, with its weight."""
+        grown = (Call("grow_slopes", ("W", "node", "lane")),) if self.loops.damped else ()
+        return self.if_varied(Call("parameter_slopes"), *grown)
+
+    def drag(self) -> tuple[Statement, ...]:
+        """Add to F_v at a node what forces contribute."""
+        return (Call("add_drag"),) if self.loops.dragged else ()
+
+    def nodes(self, *body: Statement) -> Loop:
+        """Go over all nodes of the path, with their jets."""
+        grown = (Call("grow_node", ("W", "node", "lane")),) if self.loops.damped else ()
+        return self.loops.nodes("range(NODES)", Call("jet"), *grown, *body)
+
+    def timed(self) -> Differentials:
+        """Return the same with times at nodes, if the running cost asks for them."""
+        if not timed(self.low):
+            return self
+        return replace(self, loops=replace(self.loops, autonomous=False))
+
+    def functions(self) -> list[Function]:
+        """Return what is evaluated at a node."""
+        found = [_slopes(self.low, self.places)] if self.varied else []
+        return [*found, _cost(self.low, self.places)] if self.costly else found
+
+
+def timed(low: Lowering) -> bool:
+    """Return whether a running cost depends on the time."""
+    cost, plain = low.equations.cost, low.equations.plain
+    return cost is not None and plain.t in cost.free_symbols
+
+
+def sizes(low: Lowering) -> dict[str, int]:
+    """Return the sizes of what derivatives of a step have in the workspace."""
+    if low.equations.varied is None:
+        return {}
+    varied, unknowns = len(low.varied), low.equations.unknowns.size
+    own = {
+        "NODE_F_A": varied * low.n, "NODE_P_A": varied * low.n, "EXCHANGE": unknowns,
+        "ADJOINT": 2 * low.n, "ADJOINT_RIGHT": unknowns, "ADJOINT_START": low.n,
+        "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
+    }  # fmt: skip
+    if low.equations.cost is not None:
+        own |= {"COST": 2, "NODE_COST": 1 + 2 * low.n + varied}
+    return own | ({"NODE_TIME": 1} if timed(low) else {})
+
+
+def _point(low: Lowering) -> Point:
+    return Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
+
+
+def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
+    """Write the derivatives of F and P by the parameters that are varied, at a node."""
+    stores = [
+        Store(Row(block, j * low.n + s), low.slopes.entry(_point(low), "slopes", what, a, name))
+        for j, name in enumerate(low.varied)
+        for block, what in (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
+        for s, a in enumerate(places)
+    ]  # fmt: skip
+    doc = "Derivatives of F and P by the parameters that are varied, at a node."
+    return Function("parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
+
+
+def _cost(low: Lowering, places: tuple[int, ...]) -> Function:
+    """Write a running cost and its derivatives, at a node."""
+    keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
+    keys += [(what, a) for what in ("g_q", "g_v") for a in places]
+    keys += [("g_a", name) for name in low.varied]
+    values: list[sp.Expr] = [low.cost.entry(_point(low), "cost", *key) for key in keys]
+    stores = [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]
+    doc = "The running cost and its derivatives, at a node."
+    return Function("cost_slopes", doc, low.statements(stores, (Level.ITERATION,)))

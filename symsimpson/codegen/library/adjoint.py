@@ -1,0 +1,237 @@
+"""Derivatives of a cost, carried from the end of a step back to its start.
+
+The cost is J(q1, p1), or what follows of it; its derivatives (a, b) by q1 and p1 stand in ADJOINT.
+With S the matrix of all unknowns, S^T w = dJ/dX. Then at node i
+
+    sigma = h b_i (b - sum_k A_ik w_k),    tau = -b_i sum_k B_ik w_k
+
+are the derivatives of J by F and P there, and all others follow: by q0 they are
+a + sum_i (F_q^T sigma + P_q^T tau), by p0 they are b - w_0, by a parameter
+sum_i (F_a.sigma + P_a.tau). A running cost g adds h b_i g(t_i, q_i, v_i) at each node.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+DIMENSION: int
+DEGREE: int
+NODES: int
+UNKNOWNS: int
+PREVIOUS: int
+SOLVED: int
+NODE_POSITION: int
+NODE_VELOCITY: int
+NODE_L_QQ: int
+NODE_L_QV: int
+NODE_L_VV: int
+NODE_F_A: int
+NODE_P_A: int
+NODE_COST: int
+GROWTH: int
+JACOBIAN: int
+ADJOINT: int
+ADJOINT_RIGHT: int
+ADJOINT_START: int
+COST: int
+COST_SLOPE: int
+TANGENT: int
+TANGENT_UNKNOWNS: int
+TANGENT_LOWER: int
+TANGENT_UPPER: int
+TANGENT_STRIDE: int
+TANGENT_OFFSET: int
+VARIED: int
+BAND: int
+NODE_STRIDE: int
+NODE_OFFSET: int
+EQUATION_ROW_STEP: int
+EQUATION_PLACE_STEP: int
+COORDINATE: tuple[int, ...]
+ROW_ORDER: tuple[int, ...]
+COLUMN_ORDER: tuple[int, ...]
+WEIGHTS: tuple[float, ...]
+BASIS: tuple[tuple[float, ...], ...]
+BASIS_SLOPE: tuple[tuple[float, ...], ...]
+
+solve_transposed: Callable[..., Any]
+
+
+@compiled
+def record_step(W, lane):
+    """Keep the step that was taken: where it began, and its increments."""
+    for row in range(4 * DIMENSION):
+        W[TANGENT + row, lane] = W[PREVIOUS + row, lane]
+    for row in range(UNKNOWNS):
+        W[TANGENT + 4 * DIMENSION + row, lane] = W[SOLVED + row, lane]
+
+
+@compiled
+def keep_node(W, node, lane):
+    """Keep position and velocity at a node."""
+    first = TANGENT + node * 2 * DIMENSION
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        W[first + a, lane] = W[NODE_POSITION + s, lane]
+        W[first + DIMENSION + a, lane] = W[NODE_VELOCITY + s, lane]
+
+
+@compiled
+def decay_adjoint(W, lane):
+    """Let derivatives by a momentum decay as that of the step does."""
+    for a in range(DIMENSION):
+        W[ADJOINT + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
+
+
+@compiled
+def begin_adjoint(W, lane):
+    """Begin the right side dJ/dX with what the end of the path contributes."""
+    for row in range(UNKNOWNS):
+        W[ADJOINT_RIGHT + row, lane] = real(0)
+    for column in range(DEGREE):
+        if COLUMN_ORDER[column] == DEGREE:
+            for s in range(DIMENSION):
+                here = column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+                W[ADJOINT_RIGHT + here, lane] = W[ADJOINT + COORDINATE[s], lane]
+    for s in range(DIMENSION):
+        W[ADJOINT_START + s, lane] = real(0)
+
+
+@compiled
+def pull_impulse(W, h, node, lane):
+    """Find the derivatives of b.p1 by q and v at a node; they stand where q and v stood."""
+    for s in range(DIMENSION):
+        by_position = real(0)
+        by_velocity = real(0)
+        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            entry = c * NODE_STRIDE + s + NODE_OFFSET
+            b = W[ADJOINT + DIMENSION + COORDINATE[c], lane]
+            by_position += W[NODE_L_QQ + entry, lane] * b
+            by_velocity += W[NODE_L_QV + entry, lane] * b
+        W[NODE_POSITION + s, lane] = h * WEIGHTS[node] * by_position
+        W[NODE_VELOCITY + s, lane] = h * WEIGHTS[node] * by_velocity
+
+
+@compiled
+def add_cost(W, h, node, lane):
+    """Add to these the derivatives of the running cost."""
+    for s in range(DIMENSION):
+        slope = NODE_COST + 1 + s
+        W[NODE_POSITION + s, lane] += h * WEIGHTS[node] * W[slope, lane]
+        W[NODE_VELOCITY + s, lane] += h * WEIGHTS[node] * W[slope + DIMENSION, lane]
+
+
+@compiled
+def assemble_adjoint(W, h, node, lane):
+    """Add what a node contributes to the right side."""
+    for column in range(DEGREE):
+        k = COLUMN_ORDER[column]
+        for s in range(DIMENSION):
+            change = BASIS[node][k] * W[NODE_POSITION + s, lane]
+            change += BASIS_SLOPE[node][k] * W[NODE_VELOCITY + s, lane] / h
+            W[ADJOINT_RIGHT + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] += change
+
+
+@compiled
+def solve_adjoint(W, lane):
+    """Solve S^T w = dJ/dX; w takes the place of the right side."""
+    solve_transposed(
+        W, JACOBIAN + TANGENT_OFFSET, ADJOINT_RIGHT, TANGENT_UNKNOWNS, TANGENT_LOWER,
+        TANGENT_UPPER, TANGENT_STRIDE, lane,
+    )  # fmt: skip
+
+
+@compiled
+def weigh_node(W, h, node, lane):
+    """Find sigma and tau at a node; they stand where q and v stood."""
+    for s in range(DIMENSION):
+        sigma = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
+        tau = real(0)
+        for row in range(DEGREE):
+            k = ROW_ORDER[row]
+            w = W[ADJOINT_RIGHT + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane]
+            sigma -= BASIS[node][k] * w
+            tau -= BASIS_SLOPE[node][k] * w
+        W[NODE_POSITION + s, lane] = h * WEIGHTS[node] * sigma
+        W[NODE_VELOCITY + s, lane] = WEIGHTS[node] * tau
+
+
+@compiled
+def pull_parameters(W, node, lane):
+    """Find the derivatives by parameters that go through a node."""
+    for j in range(VARIED):
+        slope = real(0)
+        for s in range(DIMENSION):
+            slope += W[NODE_F_A + j * DIMENSION + s, lane] * W[NODE_POSITION + s, lane]
+            slope += W[NODE_P_A + j * DIMENSION + s, lane] * W[NODE_VELOCITY + s, lane]
+        W[COST_SLOPE + j * NODES + node, lane] = slope
+
+
+@compiled
+def pull_start(W, node, lane):
+    """Add the derivative by q0 that goes through a node."""
+    for s in range(DIMENSION):
+        slope = real(0)
+        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            of_force = W[NODE_L_QQ + c * NODE_STRIDE + s + NODE_OFFSET, lane]
+            of_momentum = W[NODE_L_QV + s * NODE_STRIDE + c + NODE_OFFSET, lane]
+            slope += of_force * W[NODE_POSITION + c, lane]
+            slope += of_momentum * W[NODE_VELOCITY + c, lane]
+        W[ADJOINT_START + s, lane] += slope
+
+
+@compiled
+def pull_cost(W, h, node, lane):
+    """Add the running cost at a node, and its derivatives by q0 and by parameters."""
+    weight = h * WEIGHTS[node]
+    before = W[COST, lane]
+    change = weight * W[NODE_COST, lane] + W[COST + 1, lane]
+    W[COST, lane] = before + change
+    W[COST + 1, lane] = change - (W[COST, lane] - before)
+    for s in range(DIMENSION):
+        W[ADJOINT_START + s, lane] += weight * W[NODE_COST + 1 + s, lane]
+    for j in range(VARIED):
+        slope = weight * W[NODE_COST + 1 + 2 * DIMENSION + j, lane]
+        W[COST_SLOPE + j * NODES + node, lane] += slope
+
+
+@compiled
+def close_adjoint(W, lane):
+    """Carry the derivatives to the start of the step: by q0, and by p0, b - w_0."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        W[ADJOINT + a, lane] += W[ADJOINT_START + s, lane]
+    for row in range(DEGREE):
+        if ROW_ORDER[row] == 0:
+            for s in range(DIMENSION):
+                w = W[ADJOINT_RIGHT + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane]
+                W[ADJOINT + DIMENSION + COORDINATE[s], lane] -= w
+
+
+@compiled
+def pull_momentum(W, lane):
+    """Find the derivatives of b.p, p = L_v(q, v): by q they are added, by v they replace b."""
+    for s in range(DIMENSION):
+        by_position = real(0)
+        by_velocity = real(0)
+        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            b = W[ADJOINT + DIMENSION + COORDINATE[c], lane]
+            by_position += W[NODE_L_QV + s * NODE_STRIDE + c + NODE_OFFSET, lane] * b
+            by_velocity += W[NODE_L_VV + c * NODE_STRIDE + s + NODE_OFFSET, lane] * b
+        W[ADJOINT + COORDINATE[s], lane] += by_position
+        W[NODE_VELOCITY + s, lane] = by_velocity
+    for s in range(DIMENSION):
+        W[ADJOINT + DIMENSION + COORDINATE[s], lane] = W[NODE_VELOCITY + s, lane]
+
+
+@compiled
+def pull_momentum_slopes(W, lane):
+    """Find the derivatives of b.p by parameters, in the place of those through the first node."""
+    for j in range(VARIED):
+        slope = real(0)
+        for s in range(DIMENSION):
+            b = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
+            slope += W[NODE_P_A + j * DIMENSION + s, lane] * b
+        W[COST_SLOPE + j * NODES, lane] = slope

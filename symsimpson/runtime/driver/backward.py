@@ -1,0 +1,87 @@
+"""The compiled loops that carry derivatives of a cost back from the end of a run to its start.
+
+Compiled behind the text of the driver, whose names it uses.
+"""
+
+from numba import njit, types
+
+from symsimpson.interface import ACTIVE, DIMENSION, MOMENTUM, POSITION, PREVIOUS, SOLVED
+from symsimpson.runtime.driver.between import GIVEN, TIMES
+from symsimpson.runtime.driver.steps import (
+    DRIVER_OPTIONS,
+    INPUTS,
+    SIGNATURES,
+    STATES,
+    TOLD_ROWS,
+    WORKSPACE,
+    call,
+    give,
+)
+
+SIGNATURES |= {
+    "carry_back": types.void(
+        types.int64, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64,
+        types.int64, types.int64, STATES, GIVEN, WORKSPACE, types.int64[::1], WORKSPACE, INPUTS,
+    ),
+    "pull_velocities": types.void(
+        types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS, TIMES, GIVEN,
+        GIVEN, types.int64, types.int64, WORKSPACE, WORKSPACE,
+    ),
+}  # fmt: skip
+
+
+@njit(**DRIVER_OPTIONS)
+def carry_back(
+    prepare, adjoint, h, t0, W, at, row, slope_row, first, records, jumps, totals, chosen, slopes,
+    inputs,
+):  # fmt: skip
+    """Carry derivatives by the state, from ``row`` of the workspace on, back over steps.
+
+    The last of the ``records`` are those of the steps from number ``first`` on. ``jumps`` are
+    added at the states behind these steps, if there are any. What stands from ``slope_row`` on is
+    added to ``totals``, and what rounding takes from these to its second row; ``slopes`` takes
+    those that are ``chosen``, step by step.
+    """
+    n, steps = at[DIMENSION], slopes.shape[0]
+    call(prepare, h, t0, W)
+    for back in range(steps):
+        i = steps - 1 - back
+        if jumps.shape[0] > 0:
+            for k in range(2 * n):
+                W[row + k, 0] += jumps[i, k]
+        for k in range(4 * n):
+            W[at[PREVIOUS] + k, 0] = records[i + 1, k, 0]
+        for k in range(4 * n, records.shape[1]):
+            W[at[SOLVED] + k - 4 * n, 0] = records[i + 1, k, 0]
+        give(W, at, inputs, first + i)
+        W[at[ACTIVE], 0] = 1.0
+        call(adjoint, h, t0 + h * (first + i), W)
+        for k in range(totals.shape[1]):
+            before = totals[0, k]
+            change = W[slope_row + k, 0] + totals[1, k]
+            totals[0, k] = before + change
+            totals[1, k] = change - (totals[0, k] - before)
+        for k in range(slopes.shape[1]):
+            slopes[i, k] = W[slope_row + chosen[k], 0]
+
+
+@njit(**DRIVER_OPTIONS)
+def pull_velocities(prepare, start, adjoint, h, W, at, t, q, p, row, slope_row, out, slopes):
+    """Turn derivatives by q and p at states into those by q and v, in ``out``.
+
+    ``slopes`` takes those by parameters at given q and v.
+    """
+    n = at[DIMENSION]
+    call(prepare, h, t[0], W)
+    for i in range(out.shape[0]):
+        for a in range(n):
+            W[at[POSITION] + a, 0] = q[i, a]
+            W[at[MOMENTUM] + a, 0] = p[i, a]
+        call(start, h, t[i], W)
+        for k in range(2 * n):
+            W[row + k, 0] = out[i, k]
+        call(adjoint, h, t[i], W)
+        for k in range(2 * n):
+            out[i, k] = W[row + k, 0]
+        for k in range(slopes.shape[1]):
+            slopes[i, k] = W[slope_row + k, 0]

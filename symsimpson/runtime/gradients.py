@@ -1,0 +1,123 @@
+"""The gradient of a cost of a run: what was asked for, read; and brought into its shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.costs import read_cost, read_samples
+from symsimpson.runtime.inputs import read_count
+from symsimpson.runtime.results.gradient import Gradient
+from symsimpson.runtime.runs.backward import Objective, differentiate_back
+from symsimpson.runtime.runs.driving import Samples, given_inputs
+from symsimpson.runtime.runs.spec import RunSpec, read_run
+from symsimpson.runtime.runs.variations import read_varied, varied_stepper
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = ["Wanted", "gradient_of"]
+
+Reals = NDArray[Any]
+#: The initial state, by what was given of it.
+STATE = ("q", "v", "p")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cost, and what to differentiate it by.
+
+    Attributes
+    ----------
+    cost, running : expression or None
+        Of the last state, and along the path.
+    samples : mapping from expression to values, or None
+    every : int
+        Steps between samples.
+    wrt : sequence of str or symbols
+    """
+
+    cost: Any
+    running: Any
+    samples: Mapping[Any, Any] | None
+    every: Any
+    wrt: Sequence[Any]
+
+
+def gradient_of(
+    stepper: Evaluator, start: Any, times: Any, parameters: Any, inputs: Any, wanted: Wanted,
+    progress: bool | None,
+) -> Gradient:  # fmt: skip
+    """Return the cost of a run and its derivatives; arguments as ``read_run`` takes them.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    asked = [wanted.wrt] if isinstance(wanted.wrt, str) else [str(one) for one in wanted.wrt]
+    names = [name for name in asked if name not in STATE]
+    _check(wanted, asked, velocities=start[1] is not None)
+    stepper = varied_stepper(stepper, read_varied(stepper, names), wanted.running)
+    spec = read_run(stepper, start, times, parameters, None, inputs)
+    every = read_count("every", wanted.every, least=1)
+    objective = Objective(
+        read_cost(stepper, wanted.cost),
+        read_samples(stepper, wanted.samples, spec.steps, every), every,
+    )  # fmt: skip
+    varied = stepper._module.header.varied_by or ()
+    of_inputs = [j for j, name in enumerate(varied) if name in stepper.inputs]
+    found = differentiate_back(stepper, spec, objective, of_inputs, progress)
+    given = given_inputs(stepper, inputs) if of_inputs else {}
+    n, parts = stepper.n, {}
+    for name in asked:
+        if name in STATE:
+            parts[name] = found.state[:n] if name == "q" else found.state[n:]
+            continue
+        own = varied[names.index(name)]
+        if own in stepper.inputs:
+            slopes = found.by_step[:, of_inputs.index(names.index(name))]
+            parts[name] = _of_input(slopes, given[own], spec)
+        else:
+            parts[name] = np.asarray(found.parameters[names.index(name)])
+    return Gradient(found.value, parts)
+
+
+def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
+    """Refuse a cost of nothing, and derivatives by a state that was not given."""
+    if wanted.cost is None and wanted.running is None and not wanted.samples:
+        raise InputError(
+            "there is no cost to differentiate.\nPass cost= of the last state, running= along "
+            "the path, or samples= that the run is to come near to."
+        )
+    if not asked:
+        raise InputError("wrt is empty.\nName what to differentiate by: wrt=('q', 'l1').")
+    wrong, right = ("p", "v") if velocities else ("v", "p")
+    if wrong in asked:
+        raise InputError(
+            f"wrt names {wrong!r}, and the run begins with {right}0.\n"
+            f"Pass {wrong}0, or differentiate by {right!r}."
+        )
+    if len(set(asked)) < len(asked):
+        raise InputError(f"wrt is {', '.join(asked)}.\nName each only once.")
+
+
+def _of_input(slopes: Reals, given: Any, spec: RunSpec) -> Reals:
+    """Bring the derivatives through steps and nodes, shape (N, s), into the shape of an input."""
+    if isinstance(given, Samples):
+        values = np.asarray(given.values)
+        if not values.ndim:
+            return np.asarray(slopes.sum())
+        period = round(abs(float(given.period) / float(spec.h)))
+        starts = np.arange(0, spec.steps, period)
+        found = 0 * np.resize(slopes[0], values.shape)
+        found[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
+        return found
+    shape = np.shape(given)
+    if not shape:
+        return np.asarray(slopes.sum())
+    return slopes.reshape(shape) if slopes.size == np.prod(shape) else slopes.sum(axis=1)

@@ -1,0 +1,260 @@
+"""A run there, and derivatives of its cost back again.
+
+The way there is cut into segments of about sqrt(N) steps where the records of all would take too
+much memory: the workspace is kept where each begins, and on the way back each is run once more, to
+the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.progress import Watcher
+from symsimpson.runtime.costs import Samples, StateCost, pull_velocities
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.integrate import (
+    begin_run,
+    look_at_step,
+    new_run,
+    raise_failure,
+    stored_by,
+    trajectory_of,
+)
+from symsimpson.runtime.runs.resolution import check_start
+from symsimpson.runtime.runs.run import Kept, workspace
+from symsimpson.runtime.runs.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = ["Backward", "Objective", "differentiate_back"]
+
+Reals = NDArray[Any]
+#: Records of all steps are kept where they have no more numbers than this: 64 MB.
+RECORDED = 8_000_000
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What a run is to be judged by.
+
+    Attributes
+    ----------
+    end : StateCost or None
+        A cost of the last state.
+    samples : tuple of Samples
+        Each costs the sum of the squares by which the run differs from it.
+    every : int
+        Steps between samples.
+    """
+
+    end: StateCost | None
+    samples: tuple[Samples, ...]
+    every: int
+
+
+@dataclass
+class Backward:
+    """What a run costs, and the derivatives of that.
+
+    Attributes
+    ----------
+    value : number
+    state : ndarray, shape (2 n,)
+        By q0 and p0, or by q0 and v0 where the run began with velocities.
+    parameters : ndarray, shape (k,)
+        By what is varied.
+    by_step : ndarray, shape (N, k, s), or (N, k, 1) where inputs are held
+        By what is varied, of inputs: through each step and node.
+    """
+
+    value: Any
+    state: Reals
+    parameters: Reals
+    by_step: Reals
+
+
+def differentiate_back(
+    stepper: Evaluator, spec: RunSpec, objective: Objective, inputs: Sequence[int],
+    progress: bool | None,
+) -> Backward:  # fmt: skip
+    """Run, and carry the derivatives of the cost back to the start.
+
+    Parameters
+    ----------
+    stepper : Evaluator
+        One that differentiates its steps.
+    spec : RunSpec
+    objective : Objective
+    inputs : sequence of int
+        Which of what is varied are inputs.
+    progress : bool or None
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+        As for a run.
+    """
+    numbers = stepper._module.numbers
+    with numbers.working():
+        way = _Way(stepper, spec, progress)
+        back = _Back(stepper, spec, objective, inputs)
+        back.leave_end(way)
+        for first, records, q, p in way.segments():
+            back.carry(first, records, q, p)
+        return back.arrived(way)
+
+
+class _Way:
+    """The way there: a run that was made, and can be made again from places on it."""
+
+    def __init__(self, stepper: Evaluator, spec: RunSpec, progress: bool | None) -> None:
+        header, count = stepper._module.header, spec.steps
+        rows = 4 * header.n + header.layout["UNKNOWNS"]
+        whole = count * rows <= RECORDED
+        self.piece = max(1, count if whole else isqrt(count))
+        self._count = count
+        kept = Kept("record", rows, rows)
+        self._run = run = new_run(stepper, spec, 1, self.piece + 1, kept=kept)
+        begin_run(stepper, run, spec)
+        self.q0, self.p0 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
+        check_start(stepper, spec.t0, self.q0, self.p0, spec.parameters)
+        if count:
+            look_at_step(stepper, run, spec)
+        run.listener = watcher = Watcher(count, progress)
+        self._places: list[tuple[list[int], Reals]] = []
+        ended = None
+        try:
+            while run.step < count and run.alive:
+                if run.step:
+                    run.forget()
+                self._places.append((run.position(), run.W[:, 0].copy()))
+                run.advance(min(run.step + self.piece, count))
+        except KeyboardInterrupt:
+            ended = Status.INTERRUPTED
+        finally:
+            watcher.close()
+        if ended is not None or not run.alive:
+            status = ended or run.status
+            trajectory = trajectory_of(stepper, run, count, status, spec, stored_by(run), 0)
+            raise_failure(run, trajectory, trajectory)
+        self.q1, self.p1 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
+
+    def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
+        """Go back over the segments: the number of the first step, records, and states."""
+        run = self._run
+        run.listener = None
+        for i, (position, kept) in reversed(list(enumerate(self._places))):
+            first = i * self.piece
+            last = min(first + self.piece, self._count)
+            if last < self._count:  # the last one is still there
+                run.put_back(position, kept)
+                run.store(0)
+                run.advance(last)
+            yield first, run.kept[: last - first + 1], *stored_by(run)[:2]
+
+
+class _Back:
+    """The way back: derivatives of the cost by the state, and what they give on the way."""
+
+    def __init__(
+        self, stepper: Evaluator, spec: RunSpec, objective: Objective, inputs: Sequence[int]
+    ) -> None:
+        header, numbers = stepper._module.header, stepper._module.numbers
+        self._stepper, self._spec, self._objective = stepper, spec, objective
+        self._kernels = list(map(stepper._module.kernels.address, ("prepare", "adjoint")))
+        self._W = workspace(header, numbers, spec.parameters)
+        varied, self._nodes = len(header.varied_by or ()), header.nodes
+        self._value = numbers.zeros(())[()]
+        self._state = self._rows("ADJOINT", 2 * stepper.n)
+        self._parameters = numbers.zeros(varied)
+        #: Those through nodes, in all, and what rounding has taken from the sums.
+        self._totals = numbers.zeros((2, varied * self._nodes))
+        self._chosen = np.arange(varied * self._nodes).reshape(varied, -1)[list(inputs)].ravel()
+        held = self._nodes if spec.inputs.shape[2] > 1 else 1
+        self._by_step = numbers.zeros((spec.steps, len(inputs), held))
+
+    def _rows(self, block: str, count: int) -> Reals:
+        first = self._stepper._module.header.layout[block]
+        return self._W[first : first + count, 0]
+
+    def leave_end(self, way: _Way) -> None:
+        """Begin with the cost of the last state."""
+        cost, spec = self._objective.end, self._spec
+        if cost is None:
+            return
+        numbers = self._stepper._module.numbers
+        t = numbers.read([spec.t0 + spec.h * spec.steps])
+        found = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
+        self._value = self._value + found.value[0]
+        self._state += found.state[0]
+        self._parameters = self._parameters + found.parameters[0]
+
+    def carry(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
+        """Go back over the steps of a segment."""
+        spec, count = self._spec, len(records) - 1
+        header, numbers = self._stepper._module.header, self._stepper._module.numbers
+        slopes = numbers.zeros((count, len(self._chosen)))
+        jumps = self._jumps(first, q, p)
+        numbers.driver("carry_back")(
+            *self._kernels, spec.h, spec.t0, self._W, header.told, header.layout["ADJOINT"],
+            header.layout["COST_SLOPE"], first, records, jumps, self._totals,
+            self._chosen, slopes, spec.inputs,
+        )  # fmt: skip
+        by_node = slopes.reshape(count, -1, self._nodes)
+        held = self._by_step.shape[2] < self._nodes
+        self._by_step[first : first + count] = (
+            by_node.sum(axis=2, keepdims=True) if held else by_node
+        )
+
+    def _jumps(self, first: int, q: Reals, p: Reals) -> Reals:
+        """Return what samples add at the states behind the steps of a segment, (count, 2 n)."""
+        every, numbers = self._objective.every, self._stepper._module.numbers
+        if not self._objective.samples:
+            return numbers.zeros((0, 0))
+        jumps = numbers.zeros((len(q) - 1, 2 * self._stepper.n))
+        numbered = np.arange(first + 1, first + len(q))
+        here = np.flatnonzero(numbered % every == 0)
+        if here.size:
+            jumps[here] = self._sampled(numbered[here] // every, q[here + 1], p[here + 1])
+        return jumps
+
+    def _sampled(self, places: NDArray[np.int64], q: Reals, p: Reals) -> Reals:
+        """Add the samples at some states to the cost; return its derivatives by these states."""
+        spec, numbers = self._spec, self._stepper._module.numbers
+        t = spec.t0 + numbers.read(places * self._objective.every) * spec.h
+        found = numbers.zeros((len(places), 2 * self._stepper.n))
+        for samples in self._objective.samples:
+            slopes = samples.slopes(slice(places[0], places[-1] + 1), t, q, p, spec.parameters)
+            self._value = self._value + slopes.value.sum()
+            self._parameters = self._parameters + slopes.parameters.sum(axis=0)
+            found = found + slopes.state
+        return found
+
+    def arrived(self, way: _Way) -> Backward:
+        """Return what there is at the start."""
+        spec, numbers = self._spec, self._stepper._module.numbers
+        q0, p0 = way.q0[None], way.p0[None]
+        if self._objective.samples:
+            self._state += self._sampled(np.zeros(1, dtype=np.int64), q0, p0)[0]
+        state = self._state.copy()
+        through_nodes = (self._totals[0] + self._totals[1]).reshape(-1, self._nodes)
+        parameters = self._parameters + through_nodes.sum(axis=1)
+        if spec.velocities:
+            t = numbers.read([spec.t0])
+            pulled, further = pull_velocities(
+                self._stepper, t, q0, p0, state[None], spec.parameters
+            )
+            state, parameters = pulled[0], parameters + further[0]
+        if "COST" in self._stepper._module.header.layout:
+            self._value = self._value + self._rows("COST", 1)[0]
+        result = numbers.result
+        return Backward(
+            numbers.single(self._value), result(state), result(parameters), result(self._by_step)
+        )
