@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import sympy as sp
 
@@ -13,6 +15,9 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 
 __all__ = ["Differentials", "sizes"]
+
+#: Derivatives by parameters, and where they stand.
+_BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,18 @@ class Differentials:
             return self
         return replace(self, loops=replace(self.loops, autonomous=False))
 
+    def tables(self) -> dict[str, object]:
+        """Return where the derivatives of F and P by parameters stand that are not zero.
+
+        Those of a parameter stand one behind the other; their coordinates by place.
+        """
+        found: dict[str, object] = {"VARIED": len(self.varied)}
+        for block, what in _BLOCKS if self.varied else ():
+            rows, name = _not_zero(self.low, self.places, what), block.removeprefix("NODE_")
+            first = accumulate(sum(own == varied for own, _ in rows) for varied in self.varied)
+            found |= {f"{name}_FROM": (0, *first), f"{name}_PLACE": (*(s for _, s in rows), 0)}
+        return found
+
     def functions(self) -> list[Function]:
         """Return what is evaluated at a node."""
         found = [_slopes(self.low, self.places)] if self.varied else []
@@ -94,13 +111,24 @@ def sizes(low: Lowering) -> dict[str, int]:
         return {}
     varied, unknowns = len(low.varied), low.equations.unknowns.size
     own = {
-        "NODE_F_A": varied * low.n, "NODE_P_A": varied * low.n, "EXCHANGE": unknowns,
+        **{block: 1 + len(_not_zero(low, range(low.n), what)) for block, what in _BLOCKS},
+        "EXCHANGE": unknowns,
         "ADJOINT": 2 * low.n, "ADJOINT_RIGHT": unknowns, "ADJOINT_START": low.n,
         "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
     }  # fmt: skip
     if low.equations.cost is not None:
         own |= {"COST": 2, "NODE_COST": 1 + 2 * low.n + varied}
     return own | ({"NODE_TIME": 1} if timed(low) else {})
+
+
+def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
+    """List the derivatives that do not vanish: by which parameter, and at which place."""
+    return [
+        (name, s)
+        for name in low.varied
+        for s, a in enumerate(places)
+        if not low.slopes.vanishes(what, a, name)
+    ]
 
 
 def _point(low: Lowering) -> Point:
@@ -110,10 +138,9 @@ def _point(low: Lowering) -> Point:
 def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     """Write the derivatives of F and P by the parameters that are varied, at a node."""
     stores = [
-        Store(Row(block, j * low.n + s), low.slopes.entry(_point(low), "slopes", what, a, name))
-        for j, name in enumerate(low.varied)
-        for block, what in (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
-        for s, a in enumerate(places)
+        Store(Row(block, k), low.slopes.entry(_point(low), "slopes", what, places[s], name))
+        for block, what in _BLOCKS
+        for k, (name, s) in enumerate(_not_zero(low, places, what))
     ]  # fmt: skip
     doc = "Derivatives of F and P by the parameters that are varied, at a node."
     return Function("parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))

@@ -34,7 +34,7 @@ def differentiating(
         return [], [], {}
     made = Differentials(low, loops, tuple(places), following)
     kernels = [*_tangent_kernels(made), *adjoint_kernels(made)]
-    return made.functions(), kernels, _tables(loops.storage, loops.degree, len(low.varied))
+    return made.functions(), kernels, made.tables() | _tables(loops.storage, loops.degree)
 
 
 def _tangent_kernels(made: Differentials) -> list[Kernel]:
@@ -62,8 +62,10 @@ def _tangent_kernels(made: Differentials) -> list[Kernel]:
     doc = "Carry variations of the state to the end of the step that was taken."
     kernels = [Kernel("tangent", doc, lanes((When(body),)))]
     if made.varied:
-        doc = "Derivatives of p by the parameters that are varied, at (q, v)."
-        slopes = (*made.loops.start(), Call("parameter_slopes"))
+        doc = "Begin variations of parameters at given q and v."
+        slopes = (
+            *made.loops.start(), Call("parameter_slopes"), Call("vary_momentum_at_start")
+        )  # fmt: skip
         kernels.append(Kernel("momentum_slopes", doc, lanes(slopes)))
     return kernels
 
@@ -72,12 +74,11 @@ def _each(*body: Statement) -> Loop:
     return Loop("variation", "range(int(W[TANGENTS, lane]))", body)
 
 
-def _tables(storage: Storage, degree: int, varied: int) -> dict[str, object]:
+def _tables(storage: Storage, degree: int) -> dict[str, object]:
     """Return what loops over variations must know."""
     own = {
         **storage.constants("TANGENT", degree),
         **storage.bounds("TANGENT", degree),
         "TANGENT_UNKNOWNS": storage.unknowns(degree),
-        "VARIED": varied,
     }
     return {key: own[key] for key in own if not key.endswith("_STEP")}

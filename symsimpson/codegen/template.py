@@ -77,7 +77,7 @@ class JetTemplate:
         """The coordinates on which a force acts."""
         return self._jet.forced
 
-    def vanishes(self, what: str, *index: int) -> bool:
+    def vanishes(self, what: str, *index: int | str) -> bool:
         """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]
 

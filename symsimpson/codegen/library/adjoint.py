@@ -44,6 +44,10 @@ TANGENT_UPPER: int
 TANGENT_STRIDE: int
 TANGENT_OFFSET: int
 VARIED: int
+F_A_FROM: tuple[int, ...]
+F_A_PLACE: tuple[int, ...]
+P_A_FROM: tuple[int, ...]
+P_A_PLACE: tuple[int, ...]
 BAND: int
 NODE_STRIDE: int
 NODE_OFFSET: int
@@ -163,9 +167,10 @@ def pull_parameters(W, node, lane):
     """Find the derivatives by parameters that go through a node."""
     for j in range(VARIED):
         slope = real(0)
-        for s in range(DIMENSION):
-            slope += W[NODE_F_A + j * DIMENSION + s, lane] * W[NODE_POSITION + s, lane]
-            slope += W[NODE_P_A + j * DIMENSION + s, lane] * W[NODE_VELOCITY + s, lane]
+        for row in range(F_A_FROM[j], F_A_FROM[j + 1]):
+            slope += W[NODE_F_A + row, lane] * W[NODE_POSITION + F_A_PLACE[row], lane]
+        for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
+            slope += W[NODE_P_A + row, lane] * W[NODE_VELOCITY + P_A_PLACE[row], lane]
         W[COST_SLOPE + j * NODES + node, lane] = slope
 
 
@@ -231,7 +236,7 @@ def pull_momentum_slopes(W, lane):
     """Find the derivatives of b.p by parameters, in the place of those through the first node."""
     for j in range(VARIED):
         slope = real(0)
-        for s in range(DIMENSION):
-            b = W[ADJOINT + DIMENSION + COORDINATE[s], lane]
-            slope += W[NODE_P_A + j * DIMENSION + s, lane] * b
+        for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
+            b = W[ADJOINT + DIMENSION + COORDINATE[P_A_PLACE[row]], lane]
+            slope += W[NODE_P_A + row, lane] * b
         W[COST_SLOPE + j * NODES, lane] = slope

@@ -38,6 +38,10 @@ TANGENT_UPPER: int
 TANGENT_STRIDE: int
 TANGENT_OFFSET: int
 VARIED: int
+F_A_FROM: tuple[int, ...]
+F_A_PLACE: tuple[int, ...]
+P_A_FROM: tuple[int, ...]
+P_A_PLACE: tuple[int, ...]
 BAND: int
 NODE_STRIDE: int
 NODE_OFFSET: int
@@ -57,8 +61,9 @@ solve_factored: Callable[..., Any]
 @compiled
 def grow_slopes(W, node, lane):
     """Multiply derivatives by parameters at a node by what its weight has grown to."""
-    for row in range(VARIED * DIMENSION):
+    for row in range(F_A_FROM[VARIED]):
         W[NODE_F_A + row, lane] *= W[GROWTH + node, lane]
+    for row in range(P_A_FROM[VARIED]):
         W[NODE_P_A + row, lane] *= W[GROWTH + node, lane]
 
 
@@ -89,6 +94,16 @@ def parameter_of(W, variation, lane):
 
 
 @compiled
+def vary_momentum_at_start(W, lane):
+    """Begin variations of parameters with what they change of p = L_v(q, v)."""
+    for parameter in range(VARIED):
+        variation = int(W[TANGENTS, lane]) - VARIED + parameter
+        dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[dp + COORDINATE[P_A_PLACE[row]], lane] = W[NODE_P_A + row, lane]
+
+
+@compiled
 def begin_variation(W, variation, lane):
     """Begin the right side -R_p dp0, in the row of q0, and dp1 - dp0."""
     dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
@@ -107,9 +122,10 @@ def add_slopes(W, variation, lane):
     """Add to dF and dP at a node what the parameter itself changes."""
     parameter = parameter_of(W, variation, lane)
     if parameter >= 0:
-        for s in range(DIMENSION):
-            W[NODE_POSITION + s, lane] += W[NODE_F_A + parameter * DIMENSION + s, lane]
-            W[NODE_VELOCITY + s, lane] += W[NODE_P_A + parameter * DIMENSION + s, lane]
+        for row in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
+            W[NODE_POSITION + F_A_PLACE[row], lane] += W[NODE_F_A + row, lane]
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[NODE_VELOCITY + P_A_PLACE[row], lane] += W[NODE_P_A + row, lane]
 
 
 @compiled
@@ -195,9 +211,9 @@ def add_impulse(W, h, node, variation, lane):
     parameter = parameter_of(W, variation, lane)
     impulse = room_of(W, variation, lane) + UNKNOWNS
     if parameter >= 0:
-        for s in range(DIMENSION):
-            force = W[NODE_F_A + parameter * DIMENSION + s, lane]
-            W[impulse + COORDINATE[s], lane] += h * WEIGHTS[node] * force
+        for row in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
+            a = COORDINATE[F_A_PLACE[row]]
+            W[impulse + a, lane] += h * WEIGHTS[node] * W[NODE_F_A + row, lane]
 
 
 @compiled

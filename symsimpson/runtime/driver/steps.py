@@ -70,6 +70,7 @@ STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 INPUTS = types.Array(types.float64, 4, "A", readonly=True)
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
+    "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
     "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "take_steps": types.void(
@@ -93,6 +94,12 @@ def call(typing_context, address, h, t, workspace):
         return context.get_dummy_value()
 
     return signature, code
+
+
+@njit(**DRIVER_OPTIONS)
+def apply(kernel, h, t, W):
+    """Call a kernel once."""
+    call(kernel, h, t, W)
 
 
 @njit(**DRIVER_OPTIONS)

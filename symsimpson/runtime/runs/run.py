@@ -112,6 +112,11 @@ class Run:
         if self.every:
             self.store(0)
 
+    def apply(self, kernel: str) -> None:
+        """Call a kernel of the state where the run is."""
+        address = self.kernels.address(kernel)
+        self._driver("apply")(address, self.h, self._time(), self.W)
+
     def store(self, place: int) -> None:
         """Store the present state."""
         n = self.header.n

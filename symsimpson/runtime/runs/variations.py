@@ -131,22 +131,5 @@ def begin_variations(stepper: Evaluator, run: Run, tangents: Reals, *, velocity:
     run.rows("TANGENTS", 1)[:] = count
     run.rows("TANGENT", 2 * n * given)[:] = tangents.T.ravel()
     if velocity and varied:
-        _vary_momentum(stepper, run, count, varied)
+        run.apply("momentum_slopes")
     run.kept[0, :, 0] = run.rows("TANGENT", 2 * n * count)
-
-
-def _vary_momentum(stepper: Evaluator, run: Run, count: int, varied: int) -> None:
-    """Let p0 change with parameters at given q0 and v0."""
-    from symsimpson.runtime.evaluator import evaluate
-
-    numbers, n = stepper._module.numbers, stepper.n
-    q, p = (run.rows(block, n).copy() for block in ("POSITION", "MOMENTUM"))
-    values = run.rows("PARAMETER", len(stepper.parameters)).copy()
-    slopes = evaluate(
-        stepper, "momentum_slopes", "NODE_P_A", varied * n, numbers.read([run.t0]), q[None],
-        p[None], values, before="energy",
-    )  # fmt: skip
-    order = list(stepper._module.header.coordinate_order)
-    columns = run.rows("TANGENT", 2 * n * count).reshape(count, 2, n)
-    for j in range(varied):
-        columns[count - varied + j, 1, order] = slopes[0, j * n : (j + 1) * n]
