@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["Derivation", "Report"]
+__all__ = ["LAGRANGIAN", "Derivation", "Report"]
+
+#: The running cost L(t, q, v) of a system, whose integral over a step is the discrete Lagrangian.
+LAGRANGIAN = "the Lagrangian"
 
 
 @dataclass(frozen=True)

@@ -166,5 +166,5 @@ KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
     "multipliers", "tangent", "momentum_slopes", "adjoint", "start_adjoint", "record",
-    "node_states",
+    "step_cost", "running_cost",
 )  # fmt: skip

@@ -24,16 +24,11 @@ def adjoint_kernels(differentials: Differentials) -> list[Kernel]:
         *made.if_varied(Call("parameter_slopes"), Call("pull_momentum_slopes")),
         Call("pull_momentum"),
     )  # fmt: skip
-    states = (
-        Call("exchange_steps"), *made.path_known(),
-        made.loops.nodes("range(NODES)", Call("keep_node", _HERE)), Call("exchange_steps"),
-    )  # fmt: skip
     return [
         Kernel("adjoint", "Carry derivatives of a cost back over the step that was taken.", step),
         Kernel("start_adjoint", "Derivatives by q0 and v0 from those by q0 and p0.", lanes(start)),
         Kernel("record", "Keep the step that was taken.", lanes((When((Call("record_step"),)),))),
-        Kernel("node_states", "Position and velocity at the nodes of the step that was taken.",
-               lanes((When(states),))),
+        *(_cost_kernels(made) if made.costly else ()),
     ]  # fmt: skip
 
 
@@ -46,7 +41,7 @@ def _step(made: Differentials) -> tuple[Call, ...]:
     of_nodes = (
         *made.parameter_slopes(), *cost, Call("weigh_node", _AT_NODE),
         *made.if_varied(Call("pull_parameters", _HERE)), Call("pull_start", _HERE),
-        *made.if_costly(Call("pull_cost", _AT_NODE)),
+        *made.if_costly(Call("integrate_cost", _AT_NODE), Call("pull_cost", _AT_NODE)),
     )  # fmt: skip
     return (
         Call("exchange_steps"),
@@ -60,3 +55,19 @@ def _step(made: Differentials) -> tuple[Call, ...]:
         Call("close_adjoint"),
         Call("exchange_steps"),
     )
+
+
+def _cost_kernels(made: Differentials) -> list[Kernel]:
+    """Return what evaluates a running cost over the step that was taken, and anywhere."""
+    step = (
+        Call("exchange_steps"), *made.path_known(),
+        made.loops.nodes("range(NODES)", Call("cost_slopes"), Call("integrate_cost", _AT_NODE)),
+        Call("exchange_steps"),
+    )  # fmt: skip
+    here = (Call("take_for_velocity"), *made.loops.start(), Call("cost_slopes"))
+    return [
+        Kernel("step_cost", "Add the running cost of the step that was taken.",
+               lanes((When(step),))),
+        Kernel("running_cost", "The running cost at q and v, which stands in the place of p.",
+               lanes(here)),
+    ]  # fmt: skip

@@ -102,7 +102,7 @@ class Differentials:
 def timed(low: Lowering) -> bool:
     """Return whether a running cost depends on the time."""
     cost, plain = low.equations.cost, low.equations.plain
-    return cost is not None and plain.t in cost.free_symbols
+    return cost is not None and cost.depends(plain.t)
 
 
 def sizes(low: Lowering) -> dict[str, int]:

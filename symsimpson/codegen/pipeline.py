@@ -11,9 +11,10 @@ import sympy as sp
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower, unrolled
 from symsimpson.codegen.names import NameTable
-from symsimpson.derivation import Derivation
+from symsimpson.derivation import LAGRANGIAN, Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
+from symsimpson.discrete.slopes import Cost
 from symsimpson.errors import GenerationError, SchemeError
 from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.expressions import read_expression
@@ -63,7 +64,7 @@ def derive(
         As for :func:`source`.
     varied : iterable of str, optional
         Names of parameters and inputs: a step is then differentiated by these, and by q and p.
-    running : sympy.Expr, optional
+    running : sympy.Expr or LAGRANGIAN, optional
         A cost that is integrated along the path, in the user's symbols.
 
     Returns
@@ -71,22 +72,25 @@ def derive(
     Derivation
     """
     names = None if varied is None else tuple(varied)
-    cost = None if running is None else _cost(system, running)
-    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, cost)
+    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running)
 
 
-def _cost(system: MechanicalSystem, running: Any) -> sp.Expr:
-    """Read a running cost g(t, q, v, u) in the user's symbols, into plain ones.
+def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
+    """Read a running cost g(t, q, v, u) in the user's symbols.
 
     Raises
     ------
     ModelError
         If it contains something else.
     """
+    if running is None:
+        return None
+    if isinstance(running, str) and running == LAGRANGIAN:
+        return Cost(system.plain.graph, system.plain.L)
     own = Symbols(system.coordinates, system.parameters, system.inputs)
     allowed = (*own.q, *own.v, *own.a, *own.u, own.t)
-    read_expression(system.name, "running cost", running, own, own.known, allowed)
-    return sp.sympify(running).xreplace(own.replace)
+    value = read_expression(system.name, "running cost", running, own, own.known, allowed)
+    return Cost(own.graph, value)
 
 
 def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
@@ -114,9 +118,10 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
 @lru_cache(maxsize=64)
 def _derive(
     system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
-    names: tuple[str, ...] | None, cost: sp.Expr | None,
+    names: tuple[str, ...] | None, running: Any,
 ) -> Derivation:  # fmt: skip
     varied = None if names is None else _varied(system, names)
+    cost = _cost(system, running)
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
         equations = discretise(system, scheme, exploit, varied, cost)

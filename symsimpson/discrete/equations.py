@@ -35,6 +35,7 @@ from symsimpson.discrete.reductions import (
     read_exploit,
     reduce,
 )
+from symsimpson.discrete.slopes import Cost
 from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
@@ -62,8 +63,7 @@ class DiscreteEquations:
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
     elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
     Derivatives of a step are taken by q, p and what is ``varied``, plain symbols of parameters and
-    inputs; there are none of them if that is None. A running ``cost`` is an expression in plain
-    symbols.
+    inputs; there are none of them if that is None. A running ``cost`` may be integrated, too.
     """
 
     system: MechanicalSystem
@@ -75,7 +75,7 @@ class DiscreteEquations:
     columns: tuple[int, ...]
     parts: tuple[Part, ...]
     varied: tuple[sp.Symbol, ...] | None = None
-    cost: sp.Expr | None = None
+    cost: Cost | None = None
 
     @cached_property
     def jet(self) -> Jet:
@@ -153,7 +153,7 @@ class DiscreteEquations:
 
 def discretise(
     system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all",
-    varied: tuple[sp.Symbol, ...] | None = None, cost: sp.Expr | None = None,
+    varied: tuple[sp.Symbol, ...] | None = None, cost: Cost | None = None,
 ) -> DiscreteEquations:  # fmt: skip
     """Derive the equations of one step.
 
@@ -165,8 +165,8 @@ def discretise(
         Findings about the system that may shorten them.
     varied : tuple of sympy.Symbol, optional
         Plain symbols by which a step is differentiated, beside q and p.
-    cost : sympy.Expr, optional
-        A running cost in plain symbols, whose derivatives steps carry back, too.
+    cost : Cost, optional
+        Integrated along the path; steps carry its derivatives back, too.
 
     Returns
     -------

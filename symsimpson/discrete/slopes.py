@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import sympy as sp
@@ -10,13 +11,25 @@ import sympy as sp
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.nodes import Graph, Value
-from symsimpson.graph.read import Reader
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain
 
-__all__ = ["derive_cost", "derive_slopes"]
+__all__ = ["Cost", "derive_cost", "derive_slopes"]
+
+
+@dataclass(frozen=True)
+class Cost:
+    """A running cost g(t, q, v, u), in a graph whose symbols have the names of the plain ones."""
+
+    graph: Graph
+    value: Value
+
+    def depends(self, symbol: sp.Symbol) -> bool:
+        """Return whether a plain symbol stands in it."""
+        numbers = self.graph.numbers([symbol.name])
+        return not self.graph.nodes[self.value[1]].symbols.isdisjoint(numbers)
 
 
 def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
@@ -46,15 +59,14 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     return written_as_jet(plain, graph, outputs)
 
 
-def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: sp.Expr) -> Jet:
+def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
     """Derive a running cost g(t, q, v, u) by q, by v, and by parameters and inputs.
 
     Parameters
     ----------
     plain : Plain
     varied : mapping from name to plain symbol
-    cost : sympy.Expr
-        In plain symbols.
+    cost : Cost
 
     Returns
     -------
@@ -62,10 +74,7 @@ def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: sp.Expr) ->
         Outputs ``("g",)``, ``("g_q", i)``, ``("g_v", i)`` and ``("g_a", name)``.
     """
     graph, n = Graph(), len(plain.q)
-    for symbol in plain.symbols:
-        graph.symbol(symbol.name)
-    known = {symbol: graph.symbol(symbol.name) for symbol in plain.symbols}
-    value = Reader(graph, known)(cost)
+    (value,) = rebuilt(cost.graph, [cost.value], {}, graph)
     moving = graph.numbers(s.name for s in (*plain.q, *plain.v, *varied.values()))
     slopes = gradient(graph, value, moving)
     outputs: dict[Key, Value] = {("g",): value}

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from symsimpson.plotting.axes import axes
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.results.energies import Energies
     from symsimpson.runtime.results.states import States
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["plot", "plot_energy", "plot_phase"]
 
@@ -54,11 +54,16 @@ def plot_phase(
     return ax
 
 
-def plot_energy(run: Trajectory, *, ax: Any = None) -> Any:
+def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
     constant = run._stepper._module.header.conservative
-    ax.plot(run.t, run.energy_error if constant else run.energy_balance, lw=0.8)
+    change = run.energy_error if constant else run.energy_balance
+    ax.plot(run.t, change, lw=0.8, label="energy" if shadow else None)
+    if shadow:
+        kept = run.shadow_energy
+        ax.plot(run.t, (kept - kept[0]) / run.energy_scale, lw=0.8, label="shadow energy")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     name = f"{run._stepper.system}, {run._stepper.scheme}, h = {float(run.h):g}"
     label = "(H - H0) / |H0|" if run.energy[0] != 0 else "H - H0"
     if not constant:

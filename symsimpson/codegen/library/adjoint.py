@@ -22,6 +22,8 @@ NODES: int
 UNKNOWNS: int
 PREVIOUS: int
 SOLVED: int
+MOMENTUM: int
+VELOCITY: int
 NODE_POSITION: int
 NODE_VELOCITY: int
 NODE_L_QQ: int
@@ -73,13 +75,10 @@ def record_step(W, lane):
 
 
 @compiled
-def keep_node(W, node, lane):
-    """Keep position and velocity at a node."""
-    first = TANGENT + node * 2 * DIMENSION
-    for s in range(DIMENSION):
-        a = COORDINATE[s]
-        W[first + a, lane] = W[NODE_POSITION + s, lane]
-        W[first + DIMENSION + a, lane] = W[NODE_VELOCITY + s, lane]
+def take_for_velocity(W, lane):
+    """Take what stands in the place of p for the velocity."""
+    for a in range(DIMENSION):
+        W[VELOCITY + a, lane] = W[MOMENTUM + a, lane]
 
 
 @compiled
@@ -188,13 +187,18 @@ def pull_start(W, node, lane):
 
 
 @compiled
-def pull_cost(W, h, node, lane):
-    """Add the running cost at a node, and its derivatives by q0 and by parameters."""
-    weight = h * WEIGHTS[node]
+def integrate_cost(W, h, node, lane):
+    """Add the running cost at a node."""
     before = W[COST, lane]
-    change = weight * W[NODE_COST, lane] + W[COST + 1, lane]
+    change = h * WEIGHTS[node] * W[NODE_COST, lane] + W[COST + 1, lane]
     W[COST, lane] = before + change
     W[COST + 1, lane] = change - (W[COST, lane] - before)
+
+
+@compiled
+def pull_cost(W, h, node, lane):
+    """Add the derivatives of the running cost at a node by q0 and by parameters."""
+    weight = h * WEIGHTS[node]
     for s in range(DIMENSION):
         W[ADJOINT_START + s, lane] += weight * W[NODE_COST + 1 + s, lane]
     for j in range(VARIED):

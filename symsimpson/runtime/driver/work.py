@@ -1,4 +1,4 @@
-"""The compiled loop over steps that are taken again, to add up the work of forces.
+"""The compiled loops over steps that are taken again: the work of forces, costs of steps.
 
 Compiled behind the text of the driver, whose names it uses.
 """
@@ -16,6 +16,7 @@ from symsimpson.interface import (
     MODE,
     MOMENTUM,
     POSITION,
+    PREVIOUS,
 )
 from symsimpson.runtime.driver.between import GIVEN, TIMES
 from symsimpson.runtime.driver.steps import (
@@ -36,6 +37,10 @@ SIGNATURES |= {
         SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
         types.int64, types.int64, WORKSPACE, INPUTS,
     ),
+    "step_costs": types.int64(
+        SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN, types.int64,
+        types.float64[::1], INPUTS,
+    ),
 }  # fmt: skip
 #: Another solution of a step ends elsewhere by more than so much of the way, beside rounding.
 SAME_WAY, ROUNDED = 1e-3, 1e-9
@@ -53,6 +58,18 @@ def reached(W, at, before, after):
 
 
 @njit(**DRIVER_OPTIONS)
+def begin_again(kernels, h, t, W, at, q, p):
+    """Begin at a stored state."""
+    n = at[DIMENSION]
+    for k in range(at[POSITION], at[POSITION] + 4 * n):
+        W[k, 0] = 0.0
+    for a in range(n):
+        W[at[POSITION] + a, 0] = q[a]
+        W[at[MOMENTUM] + a, 0] = p[a]
+    begin(kernels, 0, h, t, W, at)
+
+
+@njit(**DRIVER_OPTIONS)
 def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
     """Integrate powers from stored state to stored state, ``every`` steps apart.
 
@@ -60,17 +77,12 @@ def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
     takes their sums from the first state on. Returns how many states could be reached: whether a
     step was the run's is seen where it ends.
     """
-    n, count = at[DIMENSION], out.shape[1]
+    count = out.shape[1]
     low = np.zeros(count)
     for i in range(1, q.shape[0]):
-        for k in range(at[POSITION], at[POSITION] + 4 * n):
-            W[k, 0] = 0.0
-        for a in range(n):
-            W[at[POSITION] + a, 0] = q[i - 1, a]
-            W[at[MOMENTUM] + a, 0] = p[i - 1, a]
+        begin_again(kernels, h, t[i - 1], W, at, q[i - 1], p[i - 1])
         for k in range(count):
             W[row + k, 0] = 0.0
-        begin(kernels, 0, h, t[i - 1], W, at)
         for step in range(every):
             now = t[i - 1] + h * step
             give(W, at, inputs, (i - 1) * every + step)
@@ -90,4 +102,32 @@ def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
             after = before + change
             low[k] = change - (after - before)
             out[i, k] = after
+    return q.shape[0]
+
+
+@njit(**DRIVER_OPTIONS)
+def step_costs(kernels, cost, h, t, W, at, q, p, row, out, inputs):
+    """Integrate a running cost over the step behind each state but the last.
+
+    It is found in a ``row`` of the workspace. Returns how many states could be reached.
+    """
+    n = at[DIMENSION]
+    for i in range(out.shape[0]):
+        begin_again(kernels, h, t[i], W, at, q[i], p[i])
+        W[row, 0], W[row + 1, 0] = 0.0, 0.0
+        give(W, at, inputs, i)
+        W[at[ACTIVE], 0] = 1.0
+        if kernels[MODE] == EXPLICIT:
+            W[at[COUNT], 0] = 1.0
+        elif solve(kernels[ITERATE], h, t[i], W, at) != 0:
+            return i + 1
+        W[at[ACTIVE], 0] = 1.0
+        call(kernels[ADVANCE], h, t[i], W)
+        if not reached(W, at, q[i], q[i + 1]):
+            return i + 1
+        for a in range(n):  # steps without iteration do not keep where they began
+            W[at[PREVIOUS] + a, 0], W[at[PREVIOUS] + 2 * n + a, 0] = q[i, a], p[i, a]
+        W[at[ACTIVE], 0] = 1.0
+        call(cost, h, t[i], W)
+        out[i] = W[row, 0]
     return q.shape[0]

@@ -13,7 +13,7 @@ from symsimpson.runtime.runs.driving import at_places
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.runtime.results.energies import Energies
 
 __all__ = ["TOTAL", "integrals", "powers"]
 
@@ -22,7 +22,7 @@ TOTAL = "total"
 Reals = NDArray[Any]
 
 
-def powers(run: Trajectory) -> dict[str, Reals]:
+def powers(run: Energies) -> dict[str, Reals]:
     """Return the power of each force at the stored states, and of all."""
     header = run._stepper._module.header
     if header.conservative:
@@ -34,7 +34,7 @@ def powers(run: Trajectory) -> dict[str, Reals]:
     return _named(run, found)
 
 
-def _at_states(run: Trajectory) -> Reals:
+def _at_states(run: Energies) -> Reals:
     """Return the inputs at stored states, which stand in the places of steps."""
     numbers = run._stepper._module.numbers
     last = max(run.steps - 1, 0)
@@ -46,14 +46,14 @@ def _at_states(run: Trajectory) -> Reals:
         return at_places(run._stepper, inputs, np.minimum(number, last), place)
 
 
-def _named(run: Trajectory, found: Reals) -> dict[str, Reals]:
+def _named(run: Energies, found: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
     names = run._stepper._module.header.forces
     own = {name: found[:, k] for k, name in enumerate(names)}
     return own | {TOTAL: sum(own.values(), 0 * run.t)}
 
 
-def integrals(run: Trajectory) -> tuple[dict[str, Reals], Reals]:
+def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
     """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
 
     Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
