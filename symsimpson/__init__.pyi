@@ -40,6 +40,7 @@ from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation
 from .runtime.ensembles.ensemble import Ensemble as Ensemble
 from .runtime.results.archive import open_trajectory as open_trajectory
+from .runtime.results.chaos import Chaos as Chaos
 from .runtime.results.events import Events as Events
 from .runtime.results.gradient import Gradient as Gradient
 from .runtime.results.gradient import hessian_product as hessian_product

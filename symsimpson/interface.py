@@ -121,20 +121,21 @@ ADJACENT = (
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
 #: unknowns, the number of coordinates, how many of the unknowns are measured, how many steps an
 #: explicit kernel may take in one call, as it is told the time of the first, from one input to
-#: the next how many rows, and where variations of the state begin.
+#: the next how many rows, where variations of the state begin, where what is stored beside
+#: states, and how many variations are made orthonormal, after each so many steps.
 TOLD = (
     "ACTIVE", "VELOCITY_JUMP_SQUARED", "STATUS", "CONTRACTION", "LARGEST_SQUARED", "ITERATIONS",
     "POSITION", "MOMENTUM", "INCREMENT", "STATE_END", "MASS_DIAGONAL", "DIMENSION", "PREVIOUS",
     "SOLVED", "COUNT", "RELATIVE", "IN_DOUBT", "ENERGY", "INCREMENT_SQUARED", "VELOCITY",
     "PARAMETER", "MASS_PIVOT", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT", "INPUT_STRIDE",
-    "TANGENT",
+    "TANGENT", "KEPT", "RENEWED", "RENEWAL",
 )  # fmt: skip
 (
     ACTIVE, VELOCITY_JUMP_SQUARED, STATUS, CONTRACTION, LARGEST_SQUARED, ITERATIONS,
     POSITION, MOMENTUM, INCREMENT, STATE_END, MASS_DIAGONAL, DIMENSION, PREVIOUS,
     SOLVED, COUNT, RELATIVE, IN_DOUBT, ENERGY, INCREMENT_SQUARED, VELOCITY,
     PARAMETER, MASS_PIVOT, ROWS, MEASURED, STEPS_A_CALL, INPUT, INPUT_STRIDE,
-    TANGENT,
+    TANGENT, KEPT, RENEWED, RENEWAL,
 ) = range(len(TOLD))  # fmt: skip
 
 # values in STATUS, and negative ones in ACTIVE

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 from symsimpson.plotting.axes import axes
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.results.chaos import Chaos
     from symsimpson.runtime.results.energies import Energies
     from symsimpson.runtime.results.states import States
 
-__all__ = ["plot", "plot_energy", "plot_phase"]
+__all__ = ["plot", "plot_energy", "plot_exponents", "plot_phase"]
 
 #: The dots of states that no line connects.
 DOTS = {"ls": "none", "marker": ".", "ms": 2.5}
@@ -70,5 +71,17 @@ def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
         label = "H - H0 - work"
     what = "energy error" if constant else "energy balance"
     ax.set(xlabel="t", ylabel=label, title=f"{what}: {name}")
+    ax.grid(lw=0.4, alpha=0.6)
+    return ax
+
+
+def plot_exponents(chaos: Chaos, *, ax: Any = None) -> Any:
+    """Draw Lyapunov exponents over the time that they were averaged over."""
+    ax = axes(ax, (7, 3))
+    for k, history in enumerate(chaos.history.T):
+        ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
+    stepper = chaos.trajectory._stepper
+    ax.set(xlabel="t", ylabel="exponent, 1 / time", title=f"{stepper.system}, {stepper.scheme}")
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     ax.grid(lw=0.4, alpha=0.6)
     return ax

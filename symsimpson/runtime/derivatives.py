@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.gradients import Wanted, gradient_of
+from symsimpson.runtime.kernels.observed import read_reductions
+from symsimpson.runtime.results.chaos import Chaos
 from symsimpson.runtime.results.gradient import Gradient
+from symsimpson.runtime.runs.chaos import find_chaos
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
 from symsimpson.runtime.runs.variations import read_varied, varied_stepper
@@ -165,6 +168,70 @@ class Differentiating(Stepping):
         return gradient_of(
             self, (q0, v0, p0), (h, t_end, steps, t0), parameters, inputs, wanted, progress
         )
+
+    def lyapunov(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: Any,
+        t_end: Any = None,
+        steps: int | None = None,
+        t0: Any = 0.0,
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        exponents: int | None = None,
+        every: int = 20,
+        progress: bool | None = None,
+    ) -> Chaos:
+        """Integrate with variations of the state, and find how they grow: chaotic, or not.
+
+        The variations are exact ones of the steps that are taken, and made orthonormal now and
+        then. The sum of all exponents is that of the scheme: zero to rounding without friction.
+
+        Parameters
+        ----------
+        q0, v0, p0, h, t_end, steps, t0, parameters, inputs
+            As for :meth:`integrate`.
+        exponents : int, optional
+            How many, the largest ones; all 2 n unless given.
+        every : int
+            Steps from one time at which variations are made orthonormal to the next.
+        progress : bool, optional
+            As for :meth:`integrate`.
+
+        Returns
+        -------
+        Chaos
+            Lyapunov exponents, MEGNO, SALI and GALI, at the end and on the way.
+
+        Raises
+        ------
+        InputError, ConvergenceError, Interrupted
+            As :meth:`integrate`.
+        SchemeError
+            If steps of the scheme, or of the system, are not differentiated.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.double_pendulum())
+        >>> chaos = stepper.lyapunov([2.0, 2.5], p0=[0, 0], h=0.01, t_end=20)
+        >>> chaos.exponents.shape, bool(chaos.exponents[0] > 1), bool(chaos.sali[-1] < 1e-12)
+        ((4,), True, True)
+        """
+        stepper = varied_stepper(self, ())
+        spec = read_run(
+            stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs
+        )  # fmt: skip
+        return find_chaos(stepper, spec, exponents, every, progress)
+
+    def _telling(self, reduce: Any) -> Self:
+        """Return the stepper whose ensembles tell what these reductions ask for."""
+        if any(one.of_variations for one in read_reductions(self, reduce)):
+            return cast(Self, varied_stepper(self, ()))
+        return self
 
     def _differentiating(self, tangents: Any, sensitivities: Any, checkpoint: Any) -> Evaluator:
         """Return the stepper that carries along what a run is asked for.

@@ -202,7 +202,7 @@ class Stepper(Differentiating):
         parameters: Parameters | None = None,
         inputs: Any = None,
         every: int | None = None,
-        reduce: Mapping[str, tuple[str, Any]] | None = None,
+        reduce: Mapping[str, Any] | None = None,
         store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         client: Any = None,
@@ -226,13 +226,14 @@ class Stepper(Differentiating):
             As for :meth:`integrate`; with an axis of K members before the others, each has its own.
         every : int or None
             Store each so-many-th state; None stores only the last.
-        reduce : mapping from str to (kind, expression), optional
+        reduce : mapping from str to (kind, expression) or kind, optional
             Quantities to follow without storing states. A kind is "min", "max" or "mean", of the
             states after whole steps, or "first": the time at which the expression first becomes
             positive, NaN if it never does, by a straight line through the values before and after
             a step. Where that is too coarse, :meth:`Trajectory.events` of single members is exact
             to rounding. The expression, a text or of SymPy, may contain what those of
-            :meth:`Trajectory.events` do.
+            :meth:`Trajectory.events` do. The kinds "lyapunov", "megno" and "sali" stand alone:
+            they tell how variations of each motion grow, as :meth:`lyapunov` does.
         store : path, optional
             A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
             or was begun by the same call, which then computes only what is missing.
@@ -272,11 +273,12 @@ class Stepper(Differentiating):
         from symsimpson.runtime.ensembles.members import read_task
 
         read_failure(on_failure)
+        stepper = self._telling(reduce)
         task = read_task(
-            self, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads, progress,
-            inputs=inputs, on_disk=store is not None,
+            stepper, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads,
+            progress, inputs=inputs, on_disk=store is not None,
         )  # fmt: skip
-        found, interrupted = run_ensemble(self, task, store, client)
+        found, interrupted = run_ensemble(stepper, task, store, client)
         if interrupted and on_failure == "raise":
             raise Interrupted(found.message, trajectory=found)
         return found

@@ -9,14 +9,17 @@ from numba import njit, types
 
 from symsimpson.interface import (
     BAD_INPUT,
+    BEHIND,
     DIMENSION,
     EXPLICIT,
     ITERATIONS,
+    KEPT,
     MASS_PIVOT,
     MODE,
     MOMENTUM,
     PARAMETER,
     POSITION,
+    RENEWAL,
     ROWS,
     STATUS,
     VELOCITY,
@@ -32,6 +35,7 @@ from symsimpson.runtime.driver.steps import (
     TOLD_ROWS,
     WORKSPACE,
     begin,
+    begin_growth,
     call,
     take_steps,
 )
@@ -39,7 +43,7 @@ from symsimpson.runtime.driver.steps import (
 #: Where in the cursor what stands.
 BLOCK, STEP, BEGUN = 0, 1, 2
 #: How observed values are reduced.
-LEAST, LARGEST, MEAN, FIRST = 0, 1, 2, 3
+LEAST, LARGEST, MEAN, FIRST, LYAPUNOV, MEGNO, SALI = 0, 1, 2, 3, 4, 5, 6
 
 MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
 SIGNATURES |= {
@@ -48,7 +52,7 @@ SIGNATURES |= {
         types.int64[::1], types.int64, types.int64, types.int64, types.int64,
         MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
         STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
-        INPUTS,
+        INPUTS, MEMBERS,
     ),
 }  # fmt: skip
 
@@ -82,6 +86,8 @@ def observe(more, h, t, W, at, kinds, seen, block, members, step):
     call(more[1], h, t, W)
     for k in range(kinds.shape[0]):
         kind = np.int64(kinds[k])
+        if kind >= LYAPUNOV:
+            continue
         for lane in range(LANES):
             member = block * LANES + lane
             if member >= members or W[at[STATUS], lane] != 0.0:
@@ -97,6 +103,24 @@ def observe(more, h, t, W, at, kinds, seen, block, members, step):
                 seen[member, 2 * k + 1] = value
             elif step == 0 or (value < before if kind == LEAST else value > before):
                 seen[member, 2 * k] = value
+
+
+@njit(**DRIVER_OPTIONS)
+def tell_of_variations(W, at, h, kinds, seen, block):
+    """Keep what the variations of a block came to."""
+    for k in range(kinds.shape[0]):
+        kind = np.int64(kinds[k])
+        for lane in range(LANES):
+            member = block * LANES + lane
+            if kind < LYAPUNOV or member >= seen.shape[0] or W[at[STATUS], lane] != 0.0:
+                continue
+            past = abs(h) * W[at[KEPT], lane] * at[RENEWAL]
+            if kind == MEGNO:
+                seen[member, 2 * k] = W[at[KEPT] + 1, lane]
+            elif kind == SALI:
+                seen[member, 2 * k] = W[at[KEPT] + 2, lane]
+            else:
+                seen[member, 2 * k] = W[at[KEPT] + 3, lane] / past
 
 
 @njit(**DRIVER_OPTIONS)
@@ -128,23 +152,27 @@ def finish_block(
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(
     kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
-    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs,
+    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, directions,
 ):  # fmt: skip
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
-    ``more`` holds addresses: legendre (0 if momenta are given), observe, energy (0 if not wanted).
-    Observed values stand behind the rows of the module. ``codes_out`` takes status, steps and
-    iterations of each member; ``seen`` two numbers for each reduction.
+    ``more`` holds addresses: legendre (0 if momenta are given), observe (0 if nothing is), energy
+    (0 if not wanted). Observed values stand behind the rows of the module. ``codes_out`` takes
+    status, steps and iterations of each member; ``seen`` two numbers for each reduction. Where a
+    kernel is called behind each step, variations begin in these ``directions``.
     """
     progress = np.zeros(3, dtype=np.int64)
-    kept = np.zeros((0, 0, LANES))
     members, n = q0.shape[0], at[DIMENSION]
-    watched = kinds.shape[0] > 0
+    followed = kernels[BEHIND] != 0
+    kept = np.zeros((buffer_q.shape[0], 1, LANES)) if followed else np.zeros((0, 0, LANES))
+    watched = more[1] != 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
         own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
             load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
+            if followed:
+                begin_growth(W, at, directions)
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 if every != 0:
@@ -185,6 +213,7 @@ def advance_blocks(
                         progress[0])  # fmt: skip
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
+            tell_of_variations(W, at, h, kinds, seen, block)
             finish_block(W, at, block, progress[0], every, buffer_q, buffer_p, counted, q_out,
                          p_out, codes_out, lost)  # fmt: skip
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

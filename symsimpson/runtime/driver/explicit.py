@@ -17,6 +17,8 @@ from symsimpson.interface import (
     NOT_FINITE,
     POSITION,
     PREVIOUS,
+    RENEWAL,
+    RENEWED,
     START,
     STATUS,
     STEPS_A_CALL,
@@ -36,6 +38,7 @@ from symsimpson.runtime.driver.steps import (
     give,
     keep,
     put_back,
+    renew,
     store,
 )
 
@@ -123,6 +126,8 @@ def take_explicit_steps(
             call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += count
         single -= 1
+        if followed and at[RENEWED] > 0 and (before + step) % at[RENEWAL] == 0:
+            renew(W, at)
         if every != 0 and step % every == 0:
             store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
     progress[0] = step

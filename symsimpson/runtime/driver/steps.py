@@ -26,6 +26,7 @@ from symsimpson.interface import (
     INPUT_STRIDE,
     ITERATE,
     ITERATIONS,
+    KEPT,
     LARGEST_SQUARED,
     MEASURE,
     MODE,
@@ -37,6 +38,8 @@ from symsimpson.interface import (
     PREPARE,
     PREVIOUS,
     RELATIVE,
+    RENEWAL,
+    RENEWED,
     START,
     STATE_END,
     STATUS,
@@ -71,6 +74,7 @@ INPUTS = types.Array(types.float64, 4, "A", readonly=True)
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
     "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
+    "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
     "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "take_steps": types.void(
@@ -213,9 +217,85 @@ def store(W, at, place, q_out, p_out, kept_out, iterations_out):
                 q_out[place, a, lane] = W[at[POSITION] + a, lane]
                 p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
             for k in range(kept_out.shape[1]):
-                kept_out[place, k, lane] = W[at[TANGENT] + k, lane]
+                kept_out[place, k, lane] = W[at[KEPT] + k, lane]
             iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
             W[at[ITERATIONS], lane] = 0.0
+
+
+@njit(**DRIVER_OPTIONS)
+def begin_growth(W, at, directions):
+    """Begin variations of a state, orthonormal columns, and what is kept of how they grow."""
+    size, count = directions.shape
+    product = at[KEPT] + 2 * count + 4
+    for lane in range(LANES):
+        for row in range(at[KEPT], product + count * count):
+            W[row, lane] = 0.0
+        for j in range(count):
+            W[product + j * (count + 1), lane] = 1.0
+            for a in range(size):
+                W[at[TANGENT] + j * size + a, lane] = directions[a, j]
+
+
+@njit(**DRIVER_OPTIONS)
+def orthonormalise(W, first, size, count, factor, lane):
+    """Make columns orthonormal, V = Q R, by Gram and Schmidt; R stands from ``factor`` on."""
+    for j in range(count):
+        v = first + j * size
+        for i in range(j):
+            u, part = first + i * size, 0.0
+            for a in range(size):
+                part += W[u + a, lane] * W[v + a, lane]
+            for a in range(size):
+                W[v + a, lane] -= part * W[u + a, lane]
+            W[factor + i * count + j, lane] = part
+        norm = 0.0
+        for a in range(size):
+            norm += W[v + a, lane] ** 2
+        norm = np.sqrt(norm)
+        for a in range(size):
+            W[v + a, lane] /= norm
+        W[factor + j * count + j, lane] = norm
+
+
+@njit(**DRIVER_OPTIONS)
+def renew(W, at):
+    """Make variations orthonormal, and keep how they have grown and stand to one another.
+
+    From KEPT on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
+    three, ... variations; then the sums of k ln R_11 and of MEGNO, the product of all R, its
+    columns made as long as 1, and R.
+    """
+    size, count, first = 2 * at[DIMENSION], at[RENEWED], at[KEPT]
+    sums, aligned = first + 3, first + 3 + count
+    megno, product = first + 2 * count + 2, first + 2 * count + 4
+    factor = product + count * count
+    for lane in range(LANES):
+        orthonormalise(W, at[TANGENT], size, count, factor, lane)
+        for j in range(count):
+            W[sums + j, lane] += np.log(W[factor + j * (count + 1), lane])
+        W[first, lane] += 1.0
+        number = W[first, lane]
+        W[megno, lane] += number * np.log(W[factor, lane])
+        W[megno + 1, lane] += 2.0 * W[megno, lane] / number
+        W[first + 1, lane] = W[megno + 1, lane] / number
+        volume = 1.0
+        for j in range(count):
+            norm = 0.0
+            for i in range(j + 1):
+                value = 0.0
+                for k in range(i, j + 1):
+                    value += W[factor + i * count + k, lane] * W[product + k * count + j, lane]
+                W[product + i * count + j, lane] = value
+                norm += value**2
+            norm = np.sqrt(norm)
+            for i in range(j + 1):
+                W[product + i * count + j, lane] /= norm
+            volume *= W[product + j * (count + 1), lane]
+            if j > 0:
+                W[aligned + j - 1, lane] = volume
+        if count > 1:  # the shorter diagonal of two sides of length 1
+            along, across = abs(W[product + 1, lane]), W[product + count + 1, lane]
+            W[first + 2, lane] = across / np.sqrt((1.0 + along) / 2.0)
 
 
 @njit(**DRIVER_OPTIONS)
@@ -290,6 +370,8 @@ def take_steps(
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += 1
+        if followed and at[RENEWED] > 0 and (before + step) % at[RENEWAL] == 0:
+            renew(W, at)
         if every != 0 and step % every == 0:
             store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
     progress[0] = step

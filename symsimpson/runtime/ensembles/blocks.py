@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
+from symsimpson.interface import ROWS
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.evaluator import evaluate_members, watching
@@ -23,7 +24,9 @@ from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kernel, reduce_values
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.chaos import directions, find_chaos, kept_growth
 from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
+from symsimpson.runtime.runs.run import Kept
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -37,6 +40,9 @@ PATIENCE = 0.02
 CACHE_LINE = 8
 #: Fast sines and cosines have a value for angles up to here.
 FAST_SINES = 5e8
+#: So many variations of a motion tell its largest exponent and how two align; they are made
+#: orthonormal after so many steps.
+PAIR, RENEWAL = 2, 20
 #: Steps of a block before their cost is known.
 FIRST_BUDGET = 2000
 
@@ -61,6 +67,11 @@ class Task(RunSpec):
         """Return the inputs of a member as a run of its own takes them."""
         own = self.inputs[min(member, len(self.inputs) - 1)]
         return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
+
+    @property
+    def of_variations(self) -> bool:
+        """Whether variations of the motions are asked for."""
+        return any(r.of_variations for r in self.reductions)
 
     @property
     def times(self) -> Floats:
@@ -177,19 +188,31 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = stepper._module.header, task.lanes
     kernels = Kernels(stepper.source, header, lanes)
-    watched = len(task.reductions)
-    observing = 0
-    if watched:
-        observing = kernels.observing(observing_kernel(header, task.reductions), watched)
+    step, kept, told, watched = kernels.set(kernels.fallbacks[0]), Kept(), header.told.copy(), 0
+    columns, observing = np.zeros((0, 0)), 0
+    if task.of_variations:
+        if task.steps < RENEWAL:
+            raise InputError(
+                f"a run of {task.steps} steps does not tell how variations grow.\n"
+                f"Take {RENEWAL} at least."
+            )
+        kept, columns = kept_growth(stepper, PAIR, RENEWAL), directions(2 * header.n, PAIR)
+        step, told = kernels.set("newton", kept.kernel), header.told_to_renew(PAIR, RENEWAL)
+    if not all(r.of_variations for r in task.reductions):
+        watched = len(task.reductions)
+        told[ROWS] += kept.room  # what is observed stands behind all else
+        text = observing_kernel(header, task.reductions, told[ROWS])
+        observing = kernels.observing(text, watched)
     energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
     legendre = kernels.address("legendre") if task.velocities else 0
     more = np.array([legendre, observing, energy], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step = kernels.set(kernels.fallbacks[0])
     advance_blocks = driver("advance_blocks", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = _aligned(header.rows + watched, lanes)
+        W = _aligned(header.rows + watched + kept.room, lanes)
+        if kept.renewed:
+            W[header.layout["TANGENTS"]] = kept.renewed
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
@@ -198,10 +221,10 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
         while cursor[0] < last and not queue.stopped:
             before, start = cursor[0], time.perf_counter()
             advance_blocks(
-                step, more, task.h, task.t0, W, header.told, cursor, last, budget,
+                step, more, task.h, task.t0, W, told, cursor, last, budget,
                 task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
                 counted, results.q, results.p, results.codes, lost, results.seen, kinds,
-                task.inputs,
+                task.inputs, columns,
             )  # fmt: skip
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
@@ -260,11 +283,25 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         if task.reductions:
             seen = watching(stepper, task.reductions, task.parameters[member])(run.t, run.q, run.p)
             values = reduce_values(task.reductions, run.t, seen)
+            if task.of_variations and run.success:
+                values = _of_variations(stepper, task, member, values)
             results.seen[member, : 2 * len(values) : 2] = values
             q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
         results.q[member, : len(q)], results.p[member, : len(p)] = q, p
         results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+
+
+def _of_variations(stepper: Stepper, task: Task, member: Any, values: list[float]) -> list[float]:
+    """Return what reductions of a member come to, with those of its variations."""
+    own = replace(
+        task, q0=task.q0[member], other0=task.other0[member], parameters=task.parameters[member],
+        inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
+    )  # fmt: skip
+    chaos = find_chaos(stepper, own, PAIR, RENEWAL, progress=False)
+    told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
+    pairs = zip(task.reductions, values, strict=True)
+    return [float(told.get(reduction.kind, value)) for reduction, value in pairs]
 
 
 def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:

@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
-from symsimpson.interface import ADJACENT, BLOCKS, INTERFACE, PIVOTED, TOLD
+from symsimpson.interface import (
+    ADJACENT,
+    BLOCKS,
+    INTERFACE,
+    KEPT,
+    PIVOTED,
+    RENEWAL,
+    RENEWED,
+    TOLD,
+)
 
 __all__ = [
     "SIGNED",
@@ -102,6 +111,11 @@ class Header:
         """Return how many rows of the workspace so many variations of the state need."""
         return count * (3 * self.n + self.layout["UNKNOWNS"])
 
+    def room_for_growth(self, count: int) -> tuple[int, int]:
+        """Return how many rows say how so many variations grow; how many are needed in all."""
+        rows = 2 * count + 2
+        return rows, self.room_for_tangents(count) + rows + 2 + 2 * count**2
+
     @cached_property
     def told(self) -> NDArray[np.int64]:
         """What the driver must know of the layout, in its order."""
@@ -111,8 +125,21 @@ class Header:
             "ROWS": self.rows,
             "STEPS_A_CALL": 1 << 62 if self.autonomous and not self.inputs else 1,
         }  # fmt: skip
-        none = {"INPUT": 0, "INPUT_STRIDE": 0, "TANGENT": self.rows}
+        none = {
+            "INPUT": 0, "INPUT_STRIDE": 0, "TANGENT": self.rows, "KEPT": self.rows, "RENEWED": 0,
+            "RENEWAL": 1,
+        }  # fmt: skip
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
+
+    def told_to_renew(self, count: int, every: int) -> NDArray[np.int64]:
+        """Return the same for runs that make so many variations orthonormal after so many steps.
+
+        What is stored beside their states is how these grow and stand to one another.
+        """
+        told = self.told.copy()
+        told[KEPT] = self.rows + self.room_for_tangents(count)
+        told[RENEWED], told[RENEWAL] = count, every
+        return told
 
 
 def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -27,8 +27,10 @@ __all__ = [
     "reduce_values",
 ]
 
-#: Ways to reduce values over the steps of a run, in the order of their numbers.
-KINDS = ("min", "max", "mean", "first")
+#: Ways to reduce values over the steps of a run, in the order of their numbers; then what
+#: variations of a motion tell, which are no values of states.
+KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali")
+OF_VARIATIONS = KINDS[4:]
 
 #: Functions, and how many arguments they take at least and at most.
 _FUNCTIONS = dict.fromkeys(
@@ -72,6 +74,11 @@ class Reduction(Observed):
     name: str = ""
     kind: str = KINDS[0]
 
+    @property
+    def of_variations(self) -> bool:
+        """Whether it tells of variations of a motion."""
+        return self.kind in OF_VARIATIONS
+
 
 def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
@@ -104,10 +111,15 @@ def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tupl
         )
     found = []
     for name, pair in given.items():
-        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in KINDS):
+        kind = pair[0] if isinstance(pair, tuple) and len(pair) == 2 and not pair[1] else pair
+        if isinstance(kind, str) and kind in OF_VARIATIONS:
+            found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
+            continue
+        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in KINDS[:4]):
             raise InputError(
-                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS)} and an "
-                "expression, such as ('max', 'q1') or ('first', 'q1 - 3')."
+                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS[:4])} and "
+                "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); or one of "
+                f"{', '.join(OF_VARIATIONS)}."
             )
         reader = _Reader(stepper, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
@@ -211,8 +223,12 @@ class _Reader:
             raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
 
 
-def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
-    """Write a kernel that puts the quantities into the rows behind the workspace's others."""
+def observing_kernel(header: Header, found: Sequence[Observed], first: int | None = None) -> str:
+    """Write a kernel that puts the quantities into rows from ``first`` on.
+
+    Those are behind the rows of the module unless it is said.
+    """
+    first = header.rows if first is None else int(first)
     lines = [
         "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
         "",
@@ -228,16 +244,23 @@ def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows.append(("energy", "ENERGY"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
-    lines += [f"        W[{header.rows + k}, lane] = {one.text}" for k, one in enumerate(found)]
+    lines += [f"        W[{first + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"
 
 
 def reduce_values(
     found: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[float]:
-    """Reduce values of quantities at the states of a run, shape (len(t), len(found))."""
+    """Reduce values of quantities at the states of a run, shape (len(t), len(found)).
+
+    What variations tell is not known of states.
+    """
     return [
-        _first_crossing(t, value) if one.kind == "first" else float(getattr(value, one.kind)())
+        float("nan")
+        if one.of_variations
+        else _first_crossing(t, value)
+        if one.kind == "first"
+        else float(getattr(value, one.kind)())
         for one, value in zip(found, values.T, strict=True)
     ]
 

@@ -48,11 +48,15 @@ class Kept:
         Of these so many are stored with the states.
     room : int
         Rows of the workspace that it needs, behind all others.
+    renewed, renewal : int
+        How many variations are made orthonormal, and after how many steps.
     """
 
     kernel: str = ""
     rows: int = 0
     room: int = 0
+    renewed: int = 0
+    renewal: int = 1
 
 
 class Run:
@@ -79,7 +83,9 @@ class Run:
         self._inputs = inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         kept = kept or Kept()
-        self._behind = kept.kernel
+        self._behind, self.told = kept.kernel, header.told
+        if kept.renewed:
+            self.told = header.told_to_renew(kept.renewed, kept.renewal)
         self.W = workspace(header, numbers, parameters, kept.room)
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]
@@ -108,7 +114,7 @@ class Run:
             second = layout["VELOCITY"]
         self._column[layout["POSITION"] : layout["POSITION"] + n] = q
         self._column[second : second + n] = other
-        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.header.told)
+        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.told)
         if self.every:
             self.store(0)
 
@@ -116,6 +122,10 @@ class Run:
         """Call a kernel of the state where the run is."""
         address = self.kernels.address(kernel)
         self._driver("apply")(address, self.h, self._time(), self.W)
+
+    def begin_growth(self, directions: NDArray[Any]) -> None:
+        """Begin variations of the state in these directions, orthonormal columns."""
+        self._driver("begin_growth")(self.W, self.told, directions)
 
     def store(self, place: int) -> None:
         """Store the present state."""
@@ -210,11 +220,11 @@ class Run:
         anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
         self._set = number
         if not anew:
-            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.header.told)
+            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.told)
             return
         kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
         values = [row.copy() for row in kept]
-        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.header.told)
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
         for row, value in zip(kept, values, strict=True):
             row[:] = value
 
@@ -223,7 +233,7 @@ class Run:
 
     def _stretch_until(self, kernels: Any, stop: int) -> None:
         """Run compiled, recovering the steps at which the loop stops."""
-        at, W = self.header.told, self.W
+        at, W = self.told, self.W
         t0, stop = self.t0, stop - self.first
         self._progress[2] = self.first
         if self.header.newton_unknowns == 0:

@@ -1,0 +1,88 @@
+"""Runs that tell whether a motion is chaotic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.progress import Watcher
+from symsimpson.runtime.inputs import read_count, whole_number
+from symsimpson.runtime.results.chaos import Chaos, chaos_of
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.integrate import (
+    begin_run,
+    look_at_step,
+    new_run,
+    raise_failure,
+    stored_by,
+    trajectory_of,
+)
+from symsimpson.runtime.runs.resolution import check_start
+from symsimpson.runtime.runs.run import Kept
+from symsimpson.runtime.runs.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = ["directions", "find_chaos", "kept_growth"]
+
+
+def kept_growth(stepper: Evaluator, count: int, every: int) -> Kept:
+    """Say what a run keeps of so many variations, made orthonormal after so many steps."""
+    rows, room = stepper._module.header.room_for_growth(count)
+    return Kept("tangent", rows, room, count, every)
+
+
+def directions(size: int, count: int) -> NDArray[np.float64]:
+    """Return orthonormal columns to begin with, the same ones each time, along nothing special."""
+    found, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
+    return np.ascontiguousarray(found)
+
+
+def find_chaos(
+    stepper: Evaluator, spec: RunSpec, exponents: Any, every: Any, progress: bool | None
+) -> Chaos:
+    """Run with variations that are made orthonormal after each ``every`` steps.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    size, stride = 2 * stepper.n, read_count("every", every, least=1)
+    count = size if exponents is None else whole_number(exponents)
+    if count is None or not 1 <= count <= size:
+        raise InputError(
+            f"exponents={exponents!r}, and {stepper.system} has {size} of them.\n"
+            f"Pass a whole number from 1 to {size}, or None for all."
+        )
+    if spec.q0.dtype != np.float64:
+        raise InputError("exponents are found in double precision.\nCompile without precision.")
+    if spec.steps < stride:
+        raise InputError(
+            f"the run has {spec.steps} steps, and variations are made orthonormal after {stride}.\n"
+            "Run longer, or pass a smaller every=."
+        )
+    run = new_run(stepper, spec, stride, spec.steps // stride + 1,
+                  kept=kept_growth(stepper, count, stride))  # fmt: skip
+    begin_run(stepper, run, spec)
+    run.rows("TANGENTS", 1)[:] = count
+    run.begin_growth(directions(size, count))
+    q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
+    check_start(stepper, spec.t0, q, p, spec.parameters)
+    look_at_step(stepper, run, spec)
+    run.listener = watcher = Watcher(spec.steps, progress)
+    status = None
+    try:
+        run.advance(spec.steps)
+    except KeyboardInterrupt:
+        status = Status.INTERRUPTED
+    finally:
+        watcher.close()
+    status = status or run.status
+    trajectory = trajectory_of(stepper, run, spec.steps, status, spec, stored_by(run), stride)
+    if not trajectory.success:
+        raise_failure(run, trajectory, trajectory)
+    return chaos_of(stepper, run.kept[1 : len(trajectory), :, 0], trajectory, count)
