@@ -92,6 +92,7 @@ BLOCKS = {
     "NODE_F_A": "derivatives of F by the parameters that are varied, at a node",
     "NODE_P_A": "those of P",
     "EXCHANGE": "which rows elimination has exchanged",
+    "DERIVATIVE": "of the end of the step, column by column: by q, by p and by what is varied",
     "ADJOINT": "derivatives of a cost by q and p",
     "ADJOINT_RIGHT": "right side of the equations of a step for them, or their solution",
     "ADJOINT_START": "derivative of a cost by q at the start of a step, through forces and momenta",
@@ -107,8 +108,8 @@ OPTIONAL = (
     "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
     "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
     "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
-    "NODE_P_A", "EXCHANGE", "ADJOINT", "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_SLOPE",
-    "NODE_COST", "TANGENTS", "TANGENT",
+    "NODE_P_A", "EXCHANGE", "DERIVATIVE", "ADJOINT", "ADJOINT_RIGHT", "ADJOINT_START", "COST",
+    "COST_SLOPE", "NODE_COST", "TANGENTS", "TANGENT",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -160,12 +161,13 @@ KERNEL_SETS = {
     STAGES: ("prepare", "start_stages", "iterate", "advance_stages", ""),
     NEWTON_AFTER_STAGES: ("prepare", "start", "newton", "advance", "energy"),
 }
-#: What takes the place of Newton's method where a pivot was zero.
-PIVOTED = "newton_pivoted"
+#: What takes the place of Newton's method, or of another kernel, where a pivot was zero.
+WITH_PIVOTS = "_pivoted"
+PIVOTED = f"newton{WITH_PIVOTS}"
 #: All kernels that a module may have.
 KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
-    "multipliers", "tangent", "momentum_slopes", "adjoint", "start_adjoint", "record",
-    "step_cost", "running_cost",
+    "multipliers", "tangent", "tangent_pivoted", "momentum_slopes", "adjoint", "start_adjoint",
+    "record", "step_cost", "running_cost",
 )  # fmt: skip

@@ -13,6 +13,7 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.written_tangent import is_written
 
 __all__ = ["Differentials", "sizes"]
 
@@ -116,6 +117,8 @@ def sizes(low: Lowering) -> dict[str, int]:
         "ADJOINT": 2 * low.n, "ADJOINT_RIGHT": unknowns, "ADJOINT_START": low.n,
         "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
     }  # fmt: skip
+    if is_written(low):
+        own["DERIVATIVE"] = 2 * low.n * (2 * low.n + varied)
     if low.equations.cost is not None:
         own |= {"COST": 2, "NODE_COST": 1 + 2 * low.n + varied}
     return own | ({"NODE_TIME": 1} if timed(low) else {})

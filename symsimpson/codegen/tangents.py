@@ -8,6 +8,7 @@ step: reduced parts have the same solution.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from symsimpson.codegen.adjoints import adjoint_kernels
 from symsimpson.codegen.differentials import Differentials
@@ -16,6 +17,8 @@ from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import lanes
+from symsimpson.codegen.written_tangent import is_written, written_tangent
+from symsimpson.interface import WITH_PIVOTS
 
 __all__ = ["differentiating"]
 
@@ -61,6 +64,8 @@ def _tangent_kernels(made: Differentials) -> list[Kernel]:
     )
     doc = "Carry variations of the state to the end of the step that was taken."
     kernels = [Kernel("tangent", doc, lanes((When(body),)))]
+    if is_written(made.low):
+        kernels = [written_tangent(made.low), replace(kernels[0], name=f"tangent{WITH_PIVOTS}")]
     if made.varied:
         doc = "Begin variations of parameters at given q and v."
         slopes = (

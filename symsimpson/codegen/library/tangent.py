@@ -30,6 +30,7 @@ NODE_P_A: int
 GROWTH: int
 JACOBIAN: int
 EXCHANGE: int
+DERIVATIVE: int
 TANGENT: int
 TANGENTS: int
 TANGENT_UNKNOWNS: int
@@ -243,3 +244,21 @@ def decay_variation(W, variation, lane):
     dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
     for a in range(DIMENSION):
         W[dp + a, lane] /= W[GROWTH + NODES, lane]
+
+
+@compiled
+def move_variation(W, variation, lane):
+    """Multiply a variation by the derivative of the step, and add what a parameter changes."""
+    size = 2 * DIMENSION
+    here = TANGENT + variation * size
+    parameter = parameter_of(W, variation, lane)
+    room = room_of(W, variation, lane)
+    for row in range(size):
+        moved = real(0)
+        for column in range(size):
+            moved += W[DERIVATIVE + column * size + row, lane] * W[here + column, lane]
+        if parameter >= 0:
+            moved += W[DERIVATIVE + (size + parameter) * size + row, lane]
+        W[room + row, lane] = moved
+    for row in range(size):
+        W[here + row, lane] = W[room + row, lane]

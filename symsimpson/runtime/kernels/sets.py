@@ -13,6 +13,7 @@ from symsimpson.interface import (
     NEWTON_AFTER_STAGES,
     PIVOTED,
     STAGES,
+    WITH_PIVOTS,
 )
 from symsimpson.runtime.kernels.header import Header
 
@@ -65,6 +66,8 @@ class KernelSets(ABC):
         kernels = self.compiled(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
+        if robust and f"{behind}{WITH_PIVOTS}" in self.header.functions:
+            behind += WITH_PIVOTS
         last = self.address(behind, any_angle=robust) if behind else 0
         return self.joined(mode, [*kernels, measure, last])
 
