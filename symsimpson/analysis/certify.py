@@ -6,7 +6,6 @@ the compiled code is held against the same text.
 
 from __future__ import annotations
 
-import math
 import re
 import textwrap
 import time
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from symsimpson.analysis.balance import momentum_balance
 from symsimpson.analysis.certificate import Certificate, Check
+from symsimpson.analysis.energies import LONG, drift, shadow
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
@@ -39,7 +39,6 @@ __all__ = ["certify"]
 DIGITS = 50
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
-LONG = 100_000
 #: Orders above this are seen with steps down to h/4, others down to h/16.
 HIGH = 8
 #: Errors above this are not those of the solution that they are measured by.
@@ -336,53 +335,7 @@ def _iterations(s: Subject) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _drift(s: Subject) -> Iterator[Check]:
-    """drift: of energy, momenta and invariants over many steps."""
-    if not s.stepper._module.header.conservative:
-        yield from _balance(s)
-        return
-    run = s.compiled(LONG, every=20)
-    watched = {"energy": run.energy}
-    watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
-    # what they are made of may grow, as the way of a free centre of mass, and its rounding with it
-    sizes = {x.name: x.size(run.q, run.p) for x in s.symmetries}
-    promised = len(watched)
-    for k, (name, values) in enumerate((watched | run.invariants).items()):
-        size = sizes.get(name, float(np.abs(values).max())) or 1.0
-        blocks = (values[1:] / size).reshape(20, -1)
-        trend = abs(float(np.polyfit(np.arange(20), blocks.mean(axis=1), 1)[0])) * 20
-        swing = float(np.ptp(blocks))
-        what = f"{name}: trend over {LONG} steps; it swings by {swing:.1e}"
-        if k < promised:
-            yield Check(
-                "drift", trend, "at most", max(1e-12, 0.2 * swing), what,
-                "A symplectic map has no trend; a fifth of the swing is what chance may show.",
-            )  # fmt: skip
-        else:
-            yield Check("watched", trend, "at most", float("inf"), what, "Nothing is promised.")
-
-
-def _balance(s: Subject) -> Iterator[Check]:
-    """balance: of the energy and the work that was done, with two steps."""
-    if "work" not in s.stepper._module.header.functions:
-        return
-    largest = []
-    for parts in (1, 2):
-        run = s.stepper.integrate(
-            s.z[: s.n], p0=s.z[s.n :], h=s.h / parts, steps=200 * parts,
-            parameters=s.precise.parameters,
-        )  # fmt: skip
-        largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
-    lost = largest[1] < 1e-12
-    order = float(s.stepper.order) if lost else math.log2(largest[0] / largest[1])
-    yield Check(
-        "balance", order, "at least", s.stepper.order - 1.0,
-        f"energy less work: {largest[0]:.1e} and {largest[1]:.1e} of the energy with h and h/2",
-        "What the energy differs by from the work done has the order of the scheme.",
-    )  # fmt: skip
-
-
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
     _order, _symplectic, _reversible, _momenta, _constraints, _invariants, _equations, _jacobian,
-    _newton, _iterations, _rounding, _drift,
+    _newton, _iterations, _rounding, shadow, drift,
 )  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from symsimpson.analysis.energies import keeps_shadow
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.stability.chaos import reversal
 from symsimpson.analysis.stability.drift import energy_drift
@@ -15,6 +16,9 @@ from symsimpson.analysis.stability.rotations import turned
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["stress", "stress_standard"]
+
+#: So many steps tell the energy that a scheme keeps.
+SHORT = 200
 
 
 def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) -> Iterator[str]:
@@ -40,6 +44,13 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     yield f"{stepper.system}, {stepper.scheme}: from q0 = {q.tolist()}, p0 = {p.tolist()}"
     yield "long run"
     yield f"  {energy_drift(stepper, step, steps, state=state)}"
+    if keeps_shadow(stepper):
+        run = stepper.integrate(q, p0=p, h=step, steps=SHORT)
+        swing, kept = (np.ptp(x) / run.energy_scale for x in (run.energy, run.shadow_energy))
+        yield (
+            f"  in {SHORT} steps the energy swings by {swing:.1e}, what the scheme keeps by "
+            f"{kept:.1e}"
+        )
     yield "larger and larger steps, to the same time: energy error, iterations, outcome"
     for factor in (0.25, 0.5, 1, 2, 4, 8, 16):
         count = max(1, round(4000 / factor))

@@ -1,0 +1,91 @@
+"""What energies do in compiled runs: the one that a scheme keeps, drift, and the work of forces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from symsimpson.analysis.certificate import Check
+from symsimpson.analysis.subject import Subject
+from symsimpson.runtime.results.shadow import HIGHEST_ORDER
+from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["LONG", "drift", "keeps_shadow", "shadow"]
+
+LONG = 100_000
+#: Steps in which a drift is seen that the swing of the energy would hide, and how much finer.
+FEW, FINER = 100, 4
+#: What the sum of actions is rounded to, relative to the energy.
+ROUNDED = 1e-12
+
+
+def keeps_shadow(stepper: Stepper) -> bool:
+    """Return whether runs have a shadow energy that tells more than the energy."""
+    header = stepper._module.header
+    family = "equations" in header.functions and not header.constraints
+    made = stepper._differentiate is not None
+    return family and header.conservative and made and header.order <= HIGHEST_ORDER
+
+
+def shadow(s: Subject) -> Iterator[Check]:
+    """shadow: the energy that the scheme keeps, over few steps."""
+    if not keeps_shadow(s.stepper):
+        return
+    run = s.stepper.integrate(
+        s.z[: s.n], p0=s.z[s.n :], h=s.h / FINER, steps=FEW, parameters=s.precise.parameters
+    )
+    scale = float(run.energy_scale)
+    swing, kept = (float(np.ptp(x)) / scale for x in (run.energy, run.shadow_energy))
+    yield Check(
+        "shadow", kept, "at most", 0.5 * swing + ROUNDED,
+        f"swing of the energy that the scheme keeps, in {FEW} steps of h/{FINER}; H: {swing:.1e}",
+        "H and the error of the action swing less than H; a drift would show at once.",
+    )  # fmt: skip
+
+
+def drift(s: Subject) -> Iterator[Check]:
+    """drift: of energy, momenta and invariants over many steps."""
+    if not s.stepper._module.header.conservative:
+        yield from _balance(s)
+        return
+    run = s.compiled(LONG, every=20)
+    watched = {"energy": run.energy}
+    watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
+    # what they are made of may grow, as the way of a free centre of mass, and its rounding with it
+    sizes = {x.name: x.size(run.q, run.p) for x in s.symmetries}
+    promised = len(watched)
+    for k, (name, values) in enumerate((watched | run.invariants).items()):
+        size = sizes.get(name, float(np.abs(values).max())) or 1.0
+        blocks = (values[1:] / size).reshape(20, -1)
+        trend = abs(float(np.polyfit(np.arange(20), blocks.mean(axis=1), 1)[0])) * 20
+        swing = float(np.ptp(blocks))
+        what = f"{name}: trend over {LONG} steps; it swings by {swing:.1e}"
+        if k < promised:
+            yield Check(
+                "drift", trend, "at most", max(1e-12, 0.2 * swing), what,
+                "A symplectic map has no trend; a fifth of the swing is what chance may show.",
+            )  # fmt: skip
+        else:
+            yield Check("watched", trend, "at most", float("inf"), what, "Nothing is promised.")
+
+
+def _balance(s: Subject) -> Iterator[Check]:
+    """balance: of the energy and the work that was done, with two steps."""
+    if "work" not in s.stepper._module.header.functions:
+        return
+    largest = []
+    for parts in (1, 2):
+        run = s.stepper.integrate(
+            s.z[: s.n], p0=s.z[s.n :], h=s.h / parts, steps=200 * parts,
+            parameters=s.precise.parameters,
+        )  # fmt: skip
+        largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
+    lost = largest[1] < 1e-12
+    order = float(s.stepper.order) if lost else math.log2(largest[0] / largest[1])
+    yield Check(
+        "balance", order, "at least", s.stepper.order - 1.0,
+        f"energy less work: {largest[0]:.1e} and {largest[1]:.1e} of the energy with h and h/2",
+        "What the energy differs by from the work done has the order of the scheme.",
+    )  # fmt: skip
