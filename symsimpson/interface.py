@@ -91,6 +91,8 @@ BLOCKS = {
     "JACOBIAN": "its derivatives",
     "NODE_F_A": "derivatives of F by the parameters that are varied, at a node",
     "NODE_P_A": "those of P",
+    "CONSTRAINT_A": "derivatives of phi by the parameters that are varied, at a control point",
+    "CONSTRAINT_QA": "those of Phi^T lambda",
     "EXCHANGE": "which rows elimination has exchanged",
     "DERIVATIVE": "of the end of the step, column by column: by q, by p and by what is varied",
     "ADJOINT": "derivatives of a cost by q and p",
@@ -108,8 +110,8 @@ OPTIONAL = (
     "MULTIPLIER", "CONSTRAINT", "CONSTRAINT_FORCE", "CONSTRAINT_QQ", "CONSTRAINT_WEIGHT", "HELD",
     "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
     "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
-    "NODE_P_A", "EXCHANGE", "DERIVATIVE", "ADJOINT", "ADJOINT_RIGHT", "ADJOINT_START", "COST",
-    "COST_SLOPE", "NODE_COST", "TANGENTS", "TANGENT",
+    "NODE_P_A", "CONSTRAINT_A", "CONSTRAINT_QA", "EXCHANGE", "DERIVATIVE", "ADJOINT",
+    "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_SLOPE", "NODE_COST", "TANGENTS", "TANGENT",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 

@@ -97,6 +97,8 @@ class Differentials:
     def functions(self) -> list[Function]:
         """Return what is evaluated at a node."""
         found = [_slopes(self.low, self.places)] if self.varied else []
+        if self.varied and self.loops.held:
+            found.append(_constraint_slopes(self.low, self.places))
         return [*found, _cost(self.low, self.places)] if self.costly else found
 
 
@@ -117,6 +119,8 @@ def sizes(low: Lowering) -> dict[str, int]:
         "ADJOINT": 2 * low.n, "ADJOINT_RIGHT": unknowns, "ADJOINT_START": low.n,
         "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
     }  # fmt: skip
+    if low.multipliers:
+        own |= {"CONSTRAINT_A": varied * len(low.multipliers), "CONSTRAINT_QA": varied * low.n}
     if is_written(low):
         own["DERIVATIVE"] = 2 * low.n * (2 * low.n + varied)
     if low.equations.cost is not None:
@@ -147,6 +151,23 @@ def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     ]  # fmt: skip
     doc = "Derivatives of F and P by the parameters that are varied, at a node."
     return Function("parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
+
+
+def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
+    """Write the derivatives of phi and Phi^T lambda by parameters, at a control point."""
+    point = replace(_point(low), suffix="c", multipliers=low.multipliers)
+    count, stores = len(low.multipliers), []
+    for j, name in enumerate(low.varied):
+        for c in range(count):
+            value = low.slopes.entry(point, "slopes", "phi_a", c, name)
+            stores.append(Store(Row("CONSTRAINT_A", j * count + c), value))
+        for s, a in enumerate(places):
+            value = low.slopes.entry(point, "slopes", "pull_a", a, name)
+            stores.append(Store(Row("CONSTRAINT_QA", j * low.n + s), value))
+    doc = "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
+    return Function(
+        "constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,))
+    )  # fmt: skip
 
 
 def _cost(low: Lowering, places: tuple[int, ...]) -> Function:

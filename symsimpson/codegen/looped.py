@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -85,15 +86,16 @@ class LoopKernels:
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
-        return (*self.start(time), _call("mass"), *self._factors())
+        return (*self.start(time), _call("mass"), *self.factors())
 
-    def _factors(self) -> tuple[Statement, ...]:
+    def factors(self) -> tuple[Statement, ...]:
+        """Factorise M, bordered by constraints if there are any."""
         if not self.held:
             return (_call("factor_mass"),)
         names = ("constraint_slopes", "border_mass", "factor_held")
         return tuple(map(_call, names))
 
-    def _solve_momentum(self) -> tuple[Statement, ...]:
+    def solve_momentum(self) -> tuple[Statement, ...]:
         """Solve for the velocity, with these factors."""
         names = ("allow_no_change", "solve_held") if self.held else ("solve_mass",)
         return tuple(map(_call, ("momentum_to_solve", *names)))
@@ -103,8 +105,14 @@ class LoopKernels:
         doc = "Residual and Jacobian of the step, rows in the order of elimination."
         return Kernel("equations", doc, lanes(self.all_rows()))
 
-    def all_rows(self, *more: Statement) -> tuple[Statement, ...]:
-        """Assemble the equations; ``more`` is done at each node, with its jet, behind them."""
+    def all_rows(
+        self, *more: Statement, at_points: Sequence[Statement] = ()
+    ) -> tuple[Statement, ...]:
+        """Assemble the equations.
+
+        ``more`` is done at each node, with its jet, and ``at_points`` with constraints at each
+        control point, behind them.
+        """
         drag = (_call("assemble_drag", "W", "node", "lane"),) if self.dragged else ()
         grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
         return (
@@ -113,7 +121,9 @@ class LoopKernels:
             self.nodes(
                 "range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag, *more
             ),
-            *self.points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
+            *self.points(
+                "range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT), *at_points
+            ),
         )
 
     def points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:
@@ -140,17 +150,18 @@ class LoopKernels:
         """Solve for a correction, leave out of it what follows, and apply it."""
         solve = (_call("solve_pivoted"), *leave, _call("update_increments"))
         if self.held:
-            names = "join_equations", "solve_pivoted", "part_corrections", "update_increments"
-            solve = tuple(map(_call, (*names, "update_multipliers")))
+            parted = _call("part_rows", "W", "RESIDUAL", "lane")
+            applied = map(_call, ("update_increments", "update_multipliers"))
+            solve = (_call("join_equations"), _call("solve_pivoted"), parted, *applied)
         return (*solve, *convergence(bool(self.held)))
 
     def step(self, part: Constrained | Coupled | Separable) -> list[Kernel]:
         """Return the kernels of a step."""
         constant = isinstance(part, Separable)
-        again = self._solve_momentum()
+        again = self.solve_momentum()
         first = (_call("keep_mass"),) if constant else ()
         begin = (
-            *self.start(), _call("mass"), *first, *self._factors(), *again,
+            *self.start(), _call("mass"), *first, *self.factors(), *again,
             _call("straight_path", "W", "h", "lane"),
             *((_call("clear_multipliers"),) if self.held else ()),
         )  # fmt: skip
@@ -217,9 +228,9 @@ class LoopKernels:
         """Return the kernels of an explicit step with loops over kicks and drifts."""
         momentum = (*self.start(), _call("mass"))
         begin = (
-            *momentum, *self._factors(), *self._solve_momentum(), *self.start(), _call("gradient"),
+            *momentum, *self.factors(), *self.solve_momentum(), *self.start(), _call("gradient"),
         )  # fmt: skip
-        drift, held = ("drift_held", self._factors()) if self.held else ("drift", ())
+        drift, held = ("drift_held", self.factors()) if self.held else ("drift", ())
         parts = Loop(
             "part", "range(len(DRIFTS))",
             (_call(drift, "W", "h", "part", "lane"),
@@ -259,7 +270,7 @@ class LoopKernels:
 
     def before_state(self) -> tuple[Statement, ...]:
         """Return what finds the velocities of a state."""
-        return (*self._velocity(), *self._solve_momentum())
+        return (*self._velocity(), *self.solve_momentum())
 
     def multipliers(self) -> Kernel:
         """Return phi and the multipliers at a state: those that keep its accelerations allowed."""
@@ -267,7 +278,7 @@ class LoopKernels:
         nearest = (*self._velocity(), *map(_call, ("constrain", "change_to_constraints")))
         names = ("pushes", "push_to_solve", "solve_held", "constraint_forces")
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
-        body = (*nearest, *self._solve_momentum(), *map(_call, names))
+        body = (*nearest, *self.solve_momentum(), *map(_call, names))
         return Kernel("multipliers", doc, lanes(body))
 
 

@@ -155,6 +155,7 @@ NODE_FUNCTIONS = frozenset(
         "pushes",
         "parameter_slopes",
         "cost_slopes",
+        "constraint_parameter_slopes",
     ]
 )
 

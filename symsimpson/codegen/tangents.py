@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from symsimpson.codegen.adjoints import adjoint_kernels
-from symsimpson.codegen.differentials import Differentials
-from symsimpson.codegen.ir import Call, Function, Kernel, Loop, Statement, When
+from symsimpson.codegen.held_tangents import HeldDifferentials, each
+from symsimpson.codegen.ir import Call, Function, Kernel, When
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Storage
@@ -35,18 +35,19 @@ def differentiating(
     """
     if low.equations.varied is None:
         return [], [], {}
-    made = Differentials(low, loops, tuple(places), following)
-    kernels = [*_tangent_kernels(made), *adjoint_kernels(made)]
-    return made.functions(), kernels, made.tables() | _tables(loops.storage, loops.degree)
+    storage = loops.held.storage if loops.held else loops.storage
+    made = HeldDifferentials(low, loops, tuple(places), following)
+    kernels = [*_tangent_kernels(made), *([] if loops.held else adjoint_kernels(made))]
+    return made.functions(), kernels, made.tables() | _tables(storage, loops.degree)
 
 
-def _tangent_kernels(made: Differentials) -> list[Kernel]:
+def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
     """Return what carries variations of the state to the end of the step that was taken."""
-    of_start = _each(
+    of_start = each(
         Call("vary_start", _ONE), *made.if_varied(Call("add_slopes", _ONE)),
         Call("assemble_variation", _AT_NODE),
     )  # fmt: skip
-    moved = _each(
+    moved = each(
         Call("vary_path", _AT_NODE), Call("vary_momentum", _AT_NODE),
         *made.if_varied(Call("add_impulse", _AT_NODE)),
     )  # fmt: skip
@@ -54,13 +55,18 @@ def _tangent_kernels(made: Differentials) -> list[Kernel]:
     body = (
         Call("exchange_steps"),
         *made.path_known(),
-        _each(Call("begin_variation", _ONE)),
-        *made.loops.all_rows(*made.parameter_slopes(), of_start),
+        each(Call("begin_variation", _ONE)),
+        *made.loops.all_rows(*made.parameter_slopes(), of_start, at_points=made.at_points()),
+        *made.joined(),
         Call("factor_equations"),
-        _each(Call("solve_variation", _ONE)),
+        each(Call("solve_variation", _ONE)),
+        *made.parted(),
         made.nodes(*made.drag(), *made.parameter_slopes(), moved),
-        _each(Call("close_variation", _ONE), *decay),
+        *made.pulls(),
+        *made.impulse(),
+        each(Call("close_variation", _ONE), *decay),
         Call("exchange_steps"),
+        *made.projected(),
     )
     doc = "Carry variations of the state to the end of the step that was taken."
     kernels = [Kernel("tangent", doc, lanes((When(body),)))]
@@ -73,10 +79,6 @@ def _tangent_kernels(made: Differentials) -> list[Kernel]:
         )  # fmt: skip
         kernels.append(Kernel("momentum_slopes", doc, lanes(slopes)))
     return kernels
-
-
-def _each(*body: Statement) -> Loop:
-    return Loop("variation", "range(int(W[TANGENTS, lane]))", body)
 
 
 def _tables(storage: Storage, degree: int) -> dict[str, object]:

@@ -184,7 +184,7 @@ def discretise(
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
     if varied is not None:
-        _check_differentiable(system, scheme)
+        _check_differentiable(scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:
@@ -214,17 +214,12 @@ def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) ->
     return plain.graph.nodes[value[1]].symbols.isdisjoint(plain.numbers(symbols))
 
 
-def _check_differentiable(system: MechanicalSystem, scheme: Scheme) -> None:
+def _check_differentiable(scheme: Scheme) -> None:
     """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
     if isinstance(scheme, Composition):
         raise SchemeError(
             f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet."
             "\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
-        )
-    if system.plain.constraints:
-        raise SchemeError(
-            f"{system.name} has constraints, and derivatives of such steps are not taken yet.\n"
-            "Declare it with coordinates that need no constraints."
         )
 
 

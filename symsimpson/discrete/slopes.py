@@ -43,12 +43,17 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     Returns
     -------
     Jet
-        Outputs ``("F_a", i, name)`` and ``("P_a", i, name)``.
+        Outputs ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
+        and ``("pull_a", i, name)``, those of phi and of Phi^T lambda.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
-    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    given = [plain.L, *plain.f, *plain.constraints.values()]
+    L, *values = rebuilt(plain.graph, given, {}, graph)
+    f, phi = values[:n], values[n:]
+    multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
+    held = graph.add(graph.products(phi, multipliers))
     derivatives = Derivatives(graph)
     outputs: dict[Key, Value] = {}
     for name, x in zip(varied, graph.numbers(s.name for s in varied.values()), strict=True):
@@ -56,6 +61,9 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
         for i in range(n):
             outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
             outputs["P_a", i, name] = slopes[n + i]
+        outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
+        pulls = gradient(graph, derivatives(held, x), moving[:n])
+        outputs |= {("pull_a", i, name): pull for i, pull in enumerate(pulls if phi else ())}
     return written_as_jet(plain, graph, outputs)
 
 

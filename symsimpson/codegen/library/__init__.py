@@ -17,7 +17,7 @@ __all__ = ["library_sources"]
 #: The files, in the order in which their functions stand in a module.
 FILES = (
     "sincos", "path", "clear", "assemble", "solve", "mass", "close", "explicit_steps", "checks",
-    "constraints", "rattle", "stage_iteration", "collocation", "tangent", "adjoint",
+    "constraints", "rattle", "stage_iteration", "collocation", "tangent", "held_tangent", "adjoint",
 )  # fmt: skip
 
 

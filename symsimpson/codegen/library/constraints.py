@@ -139,7 +139,6 @@ def join_equations(W, lane):
         for s in range(DIMENSION):
             there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
             here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[HELD_RIGHT + there, lane] = W[RESIDUAL + here, lane]
             for column in range(DEGREE):
                 source = JACOBIAN + here * EQUATION_STRIDE + EQUATION_OFFSET
                 source += column * EQUATION_ROW_STEP
@@ -148,28 +147,39 @@ def join_equations(W, lane):
                     W[target + HELD_PLACE[b] * HELD_PLACE_STEP, lane] += W[
                         source + b * EQUATION_PLACE_STEP, lane
                     ]
-        for c in range(CONSTRAINTS):
-            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
-            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
-            W[HELD_RIGHT + there, lane] = W[RESIDUAL + here, lane]
-    for row in range(DEGREE * HELD_PLACES):
-        W[RESIDUAL + row, lane] = W[HELD_RIGHT + row, lane]
+    join_rows(W, RESIDUAL, lane)
 
 
 @compiled
-def part_corrections(W, lane):
-    """Bring a correction back into the order of increments, then multipliers."""
-    for row in range(DEGREE * HELD_PLACES):
-        W[HELD_RIGHT + row, lane] = W[RESIDUAL + row, lane]
+def join_rows(W, first, lane):
+    """Bring rows, of increments and then of multipliers, into the order of elimination."""
     for row in range(DEGREE):
         for s in range(DIMENSION):
             there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
             here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[RESIDUAL + here, lane] = W[HELD_RIGHT + there, lane]
+            W[HELD_RIGHT + there, lane] = W[first + here, lane]
         for c in range(CONSTRAINTS):
             there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
             here = DEGREE * DIMENSION + row * CONSTRAINTS + c
-            W[RESIDUAL + here, lane] = W[HELD_RIGHT + there, lane]
+            W[HELD_RIGHT + there, lane] = W[first + here, lane]
+    for row in range(DEGREE * HELD_PLACES):
+        W[first + row, lane] = W[HELD_RIGHT + row, lane]
+
+
+@compiled
+def part_rows(W, first, lane):
+    """Bring rows back into the order of increments, then multipliers."""
+    for row in range(DEGREE * HELD_PLACES):
+        W[HELD_RIGHT + row, lane] = W[first + row, lane]
+    for row in range(DEGREE):
+        for s in range(DIMENSION):
+            there = row * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
+            here = row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[first + here, lane] = W[HELD_RIGHT + there, lane]
+        for c in range(CONSTRAINTS):
+            there = row * HELD_ROW_STEP + HELD_PLACE[DIMENSION + c] * HELD_PLACE_STEP
+            here = DEGREE * DIMENSION + row * CONSTRAINTS + c
+            W[first + here, lane] = W[HELD_RIGHT + there, lane]
 
 
 @compiled

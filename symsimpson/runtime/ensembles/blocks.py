@@ -191,6 +191,11 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     step, kept, told, watched = kernels.set(kernels.fallbacks[0]), Kept(), header.told.copy(), 0
     columns, observing = np.zeros((0, 0)), 0
     if task.of_variations:
+        if header.constraints:
+            raise InputError(
+                f"{stepper.system} has constraints, and ensembles do not tell how variations that "
+                "these allow grow.\nAsk for single motions: stepper.lyapunov."
+            )
         if task.steps < RENEWAL:
             raise InputError(
                 f"a run of {task.steps} steps does not tell how variations grow.\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from symsimpson.runtime.results.chaos import Chaos, chaos_of
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.integrate import (
     begin_run,
+    integrate,
     look_at_step,
     new_run,
     raise_failure,
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["directions", "find_chaos", "kept_growth"]
 
+Floats = NDArray[np.float64]
+
 
 def kept_growth(stepper: Evaluator, count: int, every: int) -> Kept:
     """Say what a run keeps of so many variations, made orthonormal after so many steps."""
@@ -36,9 +40,25 @@ def kept_growth(stepper: Evaluator, count: int, every: int) -> Kept:
     return Kept("tangent", rows, room, count, every)
 
 
-def directions(size: int, count: int) -> NDArray[np.float64]:
+def directions(size: int, count: int) -> Floats:
     """Return orthonormal columns to begin with, the same ones each time, along nothing special."""
     found, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
+    return np.ascontiguousarray(found)
+
+
+def _allowed(stepper: Evaluator, spec: RunSpec, columns: Floats) -> Floats:
+    """Return directions that constraints allow at the start: a step there moves any into them."""
+    if not stepper._module.header.constraints:
+        return columns
+    back = replace(spec, h=-spec.h, steps=1, every=0)
+    before = integrate(stepper, back, None, None, False, "raise")
+    there = replace(
+        spec, q0=before.q[0], other0=before.p[0], given="p0", t0=spec.t0 - spec.h, steps=1, every=0,
+        tangents=columns,
+    )  # fmt: skip
+    moved = integrate(stepper, there, None, None, False, "raise")._tangents
+    assert moved is not None
+    found, _ = np.linalg.qr(moved[0])
     return np.ascontiguousarray(found)
 
 
@@ -51,7 +71,8 @@ def find_chaos(
     ------
     InputError, ConvergenceError, Interrupted
     """
-    size, stride = 2 * stepper.n, read_count("every", every, least=1)
+    size = 2 * (stepper.n - len(stepper._module.header.constraints))
+    stride = read_count("every", every, least=1)
     count = size if exponents is None else whole_number(exponents)
     if count is None or not 1 <= count <= size:
         raise InputError(
@@ -69,7 +90,7 @@ def find_chaos(
                   kept=kept_growth(stepper, count, stride))  # fmt: skip
     begin_run(stepper, run, spec)
     run.rows("TANGENTS", 1)[:] = count
-    run.begin_growth(directions(size, count))
+    run.begin_growth(_allowed(stepper, spec, directions(2 * stepper.n, count)))
     q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
     check_start(stepper, spec.t0, q, p, spec.parameters)
     look_at_step(stepper, run, spec)

@@ -1,0 +1,229 @@
+"""Derivatives of a step with constraints: what multipliers, and the projection of p, add.
+
+Rows of a variation stand in the order of the equations: of increments, then of multipliers, which
+are h mu. The end of the step is projected: M v + Phi^T nu = p - a, Phi v = 0, and p = M v + a. So
+
+    M dv + Phi^T dnu = dp - Hess(nu.phi) dq - P_q dq,    Phi dv = -(v.phi_qq) dq,
+
+with P = L_v, and what is left of the momentum changes by M dv + P_q dq.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+DIMENSION: int
+DEGREE: int
+UNKNOWNS: int
+CONSTRAINTS: int
+MOMENTUM: int
+PREVIOUS: int
+VELOCITY: int
+NODE_VELOCITY: int
+NODE_L_QV: int
+NODE_L_VV: int
+NODE_P_A: int
+MULTIPLIER: int
+CURVATURE: int
+CONSTRAINT_QQ: int
+CONSTRAINT_A: int
+CONSTRAINT_QA: int
+RESIDUAL: int
+TANGENT: int
+BAND: int
+NODE_STRIDE: int
+NODE_OFFSET: int
+EQUATION_ROW_STEP: int
+EQUATION_PLACE_STEP: int
+HELD_PLACE: tuple[int, ...]
+HELD_BAND: int
+HELD_STRIDE: int
+HELD_OFFSET: int
+COORDINATE: tuple[int, ...]
+ROW_OF_POINT: tuple[int, ...]
+COLUMN_OF_POINT: tuple[int, ...]
+P_A_FROM: tuple[int, ...]
+P_A_PLACE: tuple[int, ...]
+
+room_of: Callable[..., Any]
+parameter_of: Callable[..., Any]
+
+
+@compiled
+def times_dq(W, i, dq, lane):
+    """Multiply a row of the second derivatives of lambda.phi, or of Phi, with a change of q."""
+    found = real(0)
+    for b in range(DIMENSION):
+        j = HELD_PLACE[b]
+        if abs(i - j) <= HELD_BAND:
+            entry = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j
+            found += W[entry, lane] * W[dq + COORDINATE[b], lane]
+    return found
+
+
+@compiled
+def vary_constraint(W, h, point, variation, lane):
+    """Add to the right side what dq0 changes of constraints at a control point and their pull."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = room_of(W, variation, lane)
+    if point < DEGREE:
+        for s in range(DIMENSION):
+            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[room + row, lane] += times_dq(W, HELD_PLACE[s], dq, lane) / h
+    if point > 0:
+        for c in range(CONSTRAINTS):
+            row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
+            W[room + row, lane] -= times_dq(W, HELD_PLACE[DIMENSION + c], dq, lane) / h
+
+
+@compiled
+def add_constraint_slopes(W, h, point, variation, lane):
+    """Add to it what a parameter changes of these."""
+    parameter = parameter_of(W, variation, lane)
+    room = room_of(W, variation, lane)
+    if parameter >= 0 and point < DEGREE:
+        for s in range(DIMENSION):
+            row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            W[room + row, lane] += W[CONSTRAINT_QA + parameter * DIMENSION + s, lane] / h
+    if parameter >= 0 and point > 0:
+        for c in range(CONSTRAINTS):
+            row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
+            W[room + row, lane] -= W[CONSTRAINT_A + parameter * CONSTRAINTS + c, lane] / h
+
+
+@compiled
+def vary_pull(W, h, point, variation, lane):
+    """Add to dp1 - dp0 what the pull of constraints at a control point changes by."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = room_of(W, variation, lane)
+    column = COLUMN_OF_POINT[point]
+    for s in range(DIMENSION):
+        i = HELD_PLACE[s]
+        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
+        pull = times_dq(W, i, dq, lane)
+        for b in range(DIMENSION):
+            if column >= 0 and abs(i - HELD_PLACE[b]) <= HELD_BAND:
+                moved = W[room + column * EQUATION_ROW_STEP + b * EQUATION_PLACE_STEP, lane]
+                pull += W[row + HELD_PLACE[b], lane] * moved
+        for c in range(CONSTRAINTS):
+            j = HELD_PLACE[DIMENSION + c]
+            if abs(i - j) <= HELD_BAND:
+                change = W[room + DEGREE * DIMENSION + point * CONSTRAINTS + c, lane]
+                pull += W[row + j, lane] * change
+        W[room + UNKNOWNS + COORDINATE[s], lane] -= pull / h
+
+
+@compiled
+def add_pull_slopes(W, h, variation, lane):
+    """Add to it what a parameter changes of that pull."""
+    parameter = parameter_of(W, variation, lane)
+    room = room_of(W, variation, lane)
+    if parameter >= 0:
+        for s in range(DIMENSION):
+            pull = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+            W[room + UNKNOWNS + COORDINATE[s], lane] -= pull / h
+
+
+@compiled
+def choose_constraint(W, constraint, lane):
+    """Let the multiplier of one constraint be 1, and the others 0."""
+    for c in range(CONSTRAINTS):
+        W[MULTIPLIER + c, lane] = real(1) if c == constraint else real(0)
+
+
+@compiled
+def vary_curvature(W, constraint, variation, lane):
+    """Find -(v.phi_qq) dq of a constraint, behind the right side for dv."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    found = real(0)
+    for s in range(DIMENSION):
+        change = times_dq(W, HELD_PLACE[s], dq, lane)
+        found -= W[VELOCITY + COORDINATE[s], lane] * change
+    W[room_of(W, variation, lane) + DIMENSION + constraint, lane] = found
+
+
+@compiled
+def add_curvature_slopes(W, constraint, variation, lane):
+    """Add to it what a parameter changes of Phi v."""
+    parameter = parameter_of(W, variation, lane)
+    row = room_of(W, variation, lane) + DIMENSION + constraint
+    if parameter >= 0:
+        for s in range(DIMENSION):
+            slope = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+            W[row, lane] -= W[VELOCITY + COORDINATE[s], lane] * slope
+
+
+@compiled
+def momentum_taken(W, lane):
+    """Find what the projection has taken from p at the end of the step that was taken."""
+    for s in range(DIMENSION):
+        a = COORDINATE[s]
+        before = W[PREVIOUS + 2 * DIMENSION + a, lane] + W[RESIDUAL + a, lane]
+        W[NODE_VELOCITY + s, lane] = before - W[MOMENTUM + a, lane]
+
+
+@compiled
+def turned_momentum(W, s, dq, lane):
+    """Multiply a row of P_q with a change of q."""
+    found = real(0)
+    for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+        slope = W[NODE_L_QV + b * NODE_STRIDE + s + NODE_OFFSET, lane]
+        found += slope * W[dq + COORDINATE[b], lane]
+    return found
+
+
+@compiled
+def begin_projection(W, variation, lane):
+    """Find the right side for dv: dp - Hess(nu.phi) dq - P_q dq."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    room = room_of(W, variation, lane)
+    for s in range(DIMENSION):
+        right = W[dq + DIMENSION + COORDINATE[s], lane]
+        right -= times_dq(W, HELD_PLACE[s], dq, lane)
+        W[room + s, lane] = right - turned_momentum(W, s, dq, lane)
+
+
+@compiled
+def add_projection_slopes(W, variation, lane):
+    """Add to it what a parameter changes of P and of the pull."""
+    parameter = parameter_of(W, variation, lane)
+    room = room_of(W, variation, lane)
+    if parameter >= 0:
+        for s in range(DIMENSION):
+            W[room + s, lane] -= W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[room + P_A_PLACE[row], lane] -= W[NODE_P_A + row, lane]
+
+
+@compiled
+def take_right_side(W, variation, lane):
+    """Let the right side of a variation be that of the next solve."""
+    room = room_of(W, variation, lane)
+    for s in range(DIMENSION):
+        W[NODE_VELOCITY + s, lane] = W[room + s, lane]
+    for c in range(CONSTRAINTS):
+        W[CURVATURE + c, lane] = W[room + DIMENSION + c, lane]
+
+
+@compiled
+def close_projection(W, variation, lane):
+    """Find dp = M dv + P_q dq of the projected momentum."""
+    dq = TANGENT + variation * 2 * DIMENSION
+    for s in range(DIMENSION):
+        change = turned_momentum(W, s, dq, lane)
+        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            mass = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+            change += mass * W[NODE_VELOCITY + b, lane]
+        W[dq + DIMENSION + COORDINATE[s], lane] = change
+
+
+@compiled
+def add_momentum_slopes(W, variation, lane):
+    """Add to it what a parameter changes of P."""
+    parameter = parameter_of(W, variation, lane)
+    dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
+    if parameter >= 0:
+        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+            W[dp + COORDINATE[P_A_PLACE[row]], lane] += W[NODE_P_A + row, lane]

@@ -1,0 +1,90 @@
+"""Derivatives of steps with constraints: against differences of 30 digits, on the constraints."""
+
+import numpy as np
+import pytest
+from workspace import sweep
+
+import symsimpson as ss
+from symsimpson.analysis.precise import Precise
+
+H, STEPS, DIGITS = 0.01, 2, 30
+
+
+def case(name, scheme):
+    system = getattr(ss.systems, name)()
+    stepper, state = ss.compile(system, scheme), dict(system.reference_state)
+    q0 = state.pop("q0")
+    first = stepper.integrate(q0, **state, h=H, steps=1)
+    values = stepper._named_values()
+    start = np.concatenate([first.q[0], first.p[0]])
+    return stepper, values, Precise(stepper, values, DIGITS).placed(start)
+
+
+def carried(stepper, z, **options):
+    n, z = stepper.n, z.astype(float)
+    return stepper.integrate(z[:n], p0=z[n:], h=H, steps=STEPS, **options)
+
+
+CASES = [("cartesian_pendulum", "simpson"), ("four_bar", "gauss4"), ("quaternion_top", "midpoint"),
+         ("jointed_bodies", "simpson"), ("slider_crank", "lobatto6"), ("tumbling_body", "gauss6"),
+         ("andrews_squeezer", "simpson")]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 2))
+def test_derivatives_by_the_state(name, scheme):
+    """And with their symplectic form: on the constraints it is kept."""
+    stepper, values, z = case(name, scheme)
+    of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, H, STEPS)
+    of_end, of_start = of_end.astype(float), of_start.astype(float)
+    found = carried(stepper, z, tangents=of_start).tangent[-1]
+    assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
+    n = stepper.n
+    J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+    defect = found.T @ J @ found - of_start.T @ J @ of_start
+    assert np.abs(defect).max() < 1e-13 * np.abs(found).max() ** 2
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES[:5], 1))
+def test_derivatives_by_parameters(name, scheme):
+    """Also by those of constraints, where the start must move with them."""
+    stepper, values, z = case(name, scheme)
+    size = Precise(stepper, values, DIGITS).small
+    names = stepper.parameters
+    run = carried(stepper, z, tangents=2 * stepper.n, sensitivities=names)
+    for name in names:
+        starts, ends = [], []
+        for sign in (1, -1):
+            moved = Precise(stepper, {**values, name: values[name] + sign * size}, DIGITS)
+            starts.append(moved.placed(z))
+            ends.append(moved.flow(starts[-1], H, STEPS))
+        start, end = (((a - b) / (2 * size)).astype(float) for a, b in (starts, ends))
+        found = run.tangent[-1] @ start + run.sensitivity[name][-1]
+        scale = np.abs(end).max() + np.abs(run.sensitivity[name][-1]).max()
+        assert np.abs(found - end).max() < 1e-12 * max(scale, 1e-3), name
+
+
+@pytest.mark.slow
+def test_derivatives_in_bands_are_those_of_the_whole_matrix():
+    chain = ss.systems.hanging_chain(6)
+    state = dict(chain.reference_state)
+    q0 = state.pop("q0")
+    found = [
+        ss.compile(chain, "simpson", exploit=exploit)
+        .integrate(q0, **state, h=H, steps=5, tangents=4, sensitivities=())
+        .tangent[-1]
+        for exploit in ("all", ())
+    ]
+    assert np.abs(found[0] - found[1]).max() < 1e-12 * np.abs(found[1]).max()
+
+
+def test_a_motion_on_constraints_has_exponents_of_its_degrees_of_freedom():
+    """Areas are kept on the constraints, and Euclidean ones but for a bounded factor."""
+    links = ss.systems.hanging_chain(2)
+    stepper = ss.compile(links, "simpson")
+    state = dict(links.reference_state)
+    q0 = state.pop("q0")
+    chaos = stepper.lyapunov(q0, **state, h=0.01, t_end=200)
+    assert len(chaos.exponents) == 2 * links.degrees_of_freedom
+    assert abs(chaos.exponents.sum()) < 0.02
+    with pytest.raises(ss.SchemeError, match="carried back"):
+        stepper.gradient(q0, **state, h=0.01, steps=10, cost="energy", wrt="g")
