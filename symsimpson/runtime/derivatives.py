@@ -189,13 +189,14 @@ class Differentiating(Stepping):
 
         The variations are exact ones of the steps that are taken, and made orthonormal now and
         then. The sum of all exponents is that of the scheme: zero to rounding without friction.
+        With constraints there are as many as positions and momenta on them.
 
         Parameters
         ----------
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs
             As for :meth:`integrate`.
         exponents : int, optional
-            How many, the largest ones; all 2 n unless given.
+            How many, the largest ones; all unless given, two for each degree of freedom.
         every : int
             Steps from one time at which variations are made orthonormal to the next.
         progress : bool, optional
