@@ -23,10 +23,7 @@ from symsimpson.runtime.runs.variations import varied_stepper
 if TYPE_CHECKING:
     from symsimpson.runtime.results.energies import Energies
 
-__all__ = ["HIGHEST_ORDER", "shadow_energy", "step_means"]
-
-#: Above this order the shadow energy tells no more than the energy.
-HIGHEST_ORDER = 6
+__all__ = ["shadow_energy", "step_means"]
 
 Reals = NDArray[Any]
 #: What is summed of H and of its error at four steps: around a state, and at the first two states.
