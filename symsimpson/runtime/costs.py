@@ -19,7 +19,7 @@ from symsimpson.runtime.runs.run import workspace
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
 
-__all__ = ["Samples", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
+__all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
 
 Reals = NDArray[Any]
 
@@ -143,7 +143,7 @@ def pull_velocities(
 
 
 @dataclass(frozen=True)
-class Samples:
+class Measured:
     """What was measured of a quantity: at each so-many-th state, NaN where nothing was."""
 
     quantity: StateCost
@@ -165,7 +165,7 @@ def read_cost(stepper: Evaluator, cost: Any) -> StateCost | None:
 
 def read_samples(
     stepper: Evaluator, samples: Mapping[Any, ArrayLike] | None, steps: int, every: int
-) -> tuple[Samples, ...]:
+) -> tuple[Measured, ...]:
     """Read samples by the expressions that they are of.
 
     Raises
@@ -185,5 +185,5 @@ def read_samples(
             )
         if not numbers.finite(values).any():
             raise InputError(f"samples of {expression}: none is finite.\nPass at least one number.")
-        found.append(Samples(StateCost(stepper, f"samples of {expression}", expression), values))
+        found.append(Measured(StateCost(stepper, f"samples of {expression}", expression), values))
     return tuple(found)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.progress import Watcher
-from symsimpson.runtime.costs import Samples, StateCost, pull_velocities
+from symsimpson.runtime.costs import Measured, StateCost, pull_velocities
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.integrate import (
     begin_run,
@@ -26,7 +26,6 @@ from symsimpson.runtime.runs.integrate import (
     stored_by,
     trajectory_of,
 )
-from symsimpson.runtime.runs.resolution import check_start
 from symsimpson.runtime.runs.run import Kept, workspace
 from symsimpson.runtime.runs.spec import RunSpec
 
@@ -48,14 +47,14 @@ class Objective:
     ----------
     end : StateCost or None
         A cost of the last state.
-    samples : tuple of Samples
+    samples : tuple of Measured
         Each costs the sum of the squares by which the run differs from it.
     every : int
         Steps between samples.
     """
 
     end: StateCost | None
-    samples: tuple[Samples, ...]
+    samples: tuple[Measured, ...]
     every: int
 
 
@@ -124,7 +123,6 @@ class _Way:
         self._run = run = new_run(stepper, spec, 1, self.piece + 1, kept=kept)
         begin_run(stepper, run, spec)
         self.q0, self.p0 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
-        check_start(stepper, spec.t0, self.q0, self.p0, spec.parameters)
         if count:
             look_at_step(stepper, run, spec)
         run.listener = watcher = Watcher(count, progress)

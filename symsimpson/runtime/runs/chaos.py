@@ -22,7 +22,6 @@ from symsimpson.runtime.runs.integrate import (
     stored_by,
     trajectory_of,
 )
-from symsimpson.runtime.runs.resolution import check_start
 from symsimpson.runtime.runs.run import Kept
 from symsimpson.runtime.runs.spec import RunSpec
 
@@ -91,8 +90,6 @@ def find_chaos(
     begin_run(stepper, run, spec)
     run.rows("TANGENTS", 1)[:] = count
     run.begin_growth(_allowed(stepper, spec, directions(2 * stepper.n, count)))
-    q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
-    check_start(stepper, spec.t0, q, p, spec.parameters)
     look_at_step(stepper, run, spec)
     run.listener = watcher = Watcher(spec.steps, progress)
     status = None

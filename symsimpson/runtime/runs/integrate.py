@@ -60,7 +60,7 @@ def integrate(
     InputError, StorageError, ConvergenceError, Interrupted
     """
     read_failure(on_failure)
-    count, values = spec.steps, spec.parameters
+    count = spec.steps
     with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
         stride = spec.every or sampling_stride(stepper, count)
@@ -69,8 +69,6 @@ def integrate(
             stored = buffered(stride, stored, stepper.n)
         run = new_run(stepper, spec, stride, stored)
         begin_run(stepper, run, spec)
-        q, p = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
-        check_start(stepper, spec.t0, q, p, values)
         if count:
             look_at_step(stepper, run, spec)
         keeper = None
@@ -219,7 +217,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     Raises
     ------
     InputError
-        If M(q0) is not positive definite.
+        If M(q0) is not positive definite, or the energy has no value there.
     """
     numbers, q = stepper._module.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities)
@@ -232,6 +230,8 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+    position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
+    check_start(stepper, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
         begin_variations(stepper, run, spec.tangents, velocity=spec.velocities)
 

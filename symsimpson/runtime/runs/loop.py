@@ -15,7 +15,6 @@ from symsimpson.runtime.runs.integrate import (
     stored_by,
     trajectory_of,
 )
-from symsimpson.runtime.runs.resolution import check_start
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -56,8 +55,6 @@ class ControlLoop:
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
             self._run = new_run(stepper, spec, 0, 1, self._inputs)
             begin_run(stepper, self._run, spec)
-            q, p = (self._run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
-            check_start(stepper, spec.t0, q, p, spec.parameters)
             look_at_step(stepper, self._run, spec)
 
     def step(self, u: Any = None) -> None:

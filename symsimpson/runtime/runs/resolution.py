@@ -20,7 +20,7 @@ from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
 if TYPE_CHECKING:
     from symsimpson.runtime.runs.run import Run
 
-__all__ = ["Energies", "check_start", "energies_at", "look_at_energy", "sampling_stride"]
+__all__ = ["Sampled", "check_start", "energies_at", "look_at_energy", "sampling_stride"]
 
 #: So many states of a run are looked at, in blocks of which the median counts.
 SAMPLES, BLOCKS = 64, 8
@@ -48,7 +48,7 @@ def sampling_stride(stepper: Evaluator, count: int) -> int:
 
 
 @dataclass(frozen=True)
-class Energies:
+class Sampled:
     """Energies at some states of a run: total and kinetic, shape (m,), and which states.
 
     ``constant`` tells whether the total should be.
@@ -93,11 +93,11 @@ class Energies:
 
 def energies_at(
     stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals, places: Places
-) -> Energies:  # fmt: skip
+) -> Sampled:  # fmt: skip
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, *(x[places] for x in (t, q, p)))
     total, kinetic = np.asarray(found, dtype=np.float64).T
-    return Energies(total, kinetic, places, stepper._module.header.conservative)
+    return Sampled(total, kinetic, places, stepper._module.header.conservative)
 
 
 def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
@@ -122,7 +122,7 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
 
 def look_at_energy(
     stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals
-) -> Energies | None:  # fmt: skip
+) -> Sampled | None:  # fmt: skip
     """Evaluate the energy at stored states of a run that is over.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.

@@ -20,7 +20,7 @@ from symsimpson.runtime.runs.integrate import (
     raise_failure,
     trajectory_of,
 )
-from symsimpson.runtime.runs.resolution import check_start, sampling_stride
+from symsimpson.runtime.runs.resolution import sampling_stride
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
 
@@ -50,13 +50,12 @@ def poincare(
     """
     read_failure(on_failure)
     wanted = read_zeros(stepper, expression, direction, wrap)
-    values, count, h = spec.parameters, spec.steps, spec.h
+    count, h = spec.steps, spec.h
     run = new_run(stepper, spec, 1, PIECE + 1)
     begin_run(stepper, run, spec)
     look_at_step(stepper, run, spec)
     run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
-    check_start(stepper, spec.t0, q, p, values)
     stride = sampling_stride(stepper, count)
     found, seen, ended = [], [(q[None], p[None])], None
     try:
