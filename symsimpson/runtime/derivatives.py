@@ -228,11 +228,25 @@ class Differentiating(Stepping):
         )  # fmt: skip
         return find_chaos(stepper, spec, exponents, every, progress)
 
-    def _telling(self, reduce: Any) -> Self:
-        """Return the stepper whose ensembles tell what these reductions ask for."""
-        if any(one.of_variations for one in read_reductions(self, reduce)):
+    def _telling(self, reduce: Any, tangents: Any, sensitivities: Any, store: Any) -> Self:
+        """Return the stepper whose ensembles carry along what they are asked for.
+
+        Raises
+        ------
+        InputError
+            If that cannot be stored, or both are asked for.
+        """
+        telling = any(one.of_variations for one in read_reductions(self, reduce))
+        carrying = tangents is not None or sensitivities is not None
+        if carrying and (telling or store is not None):
+            other = "reductions that tell of variations" if telling else "a store"
+            raise InputError(
+                f"tangents and sensitivities of an ensemble do not go with {other}.\n"
+                "Leave out one of them."
+            )
+        if telling:
             return cast(Self, varied_stepper(self, ()))
-        return self
+        return cast(Self, self._differentiating(tangents, sensitivities, None))
 
     def _differentiating(self, tangents: Any, sensitivities: Any, checkpoint: Any) -> Evaluator:
         """Return the stepper that carries along what a run is asked for.

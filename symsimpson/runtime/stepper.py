@@ -203,6 +203,8 @@ class Stepper(Differentiating):
         inputs: Any = None,
         every: int | None = None,
         reduce: Mapping[str, Any] | None = None,
+        tangents: ArrayLike | None = None,
+        sensitivities: Any = None,
         store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         client: Any = None,
@@ -234,6 +236,8 @@ class Stepper(Differentiating):
             to rounding. The expression, a text or of SymPy, may contain what those of
             :meth:`Trajectory.events` do. The kinds "lyapunov", "megno" and "sali" stand alone:
             they tell how variations of each motion grow, as :meth:`lyapunov` does.
+        tangents, sensitivities
+            As for :meth:`integrate`; the same variations for all members.
         store : path, optional
             A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
             or was begun by the same call, which then computes only what is missing.
@@ -273,10 +277,11 @@ class Stepper(Differentiating):
         from symsimpson.runtime.ensembles.members import read_task
 
         read_failure(on_failure)
-        stepper = self._telling(reduce)
+        stepper = self._telling(reduce, tangents, sensitivities, store)
+        carried = 0 if tangents is None and sensitivities is not None else tangents
         task = read_task(
             stepper, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads,
-            progress, inputs=inputs, on_disk=store is not None,
+            progress, inputs=inputs, tangents=carried, on_disk=store is not None,
         )  # fmt: skip
         found, interrupted = run_ensemble(stepper, task, store, client)
         if interrupted and on_failure == "raise":

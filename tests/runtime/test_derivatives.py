@@ -25,10 +25,12 @@ def started(system):
     return state.pop("q0"), state
 
 
+FIRST = ["heavy_top", "harmonic_oscillator", "damped_oscillator"]
+
+
 @pytest.mark.parametrize(
-    "name", sweep(["heavy_top", "harmonic_oscillator", "henon_heiles", "lagrange_top",
-                   "fermi_pasta_ulam", "kepler", "cart_pole", "damped_oscillator"], 2),
-)  # fmt: skip
+    "name", sweep([*FIRST, *(name for name in ss.systems.CATALOGUE if name not in FIRST)], 2)
+)
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss6", "midpoint"], 1))
 def test_reduced_paths_have_the_derivatives_of_the_general_one(name, scheme):
     system = getattr(ss.systems, name)()
@@ -114,3 +116,44 @@ def test_a_module_from_a_file_differentiates_if_it_was_made_to(tmp_path):
         [1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2])  # fmt: skip
     with pytest.raises(ss.GenerationError, match="no parameter or input"):
         ss.generate(system, "midpoint", tmp_path, derivatives=("x",))
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    sweep([("double_pendulum", "simpson"), ("heavy_top", "gauss4"), ("pendulum", "gauss8"),
+           ("cartesian_pendulum", "simpson")], 1),
+)  # fmt: skip
+@pytest.mark.parametrize("every", [None, 8])
+def test_members_of_an_ensemble_carry_what_single_runs_do(name, scheme, every):
+    system = getattr(ss.systems, name)()
+    stepper = ss.compile(system, scheme)
+    q0, given = started(system)
+    varied = stepper.parameters[:2]
+    scales = np.linspace(0.9, 1.1, 11)
+    values = {varied[0]: stepper._defaults[0] * scales}
+    many = stepper.ensemble(
+        np.tile(q0, (11, 1)), **given, h=H, steps=32, every=every, parameters=values, tangents=2,
+        sensitivities=varied,
+    )  # fmt: skip
+    for k in (0, 5, 10):
+        one = stepper.integrate(
+            q0, **given, h=H, steps=32, every=every, parameters={varied[0]: values[varied[0]][k]},
+            tangents=2, sensitivities=varied,
+        )  # fmt: skip
+        own = one.tangent if every else one.tangent[0]
+        assert many.tangent[k].shape == own.shape
+        assert np.abs(many.tangent[k] - own).max() < 1e-12 * np.abs(own).max()
+        for key in varied:
+            own = one.sensitivity[key] if every else one.sensitivity[key][0]
+            assert np.abs(many.sensitivity[key][k] - own).max() < 1e-12 * np.abs(own).max()
+
+
+def test_members_that_fail_have_the_derivative_of_their_last_state(pendulum, tmp_path):
+    many = pendulum.ensemble([[1.0], [np.pi]], v0=[[0.5], [1e300]], h=H, steps=3, tangents=1)
+    assert many.status[1] != 0
+    assert many.tangent[1].tolist() == [[1.0], [0.0]]
+    assert np.isfinite(many.tangent[0]).all()
+    for reduce, store in (({"l": "lyapunov"}, None), (None, tmp_path / "store")):
+        with pytest.raises(ss.InputError, match="do not go with"):
+            pendulum.ensemble([[1.0]], v0=[0.5], h=H, steps=30, tangents=1, reduce=reduce,
+                              store=store)  # fmt: skip

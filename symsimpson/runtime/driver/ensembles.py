@@ -20,8 +20,10 @@ from symsimpson.interface import (
     PARAMETER,
     POSITION,
     RENEWAL,
+    RENEWED,
     ROWS,
     STATUS,
+    TANGENT,
     VELOCITY,
 )
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
@@ -52,7 +54,7 @@ SIGNATURES |= {
         types.int64[::1], types.int64, types.int64, types.int64, types.int64,
         MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
         STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
-        INPUTS, MEMBERS,
+        INPUTS, MEMBERS, STORED,
     ),
 }  # fmt: skip
 
@@ -76,6 +78,18 @@ def load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters):
     for lane in range(LANES):
         if not (W[at[MASS_PIVOT], lane] >= 0.0 and finite(W, at[VELOCITY], at[VELOCITY] + n, lane)):
             W[at[STATUS], lane] = BAD_INPUT
+
+
+@njit(**DRIVER_OPTIONS)
+def begin_variations(momentum_slopes, h, t, W, at, columns):
+    """Begin variations of the state; at given velocities, parameters change p, too."""
+    size, count = columns.shape
+    for lane in range(LANES):
+        for j in range(count):
+            for a in range(size):
+                W[at[TANGENT] + j * size + a, lane] = columns[a, j]
+    if momentum_slopes != 0:
+        call(momentum_slopes, h, t, W)
 
 
 @njit(**DRIVER_OPTIONS)
@@ -125,8 +139,9 @@ def tell_of_variations(W, at, h, kinds, seen, block):
 
 @njit(**DRIVER_OPTIONS)
 def finish_block(
-    W, at, block, step, every, buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost
-):
+    W, at, block, step, every, buffer_q, buffer_p, kept, counted, q_out, p_out, codes_out, lost,
+    kept_out,
+):  # fmt: skip
     """Store what the lanes of a block have come to."""
     n = at[DIMENSION]
     for lane in range(LANES):
@@ -140,45 +155,56 @@ def finish_block(
             for a in range(n):
                 q_out[member, 0, a] = W[at[POSITION] + a, lane]
                 p_out[member, 0, a] = W[at[MOMENTUM] + a, lane]
+            for k in range(kept_out.shape[2]):
+                kept_out[member, 0, k] = W[at[KEPT] + k, lane]
         else:
             for place in range(codes_out[member, 1] // every + 1):
                 iterations += counted[place, lane] if place > 0 else 0
                 for a in range(n):
                     q_out[member, place, a] = buffer_q[place, a, lane]
                     p_out[member, place, a] = buffer_p[place, a, lane]
+                for k in range(kept_out.shape[2]):
+                    kept_out[member, place, k] = kept[place, k, lane]
         codes_out[member, 2] = iterations
 
 
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(
     kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
-    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, directions,
+    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, columns,
+    kept_out,
 ):  # fmt: skip
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
     ``more`` holds addresses: legendre (0 if momenta are given), observe (0 if nothing is), energy
-    (0 if not wanted). Observed values stand behind the rows of the module. ``codes_out`` takes
-    status, steps and iterations of each member; ``seen`` two numbers for each reduction. Where a
-    kernel is called behind each step, variations begin in these ``directions``.
+    (0 if not wanted), what parameters change of momenta (0 if nothing). Observed values stand
+    behind the rows of the module. ``codes_out`` takes status, steps and iterations of each member;
+    ``seen`` two numbers for each reduction. Where a kernel is called behind each step, variations
+    begin as these ``columns``, and ``kept_out`` takes what is kept of them.
     """
     progress = np.zeros(3, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
     followed = kernels[BEHIND] != 0
-    kept = np.zeros((buffer_q.shape[0], 1, LANES)) if followed else np.zeros((0, 0, LANES))
+    rows = max(1, kept_out.shape[2])
+    kept = np.zeros((buffer_q.shape[0], rows, LANES)) if followed else np.zeros((0, 0, LANES))
     watched = more[1] != 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
         own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
             load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
-            if followed:
-                begin_growth(W, at, directions)
+            if followed and at[RENEWED] > 0:
+                begin_growth(W, at, columns)
+            elif followed:
+                begin_variations(more[3], h, t0, W, at, columns)
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 if every != 0:
                     for a in range(n):
                         buffer_q[0, a, lane] = W[at[POSITION] + a, lane]
                         buffer_p[0, a, lane] = W[at[MOMENTUM] + a, lane]
+                    for k in range(kept_out.shape[2]):
+                        kept[0, k, lane] = W[at[KEPT] + k, lane]
             if watched:
                 observe(more, h, t0, W, at, kinds, seen, block, members, 0)
             cursor[BEGUN], cursor[STEP] = 1, 0
@@ -214,6 +240,6 @@ def advance_blocks(
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
             tell_of_variations(W, at, h, kinds, seen, block)
-            finish_block(W, at, block, progress[0], every, buffer_q, buffer_p, counted, q_out,
-                         p_out, codes_out, lost)  # fmt: skip
+            finish_block(W, at, block, progress[0], every, buffer_q, buffer_p, kept, counted,
+                         q_out, p_out, codes_out, lost, kept_out)  # fmt: skip
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

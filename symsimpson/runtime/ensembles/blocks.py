@@ -68,6 +68,10 @@ class Task(RunSpec):
         own = self.inputs[min(member, len(self.inputs) - 1)]
         return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
 
+    def carried(self, n: int) -> int:
+        """Return how many numbers of variations are stored beside a state."""
+        return 0 if self.tangents is None else 2 * n * self.tangents.shape[1]
+
     @property
     def of_variations(self) -> bool:
         """Whether variations of the motions are asked for."""
@@ -117,6 +121,7 @@ class Results:
         # status, steps, iterations
         self.codes = np.zeros((task.members, 3), dtype=np.int64)
         self.codes[:, 0] = Status.INTERRUPTED
+        self.kept = np.full((task.members, task.stored, task.carried(n)), np.nan)
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
         self._task = task
 
@@ -126,8 +131,15 @@ class Results:
         status, steps, iterations = (column.copy() for column in self.codes.T)
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
         reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
-        return {"q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
-                "reduced": reduced}  # fmt: skip
+        tangents = None
+        if task.tangents is not None:
+            size = 2 * q.shape[-1]
+            tangents = self.kept.reshape(*self.kept.shape[:2], -1, size).swapaxes(2, 3)
+            tangents = tangents if task.every else tangents[:, 0]
+        return {
+            "q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
+            "reduced": reduced, "_tangents": tangents,
+        }  # fmt: skip
 
 
 def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
@@ -190,6 +202,13 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     kernels = Kernels(stepper.source, header, lanes)
     step, kept, told, watched = kernels.set(kernels.fallbacks[0]), Kept(), header.told.copy(), 0
     columns, observing = np.zeros((0, 0)), 0
+    slopes = 0
+    if task.tangents is not None:
+        columns, size = task.tangents, task.carried(header.n)
+        kept = Kept("tangent", size, header.room_for_tangents(columns.shape[1]))
+        step = kernels.set("newton", kept.kernel)
+        changed = header.varied_by and task.velocities
+        slopes = kernels.address("momentum_slopes") if changed else 0
     if task.of_variations:
         if header.constraints:
             raise InputError(
@@ -210,14 +229,14 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
         observing = kernels.observing(text, watched)
     energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
     legendre = kernels.address("legendre") if task.velocities else 0
-    more = np.array([legendre, observing, energy], dtype=np.int64)
+    more = np.array([legendre, observing, energy, slopes], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     advance_blocks = driver("advance_blocks", lanes)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + watched + kept.room, lanes)
-        if kept.renewed:
-            W[header.layout["TANGENTS"]] = kept.renewed
+        if kept.kernel:
+            W[header.layout["TANGENTS"]] = columns.shape[1]
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
@@ -229,7 +248,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
                 step, more, task.h, task.t0, W, told, cursor, last, budget,
                 task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
                 counted, results.q, results.p, results.codes, lost, results.seen, kinds,
-                task.inputs, columns,
+                task.inputs, columns, results.kept,
             )  # fmt: skip
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
@@ -273,6 +292,7 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
                     parameters=dict(zip(stepper.parameters, task.parameters[member], strict=True)),
                     inputs=task.inputs_of(member),
                     every=1 if task.reductions else task.every or None, on_failure="return",
+                    **_carrying(stepper, task),
                 )  # fmt: skip
         except InputError:
             results.q[member], results.p[member], results.seen[member] = np.nan, np.nan, np.nan
@@ -285,6 +305,10 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
             queue.stopped = True
             return
         q, p = run.q, run.p
+        if run._tangents is not None:
+            kept = run._tangents.swapaxes(1, 2).reshape(len(q), -1)
+            kept = kept[:: task.every] if task.every else kept[-1:]
+            results.kept[member, : len(kept)], results.kept[member, len(kept) :] = kept, np.nan
         if task.reductions:
             seen = watching(stepper, task.reductions, task.parameters[member])(run.t, run.q, run.p)
             values = reduce_values(task.reductions, run.t, seen)
@@ -295,6 +319,15 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         results.q[member, : len(q)], results.p[member, : len(p)] = q, p
         results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+
+
+def _carrying(stepper: Stepper, task: Task) -> dict[str, Any]:
+    """Return what a single run is asked to carry along."""
+    if task.tangents is None:
+        return {}
+    names = stepper._module.header.varied_by or ()
+    given = task.tangents[:, : task.tangents.shape[1] - len(names)]
+    return {"tangents": given, "sensitivities": names}
 
 
 def _of_variations(stepper: Stepper, task: Task, member: Any, values: list[float]) -> list[float]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.extras import library
 from symsimpson.runtime.evaluator import evaluate_members
+from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
@@ -31,11 +32,11 @@ RESERVED = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Ensemble(Quantities):
+class Ensemble(Quantities, Differentiated):
     """What the members of an ensemble came to.
 
-    ``energy``, ``v``, ``invariants`` and quantities by name are those of a run, with one row for
-    each member; ``ensemble[3]`` gives the states of one member.
+    ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are
+    those of a run, with one row for each member; ``ensemble[3]`` gives the states of one member.
 
     Attributes
     ----------
@@ -76,6 +77,7 @@ class Ensemble(Quantities):
     initial: Mapping[str, Floats]
     _stepper: Stepper = field(repr=False)
     store: str | None = None
+    _tangents: NDArray[Any] | None = field(default=None, repr=False)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...

@@ -22,6 +22,7 @@ from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.variations import read_tangents
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -44,6 +45,7 @@ def read_task(
     progress: bool | None,
     *,
     inputs: Any = None,
+    tangents: Any = None,
     on_disk: bool,
 ) -> Task:
     """Read the arguments of ``ensemble``.
@@ -99,8 +101,15 @@ def read_task(
     q, other = allowed(stepper, q, other, second, values, t0)
     return Task(
         q, other, second, values, h, t0, count, stride, driving, reductions, workers, progress,
-        lanes,
+        lanes, tangents=None if tangents is None else _columns(stepper, tangents),
     )  # fmt: skip
+
+
+def _columns(stepper: Stepper, tangents: Any) -> NDArray[np.float64]:
+    """Return variations of the state, and behind them those of what is varied, which begin at 0."""
+    varied = len(stepper._module.header.varied_by or ())
+    own = read_tangents(stepper, tangents)
+    return np.ascontiguousarray(np.concatenate([own, np.zeros((len(own), varied))], axis=1))
 
 
 def _states(name: str, value: Any, coordinates: tuple[str, ...]) -> NDArray[np.float64]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array
+from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
@@ -25,7 +25,7 @@ __all__ = ["Trajectory"]
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory(Energies):
+class Trajectory(Energies, Differentiated):
     """States of a run, and how it ended.
 
     Numbers are float64, or numbers of mpmath in arrays of objects where the stepper was compiled
@@ -80,55 +80,6 @@ class Trajectory(Energies):
         values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
         shown = values[:, 0] if values.shape[1] == 1 else values
         return {name: shown[..., k] for k, name in enumerate(names)}
-
-    @property
-    def tangent(self) -> NDArray[Any]:
-        """Variations (dq, dp) of the stored states, shape (N + 1, 2 n, k).
-
-        Raises
-        ------
-        InputError
-            If the run was not asked for them.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
-        (51, 2, 2)
-        """
-        count = len(self._stepper._module.header.varied_by or ())
-        return self._varied("tangents=4")[:, :, : -count or None]
-
-    @property
-    def sensitivity(self) -> dict[str, NDArray[Any]]:
-        """Derivatives of the stored states (q, p) by parameters and inputs, shape (N + 1, 2 n).
-
-        Raises
-        ------
-        InputError
-            If the run was not asked for them.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.pendulum())
-        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, sensitivities="l")
-        >>> run.sensitivity["l"].shape
-        (51, 2)
-        """
-        names = self._stepper._module.header.varied_by or ()
-        found = self._varied("sensitivities='l'")
-        first = found.shape[2] - len(names)
-        return {name: found[:, :, first + j] for j, name in enumerate(names)}
-
-    def _varied(self, how: str) -> NDArray[Any]:
-        if self._tangents is None:
-            raise InputError(
-                "this run carried no derivatives along.\n"
-                f"Ask for them: stepper.integrate(..., {how})."
-            )
-        return self._tangents
 
     @cached_property
     def sol(self) -> DenseOutput:

@@ -1,0 +1,72 @@
+"""Derivatives that runs carried along: of one run, or of all members of an ensemble."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Differentiated"]
+
+
+class Differentiated:
+    """What was carried along beside states; of an ensemble with one axis more, its members."""
+
+    _stepper: Stepper
+    _tangents: NDArray[Any] | None
+
+    @property
+    def tangent(self) -> NDArray[Any]:
+        """Variations (dq, dp) of the stored states, shape (N + 1, 2 n, k).
+
+        Raises
+        ------
+        InputError
+            If the run was not asked for them.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
+        (51, 2, 2)
+        >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
+        (2, 2, 2)
+        """
+        count = len(self._stepper._module.header.varied_by or ())
+        return self._carried("tangents=4")[..., : -count or None]
+
+    @property
+    def sensitivity(self) -> dict[str, NDArray[Any]]:
+        """Derivatives of the stored states (q, p) by parameters and inputs, shape (N + 1, 2 n).
+
+        Raises
+        ------
+        InputError
+            If the run was not asked for them.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, sensitivities="l")
+        >>> run.sensitivity["l"].shape
+        (51, 2)
+        """
+        names = self._stepper._module.header.varied_by or ()
+        found = self._carried("sensitivities='l'")
+        first = found.shape[-1] - len(names)
+        return {name: found[..., first + j] for j, name in enumerate(names)}
+
+    def _carried(self, how: str) -> NDArray[Any]:
+        if self._tangents is None:
+            raise InputError(
+                "this run carried no derivatives along.\n"
+                f"Ask for them: stepper.integrate(..., {how})."
+            )
+        return self._tangents
