@@ -99,6 +99,7 @@ BLOCKS = {
     "ADJOINT_RIGHT": "right side of the equations of a step for them, or their solution",
     "ADJOINT_START": "derivative of a cost by q at the start of a step, through forces and momenta",
     "COST": "integral of a running cost, and what rounding has taken from it",
+    "COST_END": "derivatives of a cost by these parameters, through the end of a step",
     "COST_SLOPE": "derivatives of a cost by the parameters that are varied, through each node",
     "NODE_COST": "a running cost at a node, its derivatives by q, by v and by these parameters",
     "TANGENTS": "number of variations of the state that are carried along",
@@ -111,7 +112,8 @@ OPTIONAL = (
     "HELD_RIGHT", "HELD_PIVOT", "HELD_CHANGE", "DRIFT_VELOCITY", "CURVATURE", "DEPENDENCE",
     "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
     "NODE_P_A", "CONSTRAINT_A", "CONSTRAINT_QA", "EXCHANGE", "DERIVATIVE", "ADJOINT",
-    "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_SLOPE", "NODE_COST", "TANGENTS", "TANGENT",
+    "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_END", "COST_SLOPE", "NODE_COST", "TANGENTS",
+    "TANGENT",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 

@@ -5,8 +5,8 @@ They are the transpose of the tangent, and so the exact derivatives of the cost 
 
 from __future__ import annotations
 
-from symsimpson.codegen.differentials import Differentials
-from symsimpson.codegen.ir import Call, Kernel, When
+from symsimpson.codegen.held_tangents import HeldDifferentials
+from symsimpson.codegen.ir import Call, Kernel, Statement, When
 from symsimpson.codegen.unrolled import lanes
 
 __all__ = ["adjoint_kernels"]
@@ -15,7 +15,7 @@ _HERE = ("W", "node", "lane")
 _AT_NODE = ("W", "h", "node", "lane")
 
 
-def adjoint_kernels(differentials: Differentials) -> list[Kernel]:
+def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     """Return the adjoint of a step and of p0 = L_v(q0, v0), and what keeps steps for it."""
     made = differentials.timed()
     step = lanes((When(_step(made)),))
@@ -32,7 +32,7 @@ def adjoint_kernels(differentials: Differentials) -> list[Kernel]:
     ]  # fmt: skip
 
 
-def _step(made: Differentials) -> tuple[Call, ...]:
+def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
     cost = made.if_costly(Call("cost_slopes"))
     of_end = (
         *made.drag(), *cost, Call("pull_impulse", _AT_NODE),
@@ -44,20 +44,24 @@ def _step(made: Differentials) -> tuple[Call, ...]:
         *made.if_costly(Call("integrate_cost", _AT_NODE), Call("pull_cost", _AT_NODE)),
     )  # fmt: skip
     return (
+        *made.pulled_end(),
         Call("exchange_steps"),
         *made.path_known(),
         *((Call("decay_adjoint"),) if made.loops.damped else ()),
         Call("begin_adjoint"),
-        *made.loops.all_rows(*of_end),
+        *made.loops.all_rows(*of_end, at_points=made.pulled_right()),
+        *made.adjoint_joined(),
         Call("factor_equations"),
         Call("solve_adjoint"),
+        *made.adjoint_parted(),
         made.nodes(*of_nodes),
+        *made.pulled_start(),
         Call("close_adjoint"),
         Call("exchange_steps"),
     )
 
 
-def _cost_kernels(made: Differentials) -> list[Kernel]:
+def _cost_kernels(made: HeldDifferentials) -> list[Kernel]:
     """Return what evaluates a running cost over the step that was taken, and anywhere."""
     step = (
         Call("exchange_steps"), *made.path_known(),

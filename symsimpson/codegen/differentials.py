@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
+from typing import Self
 
 import sympy as sp
 
@@ -76,7 +77,7 @@ class Differentials:
         grown = (Call("grow_node", ("W", "node", "lane")),) if self.loops.damped else ()
         return self.loops.nodes("range(NODES)", Call("jet"), *grown, *body)
 
-    def timed(self) -> Differentials:
+    def timed(self) -> Self:
         """Return the same with times at nodes, if the running cost asks for them."""
         if not timed(self.low):
             return self
@@ -120,7 +121,8 @@ def sizes(low: Lowering) -> dict[str, int]:
         "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
     }  # fmt: skip
     if low.multipliers:
-        own |= {"CONSTRAINT_A": varied * len(low.multipliers), "CONSTRAINT_QA": varied * low.n}
+        held = len(low.multipliers)
+        own |= {"CONSTRAINT_A": varied * held, "CONSTRAINT_QA": varied * low.n, "COST_END": varied}
     if is_written(low):
         own["DERIVATIVE"] = 2 * low.n * (2 * low.n + varied)
     if low.equations.cost is not None:

@@ -1,4 +1,4 @@
-"""Kernels that differentiate a step with constraints: what these add at control points and ends."""
+"""What constraints add to kernels that differentiate a step: at control points, and at its end."""
 
 from __future__ import annotations
 
@@ -77,6 +77,45 @@ class HeldDifferentials(Differentials):
 
     def _slopes(self) -> tuple[Statement, ...]:
         return self.if_varied(Call("constraint_parameter_slopes"))
+
+    def pulled_end(self) -> tuple[Statement, ...]:
+        """Go to the end of the step, and undo its projection for derivatives of a cost."""
+        if not self.loops.held:
+            return ()
+        return (
+            Call("exchange_steps"), *self.impulse(), Call("exchange_steps"), Call("take_end"),
+            *self.loops.start("t + h"), Call("mass"), *self.loops.factors(),
+            *self.loops.solve_momentum(), Call("jet"), *self.if_varied(Call("parameter_slopes")),
+            *map(Call, ("keep_end", "momentum_of_adjoint", "allow_no_change", "solve_held")),
+            Call("constrain"), *self._slopes(), Call("pull_curvature"),
+            *self.if_varied(Call("pull_curvature_slopes")),
+            Call("take_projected"), Call("constrain"), *self._slopes(), Call("pull_projection"),
+            *self.if_varied(Call("pull_projection_slopes")),
+        )  # fmt: skip
+
+    def pulled_right(self) -> tuple[Statement, ...]:
+        """Add what constraints at a control point contribute to the right side of the adjoint."""
+        return (Call("pull_point", ("W", "h", "point", "lane")),) if self.loops.held else ()
+
+    def adjoint_joined(self) -> tuple[Statement, ...]:
+        """Bring equations and the right side of the adjoint into the order of elimination."""
+        if not self.loops.held:
+            return ()
+        return (Call("join_equations"), Call("join_rows", ("W", "ADJOINT_RIGHT", "lane")))
+
+    def adjoint_parted(self) -> tuple[Statement, ...]:
+        """Bring the solution back."""
+        held = self.loops.held
+        return (Call("part_rows", ("W", "ADJOINT_RIGHT", "lane")),) if held else ()
+
+    def pulled_start(self) -> tuple[Statement, ...]:
+        """Add the derivatives by q0 and by parameters that go through control points."""
+        here = ("W", "h", "point", "lane")
+        found = self.loops.points(
+            "range(DEGREE + 1)", "constrain", *self._slopes(), Call("pull_start_of_point", here),
+            *self.if_varied(Call("pull_slopes_of_point", here)),
+        )  # fmt: skip
+        return (*found, *(self.if_varied(Call("add_end_slopes")) if self.loops.held else ()))
 
     @staticmethod
     def _of_room(function: str) -> Call:

@@ -37,7 +37,7 @@ def differentiating(
         return [], [], {}
     storage = loops.held.storage if loops.held else loops.storage
     made = HeldDifferentials(low, loops, tuple(places), following)
-    kernels = [*_tangent_kernels(made), *([] if loops.held else adjoint_kernels(made))]
+    kernels = [*_tangent_kernels(made), *adjoint_kernels(made)]
     return made.functions(), kernels, made.tables() | _tables(storage, loops.degree)
 
 

@@ -80,6 +80,12 @@ class StateCost:
                 f"{what} contains the energy, whose derivatives are not known here.\n"
                 "Write it with coordinates, velocities and parameters."
             )
+        moving = any(self._expression.has(own[f"v_{i}"]) for i in range(n))
+        if moving and stepper._module.header.constraints:
+            raise InputError(
+                f"{what} contains velocities, whose derivatives are not known with constraints.\n"
+                "Write it with coordinates and momenta, or as running=."
+            )
         self._symbols = list(own.values())
         varied = stepper._module.header.varied_by or ()
         #: Which of the parameters are varied; inputs are none of them.

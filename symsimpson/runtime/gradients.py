@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError, SchemeError
+from symsimpson.errors import InputError
 from symsimpson.runtime.costs import read_cost, read_samples
 from symsimpson.runtime.inputs import read_count
 from symsimpson.runtime.results.gradient import Gradient
@@ -62,11 +62,6 @@ def gradient_of(
     asked = [wanted.wrt] if isinstance(wanted.wrt, str) else [str(one) for one in wanted.wrt]
     names = [name for name in asked if name not in STATE]
     _check(wanted, asked, velocities=start[1] is not None)
-    if stepper._module.header.constraints:
-        raise SchemeError(
-            f"{stepper.system} has constraints, and gradients are not carried back over such steps "
-            "yet.\nCarry derivatives along: integrate(..., sensitivities=('l1', 'm1'))."
-        )
     stepper = varied_stepper(stepper, read_varied(stepper, names), wanted.running)
     spec = read_run(stepper, start, times, parameters, None, inputs)
     every = read_count("every", wanted.every, least=1)

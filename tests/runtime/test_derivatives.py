@@ -100,9 +100,6 @@ def test_what_cannot_be_differentiated_is_refused(pendulum, tmp_path):
     explicit = ss.compile(ss.systems.henon_heiles(), "blanes_moan4")
     with pytest.raises(ss.SchemeError, match="kicks and drifts"):
         explicit.tangent([0.1, 0.1], p=[0.0, 0.0], h=H)
-    held = ss.compile(ss.systems.cartesian_pendulum())
-    with pytest.raises(ss.SchemeError, match="constraints"):
-        held.gradient([0.0, -1.0], v0=[0.0, 0.0], h=H, steps=1, cost="y", wrt="g")
 
 
 def test_a_module_from_a_file_differentiates_if_it_was_made_to(tmp_path):
