@@ -39,6 +39,7 @@ def test_a_regular_motion_has_no_exponents(pendulum):
     assert chaos.megno[-1] < 2.1
 
 
+@pytest.mark.slow
 def test_exponents_of_linear_motion_are_those_of_the_matrix():
     """A damped oscillator loses area by exp(-c h/m) a step; an exponent each is half of that."""
     system = ss.systems.damped_oscillator()

@@ -45,10 +45,10 @@ def costs():
 
 @pytest.mark.parametrize("given", ["v", "p"])
 def test_gradients_are_those_of_the_cost(double_pendulum, costs, given):
-    def gradient(x, wrt=("q", given, "l1", "g")):
+    def gradient(x):
         return double_pendulum.gradient(
             x[:2], **{f"{given}0": x[2:4]}, parameters={"l1": x[4], "g": x[5]}, h=H, steps=STEPS,
-            wrt=wrt, **costs,
+            wrt=("q", given, "l1", "g"), **costs,
         )  # fmt: skip
 
     x = np.array([0.8, 1.0, 0.1, -0.2, 0.25, 9.81])
@@ -56,9 +56,6 @@ def test_gradients_are_those_of_the_cost(double_pendulum, costs, given):
     truth = differences(lambda x: gradient(x).value, x)
     assert np.abs(found.gradient - truth).max() < 1e-7 * np.abs(truth).max()
     assert list(found.parts) == ["q", given, "l1", "g"]
-    alone = gradient(x, wrt="g")
-    assert abs(alone.gradient[0] - found.parts["g"]) < 1e-12 * abs(found.parts["g"])
-    assert alone.value == found.value
 
 
 def test_runs_that_are_taken_again_have_the_same_gradient(double_pendulum, costs, monkeypatch):
@@ -112,6 +109,7 @@ def test_gradients_by_inputs_have_the_shape_of_the_inputs(scheme):
         assert found.gradient.shape == (truth.size + 1,)
 
 
+@pytest.mark.slow
 def test_gradients_by_samples_of_inputs_that_are_held_for_a_period():
     stepper, costs = carts("simpson")
 
@@ -132,7 +130,7 @@ def test_gradients_by_samples_of_inputs_that_are_held_for_a_period():
     ("name", "scheme"),
     sweep([("damped_oscillator", "simpson"), ("heavy_top", "gauss6"), ("lagrange_top", "simpson"),
            ("fermi_pasta_ulam", "gauss4"), ("kepler", "lobatto6"),
-           ("double_pendulum", "gauss8")], 1),
+           ("double_pendulum", "gauss8")], 0),
 )  # fmt: skip
 def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     """On reduced paths, written out and by loops."""
@@ -154,6 +152,7 @@ def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
         assert np.abs(found.gradient[: 2 * n] - truth).max() < 1e-13 * scale
 
 
+@pytest.mark.slow
 def test_scipy_takes_a_gradient_and_products_with_the_hessian(double_pendulum):
     from scipy.optimize import minimize
 
@@ -208,6 +207,5 @@ def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
         ss.compile(ss.systems.henon_heiles(), "kahan_li6").gradient(
             [0, 0.1], v0=[0.4, 0], h=H, steps=10, cost="x", wrt="q"
         )
-    with pytest.raises(ss.ConvergenceError):
-        ss.compile(ss.systems.kepler()).gradient([0.01, 0.0], p0=[0, 0], h=0.5, steps=50,
-                                                 cost="r", wrt="q")  # fmt: skip
+    with pytest.warns(ss.StabilityWarning), pytest.raises(ss.ConvergenceError):
+        gradient(h=5.0)

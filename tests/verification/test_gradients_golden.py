@@ -31,7 +31,7 @@ def relative(found, truth):
     return abs(found - truth).max() / abs(truth).max()
 
 
-@pytest.mark.parametrize("case", sweep(WITH_GRADIENT, 1), ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", sweep(WITH_GRADIENT, 0), ids=lambda case: case["name"])
 def test_gradients_in_double_precision(case):
     found, truth = gradient_of(case, float)
     assert relative(found.astype(object), truth) < 1e-13

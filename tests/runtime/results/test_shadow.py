@@ -37,7 +37,7 @@ def test_orders_of_schemes_of_order_four(scheme):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order"), sweep([("midpoint", 4.0), ("lobatto6", 8.0), ("gauss6", 8.0)], 1)
+    ("scheme", "order"), sweep([("midpoint", 4.0), ("lobatto6", 8.0), ("gauss6", 8.0)], 0)
 )
 def test_orders_of_other_schemes(scheme, order):
     swings = half_swings(shadow.step_means, (0.02, 0.01, 0.005)[: 3 if order == 4 else 2], scheme)
@@ -55,7 +55,7 @@ def test_the_other_sign_gives_twice_the_swing():
     assert abs(swings[1] / plain[1] - 2.0) < 0.1
 
 
-@pytest.mark.parametrize("case", GOLDEN, ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", sweep(GOLDEN[::-1], 1), ids=lambda case: case["name"])
 @pytest.mark.parametrize(("scheme", "order", "term"), [("midpoint", 2, "H2"), ("simpson", 4, "H4")])
 def test_the_leading_term_is_that_of_the_closed_formula(case, scheme, order, term):
     q = ss.coordinates(" ".join(f"q{i}" for i in range(len(case["q0"]))))
