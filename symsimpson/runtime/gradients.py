@@ -120,4 +120,5 @@ def _of_input(slopes: Reals, given: Any, spec: RunSpec) -> Reals:
     shape = np.shape(given)
     if not shape:
         return np.asarray(slopes.sum())
-    return slopes.reshape(shape) if slopes.size == np.prod(shape) else slopes.sum(axis=1)
+    own = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)
+    return own.reshape(shape)

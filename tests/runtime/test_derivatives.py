@@ -152,3 +152,23 @@ def test_members_that_fail_have_the_derivative_of_their_last_state(pendulum, tmp
         with pytest.raises(ss.InputError, match="do not go with"):
             pendulum.ensemble([[1.0]], v0=[0.5], h=H, steps=30, tangents=1, reduce=reduce,
                               store=store)  # fmt: skip
+
+
+def test_members_keep_what_they_carry_over_long_runs(pendulum):
+    """A block is left now and then on its way, and what it has stored stays."""
+    given = {"v0": [0.0], "h": H, "steps": 6000, "every": 500, "tangents": 2}
+    many = pendulum.ensemble([[1.0], [0.5]], **given)
+    for k, angle in enumerate((1.0, 0.5)):
+        one = pendulum.integrate([angle], **given).tangent
+        assert np.abs(many.tangent[k] - one).max() < 1e-9 * np.abs(one).max()
+
+
+@pytest.mark.parametrize("reduce", [None, {"highest": ("max", "theta")}])
+@pytest.mark.parametrize("every", [None, 8])
+def test_members_that_are_run_by_themselves_carry_as_much(pendulum, reduce, every):
+    """Where fast sines have no value."""
+    far, given = 1e9 + 1, {"v0": [0.0], "h": H, "steps": 32, "every": every, "tangents": 2}
+    many = pendulum.ensemble([[1.0], [far]], **given, reduce=reduce)
+    one = pendulum.integrate([far], **given)
+    assert (many.status == 0).all()
+    assert np.array_equal(many.tangent[1], one.tangent if every else one.tangent[0])

@@ -95,7 +95,8 @@ def test_gradients_by_inputs_have_the_shape_of_the_inputs(scheme):
     nodes, steps = len(stepper.node_times(0.1, 1)[0]), 8
     rng = np.random.default_rng(5)
     shapes = [(), (steps,), (steps, 1), (steps, nodes)]
-    for shape, other in zip(shapes, reversed(shapes), strict=True):
+    pairs = [*zip(shapes, reversed(shapes), strict=True), ((steps, 1), (steps, nodes))]
+    for shape, other in pairs:
         given = {"u": rng.normal(size=shape), "w": rng.normal(size=other)}
 
         def gradient(given, wrt=("u", "k")):

@@ -52,7 +52,7 @@ SIGNATURES |= {
     "advance_blocks": types.void(
         SET, types.int64[::1], types.float64, types.float64, WORKSPACE, TOLD_ROWS,
         types.int64[::1], types.int64, types.int64, types.int64, types.int64,
-        MEMBERS, MEMBERS, MEMBERS, STORED, STORED, types.int64[:, ::1],
+        MEMBERS, MEMBERS, MEMBERS, STORED, STORED, STORED, types.int64[:, ::1],
         STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
         INPUTS, MEMBERS, STORED,
     ),
@@ -171,11 +171,12 @@ def finish_block(
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(
     kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
-    buffer_q, buffer_p, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, columns,
+    buffer_q, buffer_p, kept, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, columns,
     kept_out,
 ):  # fmt: skip
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
+    The stored states of a block under way stay in the buffers, and what is kept beside them.
     ``more`` holds addresses: legendre (0 if momenta are given), observe (0 if nothing is), energy
     (0 if not wanted), what parameters change of momenta (0 if nothing). Observed values stand
     behind the rows of the module. ``codes_out`` takes status, steps and iterations of each member;
@@ -185,8 +186,6 @@ def advance_blocks(
     progress = np.zeros(3, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
     followed = kernels[BEHIND] != 0
-    rows = max(1, kept_out.shape[2])
-    kept = np.zeros((buffer_q.shape[0], rows, LANES)) if followed else np.zeros((0, 0, LANES))
     watched = more[1] != 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]

@@ -239,6 +239,8 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
             W[header.layout["TANGENTS"]] = columns.shape[1]
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
+        rows = max(1, kept.rows) if kept.kernel else 0
+        buffer_kept = np.empty((task.stored, rows, lanes))
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
         lost = np.zeros(lanes, dtype=np.int64)
         budget = FIRST_BUDGET
@@ -247,8 +249,8 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
             advance_blocks(
                 step, more, task.h, task.t0, W, told, cursor, last, budget,
                 task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
-                counted, results.q, results.p, results.codes, lost, results.seen, kinds,
-                task.inputs, columns, results.kept,
+                buffer_kept, counted, results.q, results.p, results.codes, lost, results.seen,
+                kinds, task.inputs, columns, results.kept,
             )  # fmt: skip
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
@@ -295,7 +297,8 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
                     **_carrying(stepper, task),
                 )  # fmt: skip
         except InputError:
-            results.q[member], results.p[member], results.seen[member] = np.nan, np.nan, np.nan
+            for array in (results.q, results.p, results.kept, results.seen):
+                array[member] = np.nan
             results.codes[member] = Status.BAD_INPUT, 0, 0
             continue
         except KeyboardInterrupt:
@@ -304,20 +307,18 @@ def _again(stepper: Stepper, task: Task, results: Results, queue: _Queue) -> Non
         if run.status is Status.INTERRUPTED:
             queue.stopped = True
             return
-        q, p = run.q, run.p
+        q, p, kept = run.q, run.p, np.zeros((len(run), 0))
         if run._tangents is not None:
-            kept = run._tangents.swapaxes(1, 2).reshape(len(q), -1)
-            kept = kept[:: task.every] if task.every else kept[-1:]
-            results.kept[member, : len(kept)], results.kept[member, len(kept) :] = kept, np.nan
+            kept = run._tangents.swapaxes(1, 2).reshape(len(run), -1)
         if task.reductions:
             seen = watching(stepper, task.reductions, task.parameters[member])(run.t, run.q, run.p)
             values = reduce_values(task.reductions, run.t, seen)
             if task.of_variations and run.success:
                 values = _of_variations(stepper, task, member, values)
             results.seen[member, : 2 * len(values) : 2] = values
-            q, p = (x[:: task.every] if task.every else x[-1:] for x in (q, p))
-        results.q[member, : len(q)], results.p[member, : len(p)] = q, p
-        results.q[member, len(q) :] = results.p[member, len(p) :] = np.nan
+            q, p, kept = (x[:: task.every] if task.every else x[-1:] for x in (q, p, kept))
+        for array, found in ((results.q, q), (results.p, p), (results.kept, kept)):
+            array[member, : len(found)], array[member, len(found) :] = found, np.nan
         results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
 
 
