@@ -109,11 +109,11 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     elif module.names.constraints:
         constants += _DRIFT_THRESHOLDS
     made = _made(equations, module)
-    library = _library(f"{body}\n{made}")
+    library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{made}"))
     numbers = "\n".join(
         part
         for part in (
-            _imports(printer.used, arrays="array(" in tables or "stage_table(" in made),
+            _imports(printer.used, arrays="array(" in f"{tables}{library}"),
             _header(equations, module),
             _layout(module),
         )
@@ -122,7 +122,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     text = "\n".join(
         [
             numbers, tables, *([constants] if constants else []),
-            "compiled = njit(**OPTIONS)\n", *(f"\n{part}\n" for part in library),
+            "compiled = njit(**OPTIONS)\n", *([library] if library else []),
             *(["", made] if made else []), "", body, "",
         ]
     )  # fmt: skip
@@ -200,6 +200,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
     def row(values: Iterable[sp.Expr]) -> str:
         return _literal_tuple(number(value) for value in values)
 
+    # arrays are quick to index, where compilers make a tuple a choice of branches
     d, n = scheme.degree, equations.system.n
     lines = [
         f"# the scheme: {scheme.legend}",
@@ -224,12 +225,12 @@ def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> l
     lines = []
     for name, table in scheme.tables.items():
         if isinstance(table[0], sp.Expr):
-            lines += folded(f"{name} = ", row(table), "    ")
+            lines += folded(f"{name} = ", f"array({row(table)})", "    ")
             continue
-        lines += [f"{name} = ("]
+        lines += [f"{name} = array(("]
         for values in table:
             lines += ["    " + line for line in folded("", row(values) + ",", "    ")]
-        lines += [")"]
+        lines += ["))"]
     return lines
 
 
@@ -243,11 +244,13 @@ def _made(equations: DiscreteEquations, module: Module) -> str:
         lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
+        if equations.varied is not None:
+            lines.append(f'REACHED_BY_MOVES = reach_table("{kind}", {s})')
     return "\n".join(["DIGITS = 40", *lines, ""]) if lines else ""
 
 
 def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
-    """Write a table; of integers, long ones and those of rows are arrays: quick to index."""
+    """Write a table as an array, which is quick to index; short lists of integers as they are."""
     if isinstance(value, sp.Expr):
         return number(value)
     if not isinstance(value, tuple):
@@ -255,9 +258,8 @@ def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
     if value and isinstance(value[0], int):
         text = _literal_tuple(map(repr, value))
         return f"array({text})" if len(value) > _LONG else text
-    text = _literal_tuple(_table(item, number) for item in value)
-    integers = value and isinstance(value[0], tuple) and isinstance(value[0][0], int)
-    return f"array({text.replace('array(', '(')})" if integers else text
+    text = _literal_tuple(_table(item, number).removeprefix("array") for item in value)
+    return f"array({text})"
 
 
 def _constants(module: Module, printer: Printer) -> str:

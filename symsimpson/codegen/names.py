@@ -49,6 +49,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "smooth",
         "DIGITS",
         "STAGE_TABLE",
+        "REACHED_BY_MOVES",
         "sum",
         "len",
         "zip",

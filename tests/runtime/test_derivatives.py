@@ -54,6 +54,26 @@ def test_carrying_derivatives_along_does_not_change_a_run(pendulum):
     assert np.array_equal(plain.p, varied.p)
 
 
+@pytest.mark.parametrize("precision", [40, pytest.param(None, marks=pytest.mark.slow)])
+def test_steps_by_stages_have_the_derivatives_of_newtons_method(precision, monkeypatch):
+    """Nodes that are iterated leave the path that steps are differentiated by."""
+    system, found, iterations = ss.systems.elastic_pendulum(), [], []
+    stepper = ss.compile(system, "gauss8", precision=precision)
+    kernels = stepper._differentiating((), ("k",), None)._module.kernels
+    q0, given = started(system)
+    given |= {"h": 0.125, "steps": 4}
+    for first in (0, 1):  # stages, then Newton's method alone
+        monkeypatch.setattr(kernels, "fallbacks", kernels.fallbacks[first:])
+        run = stepper.integrate(q0, **given, tangents=4, sensitivities="k")
+        back = stepper.gradient(q0, **given, cost="r**2", wrt=("q", "k"))
+        found.append([run.tangent[-1], run.sensitivity["k"][-1], *back.parts.values()])
+        iterations.append(run.newton_iterations[1:].mean())
+    assert iterations[0] > 2 * iterations[1]
+    for stages, newton in zip(*found, strict=True):
+        error = np.abs(stages - newton).max() / np.abs(newton).max()
+        assert error < (1e-33 if precision else 1e-13)
+
+
 def test_derivatives_are_those_of_the_stored_states(pendulum):
     whole = pendulum.integrate([1.0], v0=[0.5], h=H, steps=40, tangents=2, sensitivities="l")
     some = pendulum.integrate(

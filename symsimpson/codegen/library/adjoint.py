@@ -58,9 +58,9 @@ EQUATION_PLACE_STEP: int
 COORDINATE: tuple[int, ...]
 ROW_ORDER: tuple[int, ...]
 COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: tuple[float, ...]
-BASIS: tuple[tuple[float, ...], ...]
-BASIS_SLOPE: tuple[tuple[float, ...], ...]
+WEIGHTS: Any
+BASIS: Any
+BASIS_SLOPE: Any
 
 solve_transposed: Callable[..., Any]
 
@@ -132,8 +132,8 @@ def assemble_adjoint(W, h, node, lane):
     for column in range(DEGREE):
         k = COLUMN_ORDER[column]
         for s in range(DIMENSION):
-            change = BASIS[node][k] * W[NODE_POSITION + s, lane]
-            change += BASIS_SLOPE[node][k] * W[NODE_VELOCITY + s, lane] / h
+            change = BASIS[node, k] * W[NODE_POSITION + s, lane]
+            change += BASIS_SLOPE[node, k] * W[NODE_VELOCITY + s, lane] / h
             W[ADJOINT_RIGHT + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] += change
 
 
@@ -155,8 +155,8 @@ def weigh_node(W, h, node, lane):
         for row in range(DEGREE):
             k = ROW_ORDER[row]
             w = W[ADJOINT_RIGHT + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane]
-            sigma -= BASIS[node][k] * w
-            tau -= BASIS_SLOPE[node][k] * w
+            sigma -= BASIS[node, k] * w
+            tau -= BASIS_SLOPE[node, k] * w
         W[NODE_POSITION + s, lane] = h * WEIGHTS[node] * sigma
         W[NODE_VELOCITY + s, lane] = WEIGHTS[node] * tau
 

@@ -32,20 +32,20 @@ SOLVE_STRIDE: int
 SOLVE_OFFSET: int
 COORDINATE: tuple[int, ...]
 SOLVE_COLUMNS: tuple[int, ...]
-TEST_START: tuple[float, ...]
-TEST_STIFFNESS: tuple[tuple[float, ...], ...]
-TEST_FORCE: tuple[tuple[float, ...], ...]
-TEST_ROWS: tuple[tuple[float, ...], ...]
-STIFFNESS: tuple[tuple[float, ...], ...]
-POINTS: tuple[float, ...]
-PLACES: tuple[float, ...]
+TEST_START: Any
+TEST_STIFFNESS: Any
+TEST_FORCE: Any
+TEST_ROWS: Any
+STIFFNESS: Any
+POINTS: Any
+PLACES: Any
 RESIDUAL: int
 JACOBIAN: int
 ROW_ORDER: tuple[int, ...]
 COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: tuple[float, ...]
-BASIS: tuple[tuple[float, ...], ...]
-BASIS_SLOPE: tuple[tuple[float, ...], ...]
+WEIGHTS: Any
+BASIS: Any
+BASIS_SLOPE: Any
 
 
 @compiled
@@ -78,21 +78,21 @@ def assemble(W, h, node, lane):
             k = ROW_ORDER[row]  # 0 comes last
             part = start
             if k > 0:
-                part = BASIS[node][k] * force + BASIS_SLOPE[node][k] * momentum
+                part = BASIS[node, k] * force + BASIS_SLOPE[node, k] * momentum
                 start -= (1 - POINTS[k]) * part
             W[RESIDUAL + row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP, lane] += part
     for row in range(DEGREE):
         k = ROW_ORDER[row]
-        weight_q = h * WEIGHTS[node] * BASIS[node][k]
-        weight_v = WEIGHTS[node] * BASIS_SLOPE[node][k]
+        weight_q = h * WEIGHTS[node] * BASIS[node, k]
+        weight_v = WEIGHTS[node] * BASIS_SLOPE[node, k]
         for a in range(DIMENSION):
             i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
             for column in range(DEGREE):
                 m = COLUMN_ORDER[column]
-                weight_qq = weight_q * BASIS[node][m]
-                weight_qv = WEIGHTS[node] * BASIS[node][k] * BASIS_SLOPE[node][m]
-                weight_vq = weight_v * BASIS[node][m]
-                weight_vv = weight_v * BASIS_SLOPE[node][m] / h
+                weight_qq = weight_q * BASIS[node, m]
+                weight_qv = WEIGHTS[node] * BASIS[node, k] * BASIS_SLOPE[node, m]
+                weight_vq = weight_v * BASIS[node, m]
+                weight_vv = weight_v * BASIS_SLOPE[node, m] / h
                 entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
                 entry += column * EQUATION_ROW_STEP
                 for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
@@ -110,11 +110,11 @@ def assemble(W, h, node, lane):
 def assemble_drag(W, node, lane):
     """Add to D_k D_m L_d what forces that depend on v contribute: unlike L_qv, by columns alone."""
     for row in range(DEGREE):
-        weight = WEIGHTS[node] * BASIS[node][ROW_ORDER[row]]
+        weight = WEIGHTS[node] * BASIS[node, ROW_ORDER[row]]
         for a in range(DIMENSION):
             i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
             for column in range(DEGREE):
-                slope = weight * BASIS_SLOPE[node][COLUMN_ORDER[column]]
+                slope = weight * BASIS_SLOPE[node, COLUMN_ORDER[column]]
                 entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
                 entry += column * EQUATION_ROW_STEP
                 for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
@@ -139,7 +139,7 @@ def inertia(W, h, lane):
             i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
             W[RESIDUAL + i, lane] = TEST_START[row] * start
             for column in range(BLOCKS):
-                stiffness = TEST_STIFFNESS[row][column]
+                stiffness = TEST_STIFFNESS[row, column]
                 entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
                 for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
                     mass = stiffness * W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane]
@@ -153,10 +153,10 @@ def inertia(W, h, lane):
                     bend = W[INCREMENT + (m - 1) * DIMENSION + a, lane]
                     bend -= POINTS[m] * W[end + a, lane]
                     moved += W[MASS + s * NODE_STRIDE + b + NODE_OFFSET, lane] * bend
-                value += STIFFNESS[k - 1][m - 1] * moved
+                value += STIFFNESS[k - 1, m - 1] * moved
             for row in range(BLOCKS):
                 i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
-                W[RESIDUAL + i, lane] += TEST_ROWS[row][k] * value
+                W[RESIDUAL + i, lane] += TEST_ROWS[row, k] * value
 
 
 @compiled
@@ -167,14 +167,14 @@ def assemble_forces(W, h, node, lane):
         for row in range(BLOCKS):
             value = TEST_START[row] * (force - PLACES[node] * force)
             for k in range(1, DEGREE):
-                value += TEST_ROWS[row][k] * (BASIS[node][k] * force)
+                value += TEST_ROWS[row, k] * (BASIS[node, k] * force)
             W[RESIDUAL + row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP, lane] += value
     for row in range(BLOCKS):
-        weight = h * h * TEST_FORCE[node][row]
+        weight = h * h * TEST_FORCE[node, row]
         for s in range(DIMENSION):
             i = row * SOLVE_ROW_STEP + s * SOLVE_PLACE_STEP
             for column in range(BLOCKS):
-                slope = weight * BASIS[node][SOLVE_COLUMNS[column]]
+                slope = weight * BASIS[node, SOLVE_COLUMNS[column]]
                 entry = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + column * SOLVE_ROW_STEP
                 for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
                     W[entry + b * SOLVE_PLACE_STEP, lane] += (

@@ -26,16 +26,16 @@ POWER: int
 WORK: int
 NODE_POWERS: int
 LAST: int
-STIFFNESS: tuple[tuple[float, ...], ...]
-BASIS: tuple[tuple[float, ...], ...]
-POINTS: tuple[float, ...]
-PLACES: tuple[float, ...]
+STIFFNESS: Any
+BASIS: Any
+POINTS: Any
+PLACES: Any
 RESIDUAL: int
 PREDICTION_ERROR_SQUARED: int
 PREDICTED: int
 PREVIOUS: int
 SOLVED: int
-WEIGHTS: tuple[float, ...]
+WEIGHTS: Any
 
 
 @compiled
@@ -53,7 +53,7 @@ def accumulate_last(W, h, node, lane):
         if LAST == 0:
             W[RESIDUAL + COORDINATE[s], lane] += force - PLACES[node] * force
         else:
-            W[RESIDUAL + COORDINATE[s], lane] += BASIS[node][LAST] * force
+            W[RESIDUAL + COORDINATE[s], lane] += BASIS[node, LAST] * force
 
 
 @compiled
@@ -71,7 +71,7 @@ def end_path(W, h, lane):
         value = h * W[VELOCITY + a, lane]
         for m in range(1, DEGREE):
             bend = W[INCREMENT + (m - 1) * DIMENSION + a, lane] - POINTS[m] * W[end, lane]
-            value += STIFFNESS[LAST - 1][m - 1] * bend
+            value += STIFFNESS[LAST - 1, m - 1] * bend
         W[end, lane] = value if LAST == 0 else W[end, lane] + LAST_SCALE * value
 
 

@@ -108,7 +108,10 @@ def path_tables(kind, nodes, degree):
     """Control points, weights, basis and slopes at the nodes, and what predicts the next path."""
 
     def row(values):
-        return tuple(number(value) for value in values)
+        return array([number(value) for value in values])
+
+    def rows(table):
+        return array([[number(value) for value in values] for values in table])
 
     one = 10**DIGITS
     points = quadrature("lobatto", degree + 1)[0]
@@ -124,9 +127,9 @@ def path_tables(kind, nodes, degree):
         row(points),
         row(c),
         row(b),
-        tuple(row(basis(points, x)) for x in c),
-        tuple(row(slopes(points, x)) for x in c),
-        tuple(row([*values[1:-1], values[-1] - one]) for values in ahead),
+        rows(basis(points, x) for x in c),
+        rows(slopes(points, x) for x in c),
+        rows([*values[1:-1], values[-1] - one] for values in ahead),
         row(slopes(points, one)[1:]),
         row(bends),
     )
@@ -160,3 +163,18 @@ def stage_table(kind, nodes):
             ]
             ahead[nodes + j, i] = number(b[i] * sum(terms) // one)
     return table
+
+
+def reach_table(kind, nodes):
+    """How moves of the nodes add up to increments of the control points: integrals by b_j."""
+    one = 10**DIGITS
+    c, b = quadrature(kind, nodes)
+    table = []
+    for end in quadrature("lobatto", nodes + 1)[0][1:]:
+        inner = [basis(c, end * x // one) for x in c]
+        shares = []
+        for j in range(nodes):
+            total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
+            shares.append(number(end * total // b[j]))
+        table.append(shares)
+    return array(table)

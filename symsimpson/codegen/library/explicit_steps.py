@@ -20,8 +20,8 @@ NODE_POSITION: int
 NODE_VELOCITY: int
 NODE_L_Q: int
 COORDINATE: tuple[int, ...]
-KICKS: tuple[float, ...]
-DRIFTS: tuple[float, ...]
+KICKS: Any
+DRIFTS: Any
 
 
 @compiled

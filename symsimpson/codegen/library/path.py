@@ -20,13 +20,13 @@ COORDINATE: tuple[int, ...]
 RESIDUAL: int
 VELOCITY_JUMP_SQUARED: int
 PREDICTED: int
-POINTS: tuple[float, ...]
-PLACES: tuple[float, ...]
-BASIS: tuple[tuple[float, ...], ...]
-BASIS_SLOPE: tuple[tuple[float, ...], ...]
-EXTRAPOLATION: tuple[tuple[float, ...], ...]
-END_SLOPE: tuple[float, ...]
-START_SLOPE: tuple[float, ...]
+POINTS: Any
+PLACES: Any
+BASIS: Any
+BASIS_SLOPE: Any
+EXTRAPOLATION: Any
+END_SLOPE: Any
+START_SLOPE: Any
 
 
 @compiled
@@ -40,8 +40,8 @@ def path(W, h, node, lane):
         v = last
         for k in range(1, DEGREE):
             bend = W[INCREMENT + (k - 1) * DIMENSION + a, lane] - POINTS[k] * last
-            q += BASIS[node][k] * bend
-            v += BASIS_SLOPE[node][k] * bend
+            q += BASIS[node, k] * bend
+            v += BASIS_SLOPE[node, k] * bend
         W[NODE_POSITION + s, lane] = W[POSITION + a, lane] + q
         W[NODE_VELOCITY + s, lane] = rate * v
 
@@ -89,7 +89,7 @@ def predict(W, h, lane):
         for k in range(DEGREE):
             increment = START_SLOPE[k] * jump
             for j in range(DEGREE):
-                increment += EXTRAPOLATION[k][j] * W[INCREMENT + j * DIMENSION + a, lane]
+                increment += EXTRAPOLATION[k, j] * W[INCREMENT + j * DIMENSION + a, lane]
             W[RESIDUAL + k * DIMENSION + a, lane] = increment
     for row in range(UNKNOWNS):
         W[INCREMENT + row, lane] = W[RESIDUAL + row, lane]

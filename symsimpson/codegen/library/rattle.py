@@ -29,7 +29,7 @@ COORDINATE: tuple[int, ...]
 CONSTRAINT: int
 CONSTRAINT_FORCE: int
 CURVATURE: int
-DRIFTS: tuple[float, ...]
+DRIFTS: Any
 RESIDUAL: int
 DRIFT_VELOCITY: int
 NODE_L_VV: int

@@ -24,10 +24,15 @@ STAGE_CORRECTION: int
 STAGE_SIZE: int
 STAGE_EXPECTED: int
 STAGE_COUNT: int
+DIMENSION: int
+DEGREE: int
 NODES: int
 STRIDE: int
-WEIGHTS: tuple[float, ...]
-PLACES: tuple[float, ...]
+SOLVED: int
+STAGE_V: int
+REACHED_BY_MOVES: Any
+WEIGHTS: Any
+PLACES: Any
 INFINITE: float
 LOST: float
 ROUNDING: float
@@ -114,3 +119,14 @@ def check_stage_acceptance(W, lane):
     W[LARGEST_SQUARED, lane] = max(W[LARGEST_SQUARED, lane], 0.25 * NODES**2 * increment)
     W[STAGE_EXPECTED, lane] = W[STAGE_COUNT, lane] - 1.0
     W[STAGE_COUNT, lane] = 0.0
+
+
+@compiled
+def leave_path(W, lane):
+    """Leave the path of the step to whoever differentiates it: increments of control points."""
+    for k in range(DEGREE):
+        for a in range(DIMENSION):
+            moved = real(0)
+            for node in range(NODES):
+                moved += REACHED_BY_MOVES[k, node] * W[STAGE_V + a * STRIDE + node, lane]
+            W[SOLVED + k * DIMENSION + a, lane] = moved

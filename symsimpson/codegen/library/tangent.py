@@ -51,9 +51,9 @@ EQUATION_PLACE_STEP: int
 COORDINATE: tuple[int, ...]
 ROW_ORDER: tuple[int, ...]
 COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: tuple[float, ...]
-BASIS: tuple[tuple[float, ...], ...]
-BASIS_SLOPE: tuple[tuple[float, ...], ...]
+WEIGHTS: Any
+BASIS: Any
+BASIS_SLOPE: Any
 
 factor_pivoted: Callable[..., Any]
 solve_factored: Callable[..., Any]
@@ -150,8 +150,8 @@ def assemble_variation(W, h, node, variation, lane):
     room = room_of(W, variation, lane)
     for row in range(DEGREE):
         k = ROW_ORDER[row]
-        of_force = h * WEIGHTS[node] * BASIS[node][k]
-        of_momentum = WEIGHTS[node] * BASIS_SLOPE[node][k]
+        of_force = h * WEIGHTS[node] * BASIS[node, k]
+        of_momentum = WEIGHTS[node] * BASIS_SLOPE[node, k]
         for s in range(DIMENSION):
             change = of_force * W[NODE_POSITION + s, lane]
             change += of_momentum * W[NODE_VELOCITY + s, lane]
@@ -187,8 +187,8 @@ def vary_path(W, h, node, variation, lane):
         for column in range(DEGREE):
             k = COLUMN_ORDER[column]
             change = W[room + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane]
-            moved += BASIS[node][k] * change
-            slope += BASIS_SLOPE[node][k] * change
+            moved += BASIS[node, k] * change
+            slope += BASIS_SLOPE[node, k] * change
         W[NODE_POSITION + s, lane] = moved
         W[NODE_VELOCITY + s, lane] = slope / h
 

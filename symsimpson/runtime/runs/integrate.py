@@ -195,13 +195,10 @@ def new_run(
     """
     if kept is None and spec.tangents is not None:
         kept = kept_variations(stepper, spec.tangents)
-    fallbacks = stepper._module.kernels.fallbacks
-    if kept is not None:  # nodes as lanes do not leave what a step is differentiated by
-        fallbacks = tuple(name for name in fallbacks if name != "stages")
     try:
         return Run(
-            stepper._module, spec.parameters, spec.h, spec.t0, stride, stored, fallbacks,
-            spec.inputs if inputs is None else inputs, kept,
+            stepper._module, spec.parameters, spec.h, spec.t0, stride, stored,
+            stepper._module.kernels.fallbacks, spec.inputs if inputs is None else inputs, kept,
         )  # fmt: skip
     except (MemoryError, ValueError):
         raise InputError(
