@@ -79,7 +79,7 @@ class Differentials:
 
     def timed(self) -> Self:
         """Return the same with times at nodes, if the running cost asks for them."""
-        if not timed(self.low):
+        if not _cost_of_time(self.low):
             return self
         return replace(self, loops=replace(self.loops, autonomous=False))
 
@@ -103,7 +103,7 @@ class Differentials:
         return [*found, _cost(self.low, self.places)] if self.costly else found
 
 
-def timed(low: Lowering) -> bool:
+def _cost_of_time(low: Lowering) -> bool:
     """Return whether a running cost depends on the time."""
     cost, plain = low.equations.cost, low.equations.plain
     return cost is not None and cost.depends(plain.t)
@@ -127,7 +127,7 @@ def sizes(low: Lowering) -> dict[str, int]:
         own["DERIVATIVE"] = 2 * low.n * (2 * low.n + varied)
     if low.equations.cost is not None:
         own |= {"COST": 2, "NODE_COST": 1 + 2 * low.n + varied}
-    return own | ({"NODE_TIME": 1} if timed(low) else {})
+    return own | ({"NODE_TIME": 1} if _cost_of_time(low) else {})
 
 
 def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:

@@ -15,22 +15,22 @@ _OF_ONE = ("W", "constraint", "variation", "lane")
 class HeldDifferentials(Differentials):
     """Makes these parts; without constraints each of them is empty."""
 
+    def if_held(self, *statements: Statement) -> tuple[Statement, ...]:
+        """Return statements where there are constraints."""
+        return statements if self.loops.held else ()
+
     def at_points(self) -> tuple[Statement, ...]:
         """Add what constraints at a control point contribute to the right sides."""
-        if not self.loops.held:
-            return ()
         varied = self.if_varied(Call("add_constraint_slopes", _AT_POINT))
-        return (*self._slopes(), each(Call("vary_constraint", _AT_POINT), *varied))
+        return self.if_held(*self._slopes(), each(Call("vary_constraint", _AT_POINT), *varied))
 
     def joined(self) -> tuple[Statement, ...]:
         """Bring equations and right sides into the order of elimination."""
-        if not self.loops.held:
-            return ()
-        return (Call("join_equations"), each(self._of_room("join_rows")))
+        return self.if_held(Call("join_equations"), each(self._of_room("join_rows")))
 
     def parted(self) -> tuple[Statement, ...]:
         """Bring solutions back into the order of increments and multipliers."""
-        return (each(self._of_room("part_rows")),) if self.loops.held else ()
+        return self.if_held(each(self._of_room("part_rows")))
 
     def pulls(self) -> tuple[Statement, ...]:
         """Add what the pulls of constraints change by to dp1 - dp0."""
@@ -95,18 +95,16 @@ class HeldDifferentials(Differentials):
 
     def pulled_right(self) -> tuple[Statement, ...]:
         """Add what constraints at a control point contribute to the right side of the adjoint."""
-        return (Call("pull_point", ("W", "h", "point", "lane")),) if self.loops.held else ()
+        return self.if_held(Call("pull_point", ("W", "h", "point", "lane")))
 
     def adjoint_joined(self) -> tuple[Statement, ...]:
         """Bring equations and the right side of the adjoint into the order of elimination."""
-        if not self.loops.held:
-            return ()
-        return (Call("join_equations"), Call("join_rows", ("W", "ADJOINT_RIGHT", "lane")))
+        joined = Call("join_rows", ("W", "ADJOINT_RIGHT", "lane"))
+        return self.if_held(Call("join_equations"), joined)
 
     def adjoint_parted(self) -> tuple[Statement, ...]:
         """Bring the solution back."""
-        held = self.loops.held
-        return (Call("part_rows", ("W", "ADJOINT_RIGHT", "lane")),) if held else ()
+        return self.if_held(Call("part_rows", ("W", "ADJOINT_RIGHT", "lane")))
 
     def pulled_start(self) -> tuple[Statement, ...]:
         """Add the derivatives by q0 and by parameters that go through control points."""
@@ -115,7 +113,7 @@ class HeldDifferentials(Differentials):
             "range(DEGREE + 1)", "constrain", *self._slopes(), Call("pull_start_of_point", here),
             *self.if_varied(Call("pull_slopes_of_point", here)),
         )  # fmt: skip
-        return (*found, *(self.if_varied(Call("add_end_slopes")) if self.loops.held else ()))
+        return (*found, *self.if_held(*self.if_varied(Call("add_end_slopes"))))
 
     @staticmethod
     def _of_room(function: str) -> Call:

@@ -80,8 +80,8 @@ class StateCost:
                 f"{what} contains the energy, whose derivatives are not known here.\n"
                 "Write it with coordinates, velocities and parameters."
             )
-        moving = any(self._expression.has(own[f"v_{i}"]) for i in range(n))
-        if moving and stepper._module.header.constraints:
+        self._moving = self._expression.has(*(own[f"v_{i}"] for i in range(n)))
+        if self._moving and stepper._module.header.constraints:
             raise InputError(
                 f"{what} contains velocities, whose derivatives are not known with constraints.\n"
                 "Write it with coordinates and momenta, or as running=."
@@ -118,7 +118,7 @@ class StateCost:
         zero = numbers.zeros(len(q))
         own = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
         parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
-        if any(self._expression.has(symbol) for symbol in self._symbols[2 * n : 3 * n]):
+        if self._moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
             still = evaluate(stepper, "start", "VELOCITY", n, t, q, 0 * p, values)
             mu = evaluate(stepper, "start", "VELOCITY", n, t, q, by_velocity, values) - still

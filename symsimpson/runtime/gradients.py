@@ -14,12 +14,13 @@ from symsimpson.runtime.costs import read_cost, read_samples
 from symsimpson.runtime.inputs import read_count
 from symsimpson.runtime.results.gradient import Gradient
 from symsimpson.runtime.runs.backward import Objective, differentiate_back
-from symsimpson.runtime.runs.driving import Samples, given_inputs
+from symsimpson.runtime.runs.driving import Samples, given_inputs, steps_a_period
 from symsimpson.runtime.runs.spec import RunSpec, read_run
 from symsimpson.runtime.runs.variations import read_varied, varied_stepper
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.kernels.numbers import Numbers
 
 __all__ = ["Wanted", "gradient_of"]
 
@@ -81,7 +82,7 @@ def gradient_of(
         own = varied[names.index(name)]
         if own in stepper.inputs:
             slopes = found.by_step[:, of_inputs.index(names.index(name))]
-            parts[name] = _of_input(slopes, given[own], spec)
+            parts[name] = _of_input(own, slopes, given[own], spec, stepper._module.numbers)
         else:
             parts[name] = np.asarray(found.parameters[names.index(name)])
     return Gradient(found.value, parts)
@@ -106,14 +107,15 @@ def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
         raise InputError(f"wrt is {', '.join(asked)}.\nName each only once.")
 
 
-def _of_input(slopes: Reals, given: Any, spec: RunSpec) -> Reals:
+def _of_input(
+    name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers
+) -> Reals:  # fmt: skip
     """Bring the derivatives through steps and nodes, shape (N, s), into the shape of an input."""
     if isinstance(given, Samples):
         values = np.asarray(given.values)
         if not values.ndim:
             return np.asarray(slopes.sum())
-        period = round(abs(float(given.period) / float(spec.h)))
-        starts = np.arange(0, spec.steps, period)
+        starts = np.arange(0, spec.steps, steps_a_period(name, given.period, spec.h, numbers))
         found = 0 * np.resize(slopes[0], values.shape)
         found[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
         return found

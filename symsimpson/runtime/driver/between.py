@@ -44,6 +44,18 @@ SIGNATURES |= {
 
 
 @njit(**DRIVER_OPTIONS)
+def begin_again(kernels, h, t, W, at, q, p):
+    """Begin at a stored state."""
+    n = at[DIMENSION]
+    for k in range(at[POSITION], at[POSITION] + 4 * n):
+        W[k, 0] = 0.0
+    for a in range(n):
+        W[at[POSITION] + a, 0] = q[a]
+        W[at[MOMENTUM] + a, 0] = p[a]
+    begin(kernels, 0, h, t, W, at)
+
+
+@njit(**DRIVER_OPTIONS)
 def take(kernels, h, t, W, at, count, q, p, inputs, first):
     """Take steps from (q, p), and leave there the state after them; tells whether all went well.
 
@@ -52,12 +64,7 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
     Steps in doubt are not recovered here: that is rare, and would make this slow to compile.
     """
     n, direct = at[DIMENSION], kernels[MODE] == EXPLICIT
-    for row in range(at[POSITION], at[POSITION] + 4 * n):
-        W[row, 0] = 0.0
-    for a in range(n):
-        W[at[POSITION] + a, 0] = q[a]
-        W[at[MOMENTUM] + a, 0] = p[a]
-    begin(kernels, 0, h, t, W, at)
+    begin_again(kernels, h, t, W, at, q, p)
     for step in range(count):
         give(W, at, inputs, first + step)
         if not direct:

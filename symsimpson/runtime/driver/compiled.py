@@ -18,13 +18,16 @@ __all__ = ["driver", "driver_text"]
 PARTS = ("steps", "recovery", "explicit", "ensembles", "between", "work", "backward")
 
 
-def driver_text(lanes: int = 1) -> str:
-    """Return the text of the driver for a number of lanes, behind the agreement with modules."""
+def driver_text(lanes: int = 1, *, renewing: bool = False) -> str:
+    """Return the text of the driver for a number of lanes, behind the agreement with modules.
+
+    One that is ``renewing`` makes variations orthonormal on the way.
+    """
     folder = resources.files("symsimpson.runtime.driver")
     files = [resources.files("symsimpson").joinpath("interface.py")]
     files += [folder.joinpath(f"{part}.py") for part in PARTS]
     text = "\n\n".join(_without_own_imports(file.read_text("utf-8")) for file in files)
-    return redefined(text, {"LANES": f"LANES = {lanes}"})
+    return redefined(text, {"LANES": f"LANES = {lanes}", "RENEWING": f"RENEWING = {renewing}"})
 
 
 def _without_own_imports(text: str) -> str:
@@ -37,16 +40,15 @@ def _without_own_imports(text: str) -> str:
 
 
 @cache
-def driver(name: str, lanes: int = 1) -> Callable[..., Any]:
+def driver(name: str, lanes: int = 1, *, renewing: bool = False) -> Callable[..., Any]:
     """Return a function of the driver for a number of lanes, compiled by itself."""
 
     def build(module: ModuleType) -> Callable[..., Any]:
         from numba import njit
 
         function = getattr(module, name).py_func
-        made: Callable[..., Any] = njit(
-            module.SIGNATURES[name], cache=True, **module.DRIVER_OPTIONS
-        )(function)  # fmt: skip
+        options = {**module.DRIVER_OPTIONS, "cache": True, "no_cpython_wrapper": False}
+        made: Callable[..., Any] = njit(module.SIGNATURES[name], **options)(function)
         return made
 
-    return compiled(driver_text(lanes), f"driver-{name}", build)
+    return compiled(driver_text(lanes, renewing=renewing), f"driver-{name}", build)

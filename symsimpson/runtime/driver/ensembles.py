@@ -20,7 +20,6 @@ from symsimpson.interface import (
     PARAMETER,
     POSITION,
     RENEWAL,
-    RENEWED,
     ROWS,
     STATUS,
     TANGENT,
@@ -32,6 +31,7 @@ from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
     INPUTS,
     LANES,
+    RENEWING,
     SET,
     SIGNATURES,
     TOLD_ROWS,
@@ -192,7 +192,7 @@ def advance_blocks(
         own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
             load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
-            if followed and at[RENEWED] > 0:
+            if RENEWING and followed:
                 begin_growth(W, at, columns)
             elif followed:
                 begin_variations(more[3], h, t0, W, at, columns)

@@ -18,7 +18,6 @@ from symsimpson.interface import (
     POSITION,
     PREVIOUS,
     RENEWAL,
-    RENEWED,
     START,
     STATUS,
     STEPS_A_CALL,
@@ -29,6 +28,7 @@ from symsimpson.runtime.driver.steps import (
     INLINE,
     INPUTS,
     LANES,
+    RENEWING,
     SET,
     SIGNATURES,
     STATES,
@@ -126,7 +126,7 @@ def take_explicit_steps(
             call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += count
         single -= 1
-        if followed and at[RENEWED] > 0 and (before + step) % at[RENEWAL] == 0:
+        if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
             renew(W, at)
         if every != 0 and step % every == 0:
             store(W, at, step // every, q_out, p_out, kept_out, iterations_out)

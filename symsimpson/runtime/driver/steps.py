@@ -58,13 +58,17 @@ GROWTH = 25.0
 # why steps stop before the end
 FAILED, SUSPICIOUS = 1, 2
 
+#: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
+RENEWING = False
 MOST_ITERATIONS = 40
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
 #: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
 FADING = 1.05**2
 
 
-DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy"}
+#: What is called by compiled code alone has no way in from Python, which takes long to compile.
+INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
 #: For what is called in each step: a call costs reference counts of its arrays.
 INLINE = {"inline": "always", **DRIVER_OPTIONS}
 SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
@@ -370,7 +374,7 @@ def take_steps(
                 W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
             call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += 1
-        if followed and at[RENEWED] > 0 and (before + step) % at[RENEWAL] == 0:
+        if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
             renew(W, at)
         if every != 0 and step % every == 0:
             store(W, at, step // every, q_out, p_out, kept_out, iterations_out)

@@ -14,11 +14,10 @@ from symsimpson.interface import (
     EXPLICIT,
     ITERATE,
     MODE,
-    MOMENTUM,
     POSITION,
     PREVIOUS,
 )
-from symsimpson.runtime.driver.between import GIVEN, TIMES
+from symsimpson.runtime.driver.between import GIVEN, TIMES, begin_again
 from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
     INPUTS,
@@ -26,7 +25,6 @@ from symsimpson.runtime.driver.steps import (
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
-    begin,
     call,
     give,
     solve,
@@ -55,18 +53,6 @@ def reached(W, at, before, after):
         change = max(change, abs(after[a] - before[a]))
         size = max(size, abs(after[a]))
     return gap <= SAME_WAY * change + ROUNDED * size
-
-
-@njit(**DRIVER_OPTIONS)
-def begin_again(kernels, h, t, W, at, q, p):
-    """Begin at a stored state."""
-    n = at[DIMENSION]
-    for k in range(at[POSITION], at[POSITION] + 4 * n):
-        W[k, 0] = 0.0
-    for a in range(n):
-        W[at[POSITION] + a, 0] = q[a]
-        W[at[MOMENTUM] + a, 0] = p[a]
-    begin(kernels, 0, h, t, W, at)
 
 
 @njit(**DRIVER_OPTIONS)

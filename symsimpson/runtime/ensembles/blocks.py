@@ -28,6 +28,7 @@ from symsimpson.runtime.runs.chaos import directions, find_chaos, kept_growth
 from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
 from symsimpson.runtime.runs.run import Kept
 from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.variations import kept_variations
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -200,13 +201,11 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = stepper._module.header, task.lanes
     kernels = Kernels(stepper.source, header, lanes)
-    step, kept, told, watched = kernels.set(kernels.fallbacks[0]), Kept(), header.told.copy(), 0
-    columns, observing = np.zeros((0, 0)), 0
-    slopes = 0
+    kept, columns, told = Kept(), np.zeros((0, 0)), header.told.copy()
+    watched, observing, slopes = 0, 0, 0
     if task.tangents is not None:
-        columns, size = task.tangents, task.carried(header.n)
-        kept = Kept("tangent", size, header.room_for_tangents(columns.shape[1]))
-        step = kernels.set("newton", kept.kernel)
+        columns = task.tangents
+        kept = kept_variations(header, columns.shape[1])
         changed = header.varied_by and task.velocities
         slopes = kernels.address("momentum_slopes") if changed else 0
     if task.of_variations:
@@ -221,7 +220,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
                 f"Take {RENEWAL} at least."
             )
         kept, columns = kept_growth(stepper, PAIR, RENEWAL), directions(2 * header.n, PAIR)
-        step, told = kernels.set("newton", kept.kernel), header.told_to_renew(PAIR, RENEWAL)
+        told = header.told_to_renew(PAIR, RENEWAL)
     if not all(r.of_variations for r in task.reductions):
         watched = len(task.reductions)
         told[ROWS] += kept.room  # what is observed stands behind all else
@@ -231,7 +230,8 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     legendre = kernels.address("legendre") if task.velocities else 0
     more = np.array([legendre, observing, energy, slopes], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    advance_blocks = driver("advance_blocks", lanes)
+    step = kernels.set(kernels.fallbacks[0], kept.kernel)
+    advance_blocks = driver("advance_blocks", lanes, renewing=task.of_variations)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + watched + kept.room, lanes)

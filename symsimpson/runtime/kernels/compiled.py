@@ -19,6 +19,8 @@ __all__ = ["Kernels"]
 
 #: Runs begin with it: compiled beside the kernels of a step, because they share functions.
 _BEGIN = "legendre"
+#: What kernels call has no way in from Python, which takes long to compile.
+_INNER = "compiled = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)"
 #: The library's sine and cosine, which have a value for any angle.
 _ANY_ANGLE = """\
 from math import cos, sin
@@ -36,7 +38,7 @@ class Kernels(KernelSets):
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
         super().__init__(header, by_stages=header.by_stages and lanes == 1)
         # values of parameters are no part of what is compiled, nor is the banner above the module
-        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}"})
+        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
         self._text = changed[changed.index('"""') :]
         self._single: dict[tuple[str, bool], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled

@@ -196,7 +196,7 @@ class Digits(Numbers):
         """Bind the kernels of a module."""
         return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
 
-    def driver(self, name: str) -> Callable[..., Any]:
+    def driver(self, name: str, *, renewing: bool = False) -> Callable[..., Any]:
         """Return a function of the driver, bound to these numbers."""
         return cast(Callable[..., Any], getattr(self._driver, name))
 

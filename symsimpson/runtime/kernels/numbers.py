@@ -90,9 +90,9 @@ class Numbers:
         """Return the kernels of a module."""
         return Kernels(text, header)
 
-    def driver(self, name: str) -> Callable[..., Any]:
-        """Return a function of the driver."""
-        return driver(name)
+    def driver(self, name: str, *, renewing: bool = False) -> Callable[..., Any]:
+        """Return a function of the driver, or of that which makes variations orthonormal."""
+        return driver(name, renewing=renewing)
 
     def working(self) -> AbstractContextManager[Any]:
         """Return the context in which these numbers are computed with."""

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.progress import Watcher
 from symsimpson.runtime.costs import Measured, StateCost, pull_velocities
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.integrate import (
@@ -125,29 +124,21 @@ class _Way:
         self.q0, self.p0 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
         if count:
             look_at_step(stepper, run, spec)
-        run.listener = watcher = Watcher(count, progress)
         self._places: list[tuple[list[int], Reals]] = []
-        ended = None
-        try:
+        with run.watched(count, progress):
             while run.step < count and run.alive:
                 if run.step:
                     run.forget()
                 self._places.append((run.position(), run.W[:, 0].copy()))
                 run.advance(min(run.step + self.piece, count))
-        except KeyboardInterrupt:
-            ended = Status.INTERRUPTED
-        finally:
-            watcher.close()
-        if ended is not None or not run.alive:
-            status = ended or run.status
-            trajectory = trajectory_of(stepper, run, count, status, spec, stored_by(run), 0)
+        if run.status is not Status.SUCCESS:
+            trajectory = trajectory_of(stepper, run, count, run.status, spec, stored_by(run), 0)
             raise_failure(run, trajectory, trajectory)
         self.q1, self.p1 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
 
     def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
         """Go back over the segments: the number of the first step, records, and states."""
         run = self._run
-        run.listener = None
         for i, (position, kept) in reversed(list(enumerate(self._places))):
             first = i * self.piece
             last = min(first + self.piece, self._count)

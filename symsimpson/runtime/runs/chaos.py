@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.progress import Watcher
 from symsimpson.runtime.inputs import read_count, whole_number
 from symsimpson.runtime.results.chaos import Chaos, chaos_of
-from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.integrate import (
     begin_run,
     integrate,
@@ -91,16 +89,9 @@ def find_chaos(
     run.rows("TANGENTS", 1)[:] = count
     run.begin_growth(_allowed(stepper, spec, directions(2 * stepper.n, count)))
     look_at_step(stepper, run, spec)
-    run.listener = watcher = Watcher(spec.steps, progress)
-    status = None
-    try:
+    with run.watched(spec.steps, progress):
         run.advance(spec.steps)
-    except KeyboardInterrupt:
-        status = Status.INTERRUPTED
-    finally:
-        watcher.close()
-    status = status or run.status
-    trajectory = trajectory_of(stepper, run, spec.steps, status, spec, stored_by(run), stride)
+    trajectory = trajectory_of(stepper, run, spec.steps, run.status, spec, stored_by(run), stride)
     if not trajectory.success:
         raise_failure(run, trajectory, trajectory)
     return chaos_of(stepper, run.kept[1 : len(trajectory), :, 0], trajectory, count)

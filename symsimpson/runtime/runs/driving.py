@@ -163,7 +163,7 @@ def _one(
     held = isinstance(given, Samples)
     array = read_array(f"input {name}", given.values if held else given, numbers)
     if held:
-        array = np.repeat(array, _steps_a_period(name, given.period, h, numbers), axis=-1)
+        array = np.repeat(array, steps_a_period(name, given.period, h, numbers), axis=-1)
         array = array[..., :steps] if array.ndim else array
     shape, many = array.shape, members or 1
     if members == 1 and array.ndim > 1 and shape != (steps, nodes) and shape[1] == steps:
@@ -196,7 +196,7 @@ def _one(
     return array.reshape(fitting.get(shape, shape))
 
 
-def _steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
+def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
     """Return how many steps a value is held."""
     exact = abs(float(read_number(f"the period of input {name}", period, numbers) / h))
     count = round(exact)

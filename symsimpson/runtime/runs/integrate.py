@@ -17,7 +17,7 @@ from symsimpson.errors import (
     StorageError,
 )
 from symsimpson.files import check_folder, read_path
-from symsimpson.progress import Watcher, silence
+from symsimpson.progress import silence
 from symsimpson.runtime.inputs import (
     read_count,
     read_failure,
@@ -76,19 +76,13 @@ def integrate(
             checkpoint = read_path("checkpoint", checkpoint)
             check_folder(checkpoint, "checkpoint")
             keeper = _checkpoint(checkpoint, checkpoint_every, asked(stepper, run, spec), run)
-        if progress or (progress is None and count > BRIEF):
-            run.listener = Watcher(count, progress)
-        ended, problem = None, None
-        try:
-            (keeper or run).advance(count)
-        except KeyboardInterrupt:
-            ended = Status.INTERRUPTED
-        except StorageError as error:
-            ended, problem = Status.FILE_ERROR, error
-        finally:
-            if isinstance(run.listener, Watcher):
-                run.listener.close()
-        status = run.status if ended is None else ended
+        problem = None
+        with run.watched(count, progress if count > BRIEF else bool(progress)):
+            try:
+                (keeper or run).advance(count)
+            except StorageError as error:
+                problem = error
+        status = run.status if problem is None else Status.FILE_ERROR
         stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
         trajectory = trajectory_of(
             stepper, run, count, status, spec, stored_states, spec.every, keeper
@@ -194,7 +188,8 @@ def new_run(
         If they do not fit into memory.
     """
     if kept is None and spec.tangents is not None:
-        kept = kept_variations(stepper, spec.tangents)
+        header = stepper._module.header
+        kept = kept_variations(header, spec.tangents.shape[1] + len(header.varied_by or ()))
     try:
         return Run(
             stepper._module, spec.parameters, spec.h, spec.t0, stride, stored,

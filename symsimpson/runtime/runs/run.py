@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.progress import Watcher
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
@@ -81,8 +84,9 @@ class Run:
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._inputs = inputs
-        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         kept = kept or Kept()
+        self._driver = partial(numbers.driver, renewing=bool(kept.renewed))
+        self._undisturbed = numbers.undisturbed
         self._behind, self.told = kept.kernel, header.told
         if kept.renewed:
             self.told = header.told_to_renew(kept.renewed, kept.renewal)
@@ -95,7 +99,8 @@ class Run:
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
-        self.listener: Callable[[int], None] | None = None
+        self._watcher: Watcher | None = None
+        self._interrupted = False
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._set, self._set_until = 0, -1
         self._stretch = numbers.stretch
@@ -133,6 +138,19 @@ class Run:
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
 
+    @contextmanager
+    def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
+        """Count the steps that are taken inside on a bar; Ctrl-C ends them, as the status tells."""
+        self._watcher = None if progress is False else Watcher(steps, progress)
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._interrupted = True
+        finally:
+            if self._watcher is not None:
+                self._watcher.close()
+            self._watcher = None
+
     def rows(self, block: str, count: int) -> NDArray[Any]:
         """Return rows of the workspace."""
         first = self.header.layout[block]
@@ -150,6 +168,8 @@ class Run:
     @property
     def status(self) -> Status:
         """The state of the run."""
+        if self._interrupted:
+            return Status.INTERRUPTED
         if self.alive:
             return Status.SUCCESS
         status = Status(int(self._column[self._status]))
@@ -201,8 +221,8 @@ class Run:
             with self._undisturbed():
                 self._stretch_until(self._kernels(), until)
             spent = time.perf_counter() - start
-            if self.listener is not None:
-                self.listener(self.step - before)
+            if self._watcher is not None:
+                self._watcher(self.step - before)
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
             hopeful = not self.alive and self.status is not Status.COORDINATE_SINGULARITY

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.progress import Watcher
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.events import Events, Zeros, gather, read_zeros, zeros
 from symsimpson.runtime.results.status import Status
@@ -54,11 +53,10 @@ def poincare(
     run = new_run(stepper, spec, 1, PIECE + 1)
     begin_run(stepper, run, spec)
     look_at_step(stepper, run, spec)
-    run.listener = watcher = Watcher(count, progress)
     q, p = (run.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
     stride = sampling_stride(stepper, count)
-    found, seen, ended = [], [(q[None], p[None])], None
-    try:
+    found, seen = [], [(q[None], p[None])]
+    with run.watched(count, progress):
         while run.step < count and run.alive:
             run.advance(min(run.step + PIECE, count))
             found.append(_zeros(stepper, run, spec, wanted))
@@ -67,16 +65,12 @@ def poincare(
                 here = slice(first, run.step - run.first + 1, stride)
                 seen.append((run.q[here, :, 0].copy(), run.p[here, :, 0].copy()))
             run.forget()
-    except KeyboardInterrupt:
-        ended = Status.INTERRUPTED
-    finally:
-        watcher.close()
     # the states are gone, but for the last and those to look at
     run.every = stride
     q, p = (np.concatenate(states) for states in zip(*seen, strict=True))
     none = np.zeros(0, dtype=np.int64)
-    last = trajectory_of(stepper, run, count, ended or run.status, spec, (q, p, none), 0)
-    if stride and ended is None and count:
+    last = trajectory_of(stepper, run, count, run.status, spec, (q, p, none), 0)
+    if stride and run.status is not Status.INTERRUPTED and count:
         last = looked_at(stepper, run, last, q, p)
         sign = 1 if h > 0 else -1
         found = [tuple(x[sign * (part[0] - last.t[-1]) <= 0] for x in part) for part in found]

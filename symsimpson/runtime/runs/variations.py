@@ -14,6 +14,7 @@ from symsimpson.runtime.runs.run import Kept
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.kernels.header import Header
     from symsimpson.runtime.runs.run import Run
 
 __all__ = [
@@ -112,11 +113,9 @@ def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
     return columns
 
 
-def kept_variations(stepper: Evaluator, tangents: Reals) -> Kept:
-    """Say what a run carries along: these variations, and those of all that is varied."""
-    header = stepper._module.header
-    count = tangents.shape[1] + len(header.varied_by or ())
-    return Kept("tangent", 2 * stepper.n * count, header.room_for_tangents(count))
+def kept_variations(header: Header, count: int) -> Kept:
+    """Say what a run keeps that carries so many variations along."""
+    return Kept("tangent", 2 * header.n * count, header.room_for_tangents(count))
 
 
 def begin_variations(stepper: Evaluator, run: Run, tangents: Reals, *, velocity: bool) -> None:
