@@ -13,7 +13,7 @@ PAGES = ["README.md", "notebooks/README.md", "notebooks/coming_from.md",
 
 
 @pytest.mark.parametrize(
-    "page", ["symsimpson/codegen/PARTS.md", *sweep(["notebooks/coming_from.md", "README.md"])]
+    "page", sweep(["symsimpson/codegen/PARTS.md", "notebooks/coming_from.md", "README.md"])
 )
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch):

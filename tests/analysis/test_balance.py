@@ -21,6 +21,7 @@ def kepler():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["simpson", "gauss6"])
 def test_forces_give_what_the_quadrature_says(scheme):
     certificate = ss.compile(kepler(), scheme).certify([1.0, 0.0], v0=[0.0, 1.1], h=0.1)

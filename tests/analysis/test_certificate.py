@@ -177,6 +177,7 @@ def test_unsolved_steps_drift():
     assert "drift" in failed(once().certify(h=1 / 16))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_measured_has_not_passed():
     certificate = ss.compile(ss.systems.kepler()).certify([1.0, 0.0], p0=[0.0, 0.05], h=0.1)
     assert not certificate.passed
@@ -185,6 +186,7 @@ def test_what_cannot_be_measured_has_not_passed():
     assert row.failure in repr(certificate)
 
 
+@pytest.mark.slow
 def test_it_is_written_and_read(tmp_path):
     certificate = ss.compile(ss.systems.pendulum()).certify()
     path = certificate.save(tmp_path / "pendulum.json")

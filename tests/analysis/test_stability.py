@@ -96,6 +96,7 @@ def test_energy_over_step_and_stiffness():
     assert not found[2, 2] < 10  # h omega = 12 is far beyond the limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", sweep([0.0, 0.25, 0.5, 0.75]))
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 def test_no_wrong_path_past_a_pole_is_a_success(scheme, phase):

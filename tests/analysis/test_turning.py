@@ -23,6 +23,7 @@ def test_rates_are_those_of_the_body():
     assert fastest_turn(ss.systems.cartesian_pendulum(), [1, 2, 3]) == 0
 
 
+@pytest.mark.slow
 def test_a_step_that_turns_too_far_is_warned_of():
     stepper = ss.compile(SYSTEM)
     q, v = BODY.state(angular_velocity=(0.0, 0.0, 20.0))
@@ -33,6 +34,7 @@ def test_a_step_that_turns_too_far_is_warned_of():
         stepper.integrate(q, v, h=0.05, steps=1)
 
 
+@pytest.mark.slow
 def test_oscillations_are_those_that_constraints_allow():
     """A stiff spring along a rod is none; what gravity makes of a pendulum is left."""
     x, y = ss.coordinates("x y")

@@ -30,7 +30,7 @@ SCHEMES = ["simpson", "gauss4", "midpoint", "lobatto6", "gauss6", "gauss8", "rad
 
 
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
-@pytest.mark.parametrize("friction", [True, False])
+@pytest.mark.parametrize("friction", sweep([True, False]))
 def test_no_iteration_gives_the_same_path(scheme, friction):
     system = driven(friction)
     assert [s.affine for s in system.structure.subsystems] == [True]
@@ -53,6 +53,7 @@ def test_no_iteration_gives_the_same_path(scheme, friction):
     assert np.abs(many[0].q - many[1].q).max() < 1e-36
 
 
+@pytest.mark.slow
 def test_rounded_factors_do_not_add_up():
     """The residual of the path takes out what they do wrong, which is the same in all steps."""
     ends = [
@@ -63,6 +64,7 @@ def test_rounded_factors_do_not_add_up():
     assert np.abs(ends[0] - ends[1]).max() < 2e-13
 
 
+@pytest.mark.slow
 def test_other_coordinates_are_iterated_beside():
     """A pendulum that nothing couples to a driven oscillator with an input."""
     u = sp.Symbol("u")

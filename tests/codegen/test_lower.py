@@ -66,7 +66,8 @@ def test_signs_taken_out_of_angles_are_not_lost(function):
 
 
 @pytest.mark.parametrize(
-    "number", [sp.Integer(10) ** 20, sp.Rational(1.38e-23), sp.Rational(0.1) ** 3, sp.factorial(30)]
+    "number",
+    sweep([sp.Integer(10) ** 20, sp.Rational(1.38e-23), sp.Rational(0.1) ** 3, sp.factorial(30)]),
 )
 @pytest.mark.parametrize("scheme", sweep(["midpoint", "gauss8"]))
 def test_numbers_beyond_64_bits(number, scheme):

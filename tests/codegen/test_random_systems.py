@@ -108,7 +108,7 @@ def test_cyclic_coordinates_follow_where_rows_are_pivoted(name, scheme):
     assert change.max() < 1e-12 * np.abs(W[increments, 0]).max()
 
 
-@pytest.mark.parametrize("seed", sweep(range(3, 300, 15)))
+@pytest.mark.parametrize("seed", sweep(range(3, 300, 15), 0))
 def test_compiled_step_agrees_with_plain_floats(seed):
     system = random_system(seed)
     q, v = random_state(seed, system.n)

@@ -85,6 +85,7 @@ def test_what_contains_no_coordinate_is_a_family_of_its_own():
     assert sp.expand(total(found, plain) - lagrangian(plain)) == 0
 
 
+@pytest.mark.slow
 def test_loops_over_families_take_constants():
     """The constant is in the energy, which is kept."""
     stepper = ss.compile(ring(1, n=6), "gauss6")

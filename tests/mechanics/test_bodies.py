@@ -66,6 +66,7 @@ def test_formulas_are_those_of_sympy():
     assert sp.simplify(frame.dcm(space).T - ss.rotation_matrix(q)) == sp.zeros(3, 3)
 
 
+@pytest.mark.slow
 def test_bodies_of_sympy_come_in():
     """With a singular mass matrix, as SymPy writes the energy; the motion is the same."""
     q = dynamicsymbols("q0:4")
@@ -85,6 +86,7 @@ def test_bodies_of_sympy_come_in():
     assert np.abs(runs[0].q - runs[1].q).max() < 1e-8  # J0 enters the errors of a step
 
 
+@pytest.mark.slow
 def test_a_free_body_falls():
     m, g = sp.symbols("m g", positive=True)
     body = ss.RigidBody("b", inertia=sp.Matrix([[2, 1, 0], [1, 2, 0], [0, 0, 3]]), mass=m)

@@ -126,6 +126,7 @@ def test_cyclic_needs_that_no_force_contains_or_moves_it():
         assert declared(**polar, forces=force).structure.cyclic == ()
 
 
+@pytest.mark.slow
 def test_a_force_of_a_cyclic_velocity_takes_the_general_path():
     """Elimination would need its derivative, which L does not have: corrections shrink slowly."""
     polar = {"kinetic": (x.diff() ** 2 + x**2 * y.diff() ** 2) / 2, "potential": -k / x}

@@ -17,6 +17,7 @@ def rotating():
     return m * (vx**2 + vy**2) / 2 - k * (x**2 + y**2) / 2 - k * x**4
 
 
+@pytest.mark.slow
 def test_lagrangian_with_gyroscopic_terms():
     values = {m: 1.3, w: 0.7, k: 2.0}
     system = ss.MechanicalSystem.from_lagrangian("rotating", rotating(), (x, y), values)

@@ -78,6 +78,7 @@ def test_gali_is_the_volume_of_the_variations(pendulum):
         assert abs(chaos.history[k - 1, 0] - growth) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scheme"),
     sweep([("double_pendulum", "simpson"), ("henon_heiles", "gauss8"), ("lagrange_top", "gauss4"),

@@ -58,6 +58,7 @@ def test_gradients_are_those_of_the_cost(double_pendulum, costs, given):
     assert list(found.parts) == ["q", given, "l1", "g"]
 
 
+@pytest.mark.slow
 def test_runs_that_are_taken_again_have_the_same_gradient(double_pendulum, costs, monkeypatch):
     def gradient():
         return double_pendulum.gradient(
@@ -89,6 +90,7 @@ def carts(scheme):
     return ss.compile(cart, scheme), {"running": (x - sp.sin(ss.time)) ** 2 + u**2, "cost": a**2}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4", "lobatto6", "midpoint"], 1))
 def test_gradients_by_inputs_have_the_shape_of_the_inputs(scheme):
     stepper, costs = carts(scheme)
@@ -184,6 +186,7 @@ def test_a_run_in_many_digits_has_a_gradient():
     assert abs((values[1] - values[0]) / 1e-10 - found.parts["q"][0]) < 1e-8
 
 
+@pytest.mark.slow
 def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
     def gradient(**changed):
         given = {"v0": [0, 0], "h": H, "steps": 10, "cost": "q1", "wrt": "l1", **changed}

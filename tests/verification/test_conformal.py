@@ -100,6 +100,7 @@ def test_certificates_have_the_factor():
     assert certificate["conformal"].measured < 1e-25
 
 
+@pytest.mark.slow
 def test_large_systems_damp_by_forces():
     q = ss.coordinates(" ".join(f"x{i}" for i in range(20)))
     kinetic = sum(a.diff() ** 2 for a in q) / 2

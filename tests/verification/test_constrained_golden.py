@@ -62,7 +62,7 @@ def errors_of(case, run, number):
 
 
 @pytest.mark.filterwarnings("ignore:.*turns a body by:symsimpson.StabilityWarning")
-@pytest.mark.parametrize("case", sweep(CASES, 3), ids=lambda case: case["name"])
+@pytest.mark.parametrize("case", sweep(CASES), ids=lambda case: case["name"])
 def test_double_precision(case):
     run = run_of(case, ss.compile(system_of(case), case["scheme"]), float)
     state, multipliers = errors_of(case, run, float)

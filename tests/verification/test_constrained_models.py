@@ -18,6 +18,7 @@ def apart(system, q0, v0, h, steps, scheme="gauss8"):
     return np.abs(np.concatenate([run.q[-1], run.v[-1]]) - exact).max(), run
 
 
+@pytest.mark.slow
 def test_the_pendulum_of_sympy_in_x_and_y():
     """L with a multiplier, as its documentation poses it, against the angle."""
     x, y = me.dynamicsymbols("x y")

@@ -79,6 +79,7 @@ def test_energy_of_the_top(scheme, order):
     assert np.all(np.abs(orders(errors) - order) < 0.1), errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order"), [("gauss4", 4), ("lobatto6", 6)])
 def test_other_members_of_the_family(scheme, order):
     system = ss.systems.double_pendulum()

@@ -29,6 +29,7 @@ def test_the_energy_of_the_argon_crystal_is_that_of_the_textbook():
     assert abs(energy[0] + 1260.2) < 0.05
 
 
+@pytest.mark.slow
 def test_bodies_on_a_polygon_stay_there():
     ring = ss.systems.n_body(3)
     run = ss.compile(ring, "kahan_li6").integrate(**ring.reference_state, h=0.02, steps=200)
@@ -90,6 +91,7 @@ def test_arms_against_newton_and_euler(joints):
             np.testing.assert_allclose(mine, truth, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_conventions_of_denavit_and_hartenberg_agree():
     """Two bars in a plane and a slide, in the standard and in the modified convention."""
     bar = {"mass": 2.0, "inertia": (0.1, 0.2, 0.3)}

@@ -140,6 +140,7 @@ def test_reductions(stepper):
     assert (seen["at once"] == 0).all()
 
 
+@pytest.mark.slow
 def test_members_that_fail_leave_the_others_alone():
     """A planet without angular momentum falls into its sun; those beside it do not notice."""
     stepper = ss.compile(ss.systems.kepler(), exploit=())
@@ -160,6 +161,7 @@ def test_members_that_fail_leave_the_others_alone():
     assert np.isnan(found.q[3, len(run.q) :]).all()
 
 
+@pytest.mark.slow
 def test_members_that_fail_are_not_warned_of_one_by_one():
     """Their steps are too large; a figure of 64 by 64 members would warn thousands of times."""
     springs = np.array([1e2, 5e3, 8e3, 1e4])
@@ -320,7 +322,8 @@ def test_progress(stepper, capsys, monkeypatch):
             ("double_pendulum", "gauss8", True),  # 8 unknowns, written out
             ("double_pendulum", "lobatto8", True),
             ("lagrange_top", "gauss8", True),
-        ]
+        ],
+        0,
     ),
 )
 def test_members_or_nodes_are_lanes_and_members_come_to_what_single_runs_do(name, scheme, wide):

@@ -125,6 +125,7 @@ def test_sections_do_not_disturb_the_run_and_equal_its_events(monkeypatch):
     assert np.abs(fine.events("x", direction=1).y - wanted.y)[:, :50].max() < 1e-7
 
 
+@pytest.mark.slow
 def test_zeros_at_stored_states_are_counted_once(pendulum):
     """A zero at the end of a piece is that of one piece alone."""
     run = swing(pendulum, steps=20)
@@ -175,6 +176,7 @@ def test_energy_in_an_expression(pendulum):
     assert len(run.events(f"energy - {middle - 1}")) == 0
 
 
+@pytest.mark.slow
 def test_interrupted_and_failed_sections_keep_what_they_found(monkeypatch):
     stepper = ss.compile(ss.systems.henon_heiles(), "simpson")
     calls = []

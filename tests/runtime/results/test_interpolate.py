@@ -65,6 +65,7 @@ def test_continuous_across_steps_and_resolved_within():
         assert moved <= 2 * slope * distance * 0.01 + 1e-15
 
 
+@pytest.mark.slow
 def test_backwards_and_strided_runs():
     run = run_of("double_pendulum", "gauss8", 0.01)
     times = np.linspace(0, T_END, 333)
@@ -110,6 +111,7 @@ def test_many_digits_resolve_more_of_a_step():
     assert run.plot_path().get_aspect() == 1
 
 
+@pytest.mark.slow
 def test_the_least_part_of_a_step_is_taken():
     stepper = ss.compile(ss.systems.lagrange_top(), "midpoint")
     start = ss.systems.lagrange_top().reference_state

@@ -24,6 +24,7 @@ def test_names(run):
         run["q3"]
 
 
+@pytest.mark.slow
 def test_invariants_have_names():
     top = ss.systems.heavy_top()
     run = ss.compile(top).integrate(**top.reference_state, h=0.01, steps=5)

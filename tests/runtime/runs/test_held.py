@@ -4,6 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
+from workspace import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs.run import Run
@@ -56,6 +57,7 @@ def test_starts_that_nearly_do_are_mended(stepper):
     assert abs(digits.constraint_error).max() < mpmath.mpf(10) ** -39
 
 
+@pytest.mark.slow
 def test_folded_linkages_are_told():
     """A parallelogram with its bars in a line may go either way."""
     t1, t2, t3 = ss.coordinates("t1 t2 t3")
@@ -100,7 +102,7 @@ def test_folds_on_the_way_are_told():
     assert (run.steps, len(run)) == (19, 20)
 
 
-@pytest.mark.parametrize("name", ["slider_crank", "four_bar", "jointed_bodies"])
+@pytest.mark.parametrize("name", sweep(["four_bar", "slider_crank", "jointed_bodies"]))
 def test_linkages_that_do_not_fold_are_not_warned_of(name):
     system = ss.systems.CONSTRAINED[name]()
     run = ss.compile(system).integrate(**system.reference_state, h=0.02, steps=500)
@@ -131,6 +133,7 @@ def test_lanes_and_states_between(stepper):
     assert np.abs(between.q[0] - fine.q[-1]).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["cartesian_pendulum", pytest.param("jointed_bodies", marks=pytest.mark.slow)]
 )
@@ -152,6 +155,7 @@ def test_explicit_schemes_say_why_not():
         ss.compile(SYSTEM, "blanes_moan4")
 
 
+@pytest.mark.slow
 def test_forces_and_time_beside_constraints():
     """Friction on a bob, against the pendulum in its angle."""
     x, y, theta = ss.coordinates("x y theta")

@@ -116,6 +116,7 @@ def test_energies_that_are_real_everywhere_are_not_asked_about():
         assert not ss.compile(particle(potential, name))._module.header.real_everywhere, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, 50, None])
 def test_an_encounter_that_is_not_resolved_is_warned_of(every):
     stepper = ss.compile(pythagorean(), "simpson")
