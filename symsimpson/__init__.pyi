@@ -12,6 +12,7 @@ from .api import load as load
 from .api import resume as resume
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
+from .configuration import show_config as show_config
 from .derivation import Report as Report
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError

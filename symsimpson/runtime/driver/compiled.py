@@ -11,6 +11,7 @@ from typing import Any
 
 from symsimpson.definitions import redefined, syntax
 from symsimpson.runtime.kernels.cache import compiled
+from symsimpson.runtime.kernels.vectors import vector_bits
 
 __all__ = ["driver", "driver_text"]
 
@@ -27,7 +28,8 @@ def driver_text(lanes: int = 1, *, renewing: bool = False) -> str:
     files = [resources.files("symsimpson").joinpath("interface.py")]
     files += [folder.joinpath(f"{part}.py") for part in PARTS]
     text = "\n\n".join(_without_own_imports(file.read_text("utf-8")) for file in files)
-    return redefined(text, {"LANES": f"LANES = {lanes}", "RENEWING": f"RENEWING = {renewing}"})
+    constants = {"LANES": lanes, "RENEWING": renewing, "VECTOR_BITS": vector_bits()}
+    return redefined(text, {name: f"{name} = {value}" for name, value in constants.items()})
 
 
 def _without_own_imports(text: str) -> str:

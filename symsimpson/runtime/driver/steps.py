@@ -66,6 +66,8 @@ MOST_ITERATIONS = 40
 FADING = 1.05**2
 
 
+#: How wide vectors are to be, wherever kernels are called.
+VECTOR_BITS = 128
 #: What is called by compiled code alone has no way in from Python, which takes long to compile.
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
@@ -94,6 +96,8 @@ def call(typing_context, address, h, t, workspace):
     signature = types.void(types.int64, types.float64, types.float64, workspace)
 
     def code(context, builder, signature, arguments):
+        # llvmlite lists the attributes that it knows; this is none of them
+        set.add(builder.function.attributes, f'"prefer-vector-width"="{VECTOR_BITS}"')
         double = ir.DoubleType()
         function = ir.FunctionType(ir.VoidType(), [double, double, double.as_pointer()])
         pointer = builder.inttoptr(arguments[0], function.as_pointer())

@@ -14,6 +14,7 @@ from symsimpson.definitions import redefined
 from symsimpson.runtime.kernels.cache import compiled, location
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
+from symsimpson.runtime.kernels.vectors import wide
 
 __all__ = ["Kernels"]
 
@@ -38,7 +39,9 @@ class Kernels(KernelSets):
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
         super().__init__(header, by_stages=header.by_stages and lanes == 1)
         # values of parameters are no part of what is compiled, nor is the banner above the module
-        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
+        changed = redefined(
+            text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": wide(_INNER)}
+        )
         self._text = changed[changed.index('"""') :]
         self._single: dict[tuple[str, bool], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled
