@@ -30,6 +30,7 @@ def test_forces_give_what_the_quadrature_says(scheme):
     assert "p_x*y" in certificate["momenta"].what
 
 
+@pytest.mark.slow
 def test_other_forces_would_be_seen(monkeypatch):
     exact = balance._force
 

@@ -29,9 +29,9 @@ PENDULUM = ss.systems.double_pendulum()
 @pytest.mark.parametrize(
     ("name", "scheme"),
     sweep([
-        ("henon_heiles", "gauss4"), ("lagrange_top", "midpoint"), ("lagrange_top", "simpson"),
-        ("harmonic_oscillator", "midpoint"), ("kepler", "lobatto6"), ("n_pendulum", "midpoint"),
-        ("double_pendulum", "gauss16"),
+        ("harmonic_oscillator", "midpoint"), ("lagrange_top", "midpoint"),
+        ("lagrange_top", "simpson"), ("henon_heiles", "gauss4"), ("kepler", "lobatto6"),
+        ("n_pendulum", "midpoint"), ("double_pendulum", "gauss16"),
     ]),
 )  # fmt: skip
 def test_what_is_right_passes(name, scheme):
@@ -81,6 +81,7 @@ def test_free_bodies_pass(mass):
     assert certificate["momenta"].what.count(",") == 3
 
 
+@pytest.mark.slow
 def test_coefficients_of_few_digits_pass_at_any_step():
     """Errors of a small step are below those that rounding published coefficients leaves."""
     certificate = ss.compile(ss.systems.henon_heiles(), "blanes_moan6").certify(h=0.02)

@@ -34,6 +34,7 @@ class EverySecond:
         self.perf_counter = iter(range(10**6)).__next__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "gauss12", "gauss16"]))
 @pytest.mark.parametrize("error", sweep([1e-6, 1e-3, 1e-9]))
 def test_no_more_work_than_needed(error, scheme, monkeypatch):

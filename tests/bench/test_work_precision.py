@@ -186,6 +186,7 @@ def test_heyoka_reads_fractions_that_are_not_binary():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_time_is_an_unknown_where_something_depends_on_it():
     """Programs that solve y' = f(y) take the time as the last component."""
     system = ss.systems.duffing()

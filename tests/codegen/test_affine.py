@@ -29,6 +29,7 @@ def driven(friction=True):
 SCHEMES = ["simpson", "gauss4", "midpoint", "lobatto6", "gauss6", "gauss8", "radau3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 @pytest.mark.parametrize("friction", sweep([True, False]))
 def test_no_iteration_gives_the_same_path(scheme, friction):

@@ -140,6 +140,7 @@ def test_a_force_of_a_cyclic_velocity_takes_the_general_path():
     assert unknowns == {"of x'": 2, "of y'": 4}
 
 
+@pytest.mark.slow
 def test_prescribed_motion_in_t_is_sorted():
     """T of a pendulum on a moving pivot has terms without the velocity, and linear in it."""
     pivot = sp.sin(w * t) / 10
@@ -184,6 +185,7 @@ def test_forcelist_of_lagranges_method_gives_the_equations_of_sympy():
     assert list(run.work) == ["forcelist", "total"]
 
 
+@pytest.mark.slow
 def test_odd_names_of_forces_stay_out_of_the_module():
     odd = '"; import os #'
     stepper = ss.compile(declared(forces={odd: {x: -c * x.diff()}}))

@@ -47,6 +47,7 @@ def right(system, point):
 EXPONENTS = [Fraction(k, d) for d in (1, 2, 3, 4, 6, 8) for k in (-5, -1, 1, 3, 7)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", sweep(range(0, len(EXPONENTS), 5), 3))
 def test_powers_of_one_base(first):
     """Every pair of exponents with one of five, and some triples."""

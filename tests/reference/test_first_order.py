@@ -13,6 +13,7 @@ LENGTH = "0.24849020288283338446611438352185703441293989488368"
 PENDULUM = {"l1": LENGTH, "l2": LENGTH, "g": "9.81"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(ss.systems.CATALOGUE))
 def test_both_forms_are_the_motion_of_the_integrator(name):
     """Simpson from q and v or p, against both forms."""

@@ -105,6 +105,7 @@ def test_ensembles_tell_what_single_runs_tell(name, scheme):
         assert np.allclose(told, [found.reduced[key][k] for key in reduce], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_stored_states_do_not_disturb_what_is_told(pendulum):
     given = {"p0": [0, 0], "h": 0.01, "steps": 100, "reduce": {"l": "lyapunov"}}
     every = pendulum.ensemble([[2.0, 2.5], REGULAR], **given, every=7)
@@ -125,6 +126,7 @@ def test_what_cannot_be_told_is_refused(pendulum):
         pendulum.ensemble([REGULAR], p0=[0, 0], h=0.01, steps=10, reduce={"l": "chaos"})
 
 
+@pytest.mark.slow
 def test_exponents_are_drawn(pendulum):
     chaos = pendulum.lyapunov(REGULAR, p0=[0, 0], h=0.01, steps=100)
     assert len(chaos.plot().lines) == 4

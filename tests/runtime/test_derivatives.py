@@ -94,6 +94,7 @@ def test_derivatives_are_those_of_the_stored_states(pendulum):
     assert np.allclose(whole.tangent[-1][:, 1], last.tangent[0, :, 0], rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_velocities_that_are_given_stay_when_a_parameter_changes(pendulum):
     """p0 = m l^2 v0 changes with l then; a difference sees it."""
     run = pendulum.integrate([1.0], v0=[0.5], h=H, steps=50, sensitivities="l")

@@ -141,10 +141,10 @@ def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
     values = stepper._values(SHORT)
     recovered = []
 
-    def counted(name, original=driver):
+    def counted(name, original=driver, **how):
         if name == "recover":
             recovered.append(name)
-        return original(name)
+        return original(name, **how)
 
     monkeypatch.setattr("symsimpson.runtime.kernels.numbers.driver", counted)
     runs = [Run(stepper._module, values, 0.1, 0.0, 1, 41) for _ in range(2)]

@@ -61,6 +61,7 @@ def test_areas_shrink_exactly(scheme):
     assert defect > {"gauss8": 1e-13, "lobatto6": 1e-12}.get(scheme, 1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES, 1))
 def test_compiled_steps_agree_with_many_digits(scheme):
     run = ss.compile(damped(), scheme).integrate(STATE[:2], p0=STATE[2:], h=0.1, steps=20)

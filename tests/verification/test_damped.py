@@ -66,6 +66,7 @@ def test_strong_damping_makes_no_step_singular():
 RADAU = {"radau1": (200, 400), "radau3": (80, 160), "radau5": (40, 80)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["radau3", "radau1", "radau5"]))
 @pytest.mark.parametrize("name", sweep(PROBLEMS))
 def test_radau_schemes_have_odd_orders(name, scheme):

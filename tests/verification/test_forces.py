@@ -21,6 +21,7 @@ STEPS = {"midpoint": (160, 320), "simpson": (80, 160), "lobatto6": (40, 80), "ga
          "gauss6": (40, 80), "gauss8": (14, 28), "gauss12": (10, 16)}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(STEPS, 2))
 @pytest.mark.parametrize("name", sweep(PROBLEMS, 2))
 def test_the_order_is_that_without_forces(name, scheme):
@@ -253,6 +254,7 @@ def run_balance(stepper, q, v):
     return stepper.integrate(q, v, h=0.02, steps=50).energy_balance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(ss.systems.FORCED, 1))
 def test_the_catalogue_of_driven_systems(name):
     system = ss.systems.FORCED[name]()

@@ -173,6 +173,7 @@ def test_how_far_cyclic_velocities_are_from_a_path(scheme):
     assert 5.9 < np.log2(found[1] / found[2]) < 6.2
 
 
+@pytest.mark.slow
 def test_cyclic_momenta_do_not_change_a_bit():
     for name in ("lagrange_top", "cart_pole", "heavy_top", "kepler"):
         system = ss.systems.CATALOGUE[name]()

@@ -173,6 +173,7 @@ def test_members_that_fail_are_not_warned_of_one_by_one():
     assert found.status.tolist() == [0, 0, *[ss.Status.STEP_TOO_LARGE] * 2]
 
 
+@pytest.mark.slow
 def test_members_that_only_robust_kernels_take_are_reduced_too():
     """An angle of 1e9 rad is beyond the quick sine; its member is run again by itself."""
     stepper = ss.compile(ss.systems.pendulum())

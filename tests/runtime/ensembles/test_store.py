@@ -281,6 +281,7 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
     assert not canary.exists()
 
 
+@pytest.mark.slow
 def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}

@@ -139,6 +139,7 @@ def test_zeros_at_stored_states_are_counted_once(pendulum):
                 assert found.t.tolist() == [run.t[k]]
 
 
+@pytest.mark.slow
 def test_velocities_in_expressions(pendulum):
     """A turning point is where velocity and momentum are zero; in ensembles, too."""
     (theta,) = ss.coordinates("theta")

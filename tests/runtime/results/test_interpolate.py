@@ -121,6 +121,7 @@ def test_the_least_part_of_a_step_is_taken():
             assert np.abs(run.sol(little) - run.y[:, 0]).max() < 300 * little + 1e-16
 
 
+@pytest.mark.slow
 def test_states_at_times_have_everything():
     run = run_of("double_pendulum", "gauss16", 0.01)
     found = run.at(np.linspace(0.5, 1.5, 11))

@@ -55,6 +55,7 @@ def test_the_other_sign_gives_twice_the_swing():
     assert abs(swings[1] / plain[1] - 2.0) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", sweep(GOLDEN[::-1], 1), ids=lambda case: case["name"])
 @pytest.mark.parametrize(("scheme", "order", "term"), [("midpoint", 2, "H2"), ("simpson", 4, "H4")])
 def test_the_leading_term_is_that_of_the_closed_formula(case, scheme, order, term):

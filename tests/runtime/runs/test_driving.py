@@ -166,6 +166,7 @@ def test_states_between_steps_have_the_inputs_of_their_step():
     assert np.abs(smooth.energy_balance).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_work_of_an_input_is_counted_with_its_own_values():
     run = stepper("gauss8").integrate(**START, h=H, steps=STEPS, inputs={"u": HELD})
     done = np.concatenate([[0.0], np.cumsum(HELD * np.diff(run["x"]))])  # u dx, u held
@@ -282,6 +283,7 @@ def test_other_messages():
     assert loop.steps == 0
 
 
+@pytest.mark.slow
 def test_a_loop_that_fails_stays_where_it_was():
     loop = stepper().start(**START, h=H)
     loop.step(1.0)

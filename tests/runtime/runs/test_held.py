@@ -83,6 +83,7 @@ def parallelogram():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
 def test_folds_on_the_way_are_told():
     stepper = ss.compile(parallelogram())
@@ -102,6 +103,7 @@ def test_folds_on_the_way_are_told():
     assert (run.steps, len(run)) == (19, 20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(["four_bar", "slider_crank", "jointed_bodies"]))
 def test_linkages_that_do_not_fold_are_not_warned_of(name):
     system = ss.systems.CONSTRAINED[name]()
@@ -179,6 +181,7 @@ def test_forces_and_time_beside_constraints():
     assert np.abs(first.work["total"] - second.work["total"]).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "scheme"), [("four_bar", "gauss6"), ("hanging_chain", "simpson")])
 def test_residual_and_jacobian_with_multipliers(name, scheme):
     """Derivatives against differences; residuals of a step that was solved are zero."""
@@ -216,6 +219,7 @@ def test_multipliers_of_another_shape():
         free.residual([1], [0], [[1]], 0.1, multipliers=np.ones((1, 0)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
 def test_members_that_fold_are_told_apart():
     """Of three members one goes over the fold, one stands in it at a step, one never meets it."""

@@ -137,6 +137,7 @@ def test_a_barrier_that_is_jumped_is_warned_of():
     assert run.q[-1, 0] < 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eccentricity", [0.0, 0.6, 0.9])
 def test_resolved_orbits_are_passed_in_silence(eccentricity):
     """From the far end and from the near one, for lengths that end anywhere."""
@@ -159,6 +160,7 @@ def test_systems_at_rest_and_small_motions_are_no_alarm():
             stepper.integrate([q0], v0=[0.0], h=0.1, steps=200)
 
 
+@pytest.mark.slow
 def test_energy_errors_are_relative_to_what_moves():
     """H0 is nearly zero for a pendulum released at 90 degrees."""
     stepper = ss.compile(ss.systems.pendulum(), "gauss8")
