@@ -104,6 +104,7 @@ def test_every_cell_is_escaped():
         assert "&lt;img" in text
 
 
+@pytest.mark.slow
 def test_failed_runs_say_so():
     stepper = ss.compile(ss.systems.henon_heiles())
     run = stepper.integrate([0.0, 0.1], v0=[2.4, 1.0], h=0.1, steps=500, on_failure="return")

@@ -44,6 +44,7 @@ def test_other_forces_would_be_seen(monkeypatch):
     assert certificate["momenta"].measured > 1e-6
 
 
+@pytest.mark.slow
 def test_where_l_depends_on_the_time_nothing_is_asked():
     system = ss.MechanicalSystem(
         "in_time", coordinates=(x,), kinetic=(2 + sp.sin(ss.time)) * x.diff() ** 2 / 2,

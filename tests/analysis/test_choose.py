@@ -55,6 +55,7 @@ def test_no_more_work_than_needed(error, scheme, monkeypatch):
     assert not runs[1].success or np.abs(runs[1].q[0] - TRUTH).max() > error / 4 or less > work
 
 
+@pytest.mark.slow
 def test_errors_of_the_energy():
     choice = ss.choose(PENDULUM, **STATE, t_end=300, error=1e-7, on="energy", schemes=["simpson"])
     run = choice.stepper.integrate(**STATE, h=choice.h, t_end=300)

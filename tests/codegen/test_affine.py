@@ -88,6 +88,7 @@ def test_other_coordinates_are_iterated_beside():
     assert np.abs(runs[0].work["push"] - runs[1].work["push"]).max() < 5e-14
 
 
+@pytest.mark.slow
 def test_friction_in_proportion_to_momenta_is_solved_at_once():
     system = ss.MechanicalSystem(
         "damped", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=k * x**2 / 2,

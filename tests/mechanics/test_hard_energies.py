@@ -106,6 +106,7 @@ def test_inverse_hyperbolic_masses():
         assert declare(x**2, (x,), kinetic=kinetic).structure.cyclic == ()
 
 
+@pytest.mark.slow
 def test_linear_forces_without_a_value_at_zero():
     quotient = sp.expand((x - 1) * (x - 2) * x) / ((x - 1) * (x - 2) * x)
     system = ss.MechanicalSystem(

@@ -57,6 +57,7 @@ def pendulum_bodies():
     return theta, frame, body, bob
 
 
+@pytest.mark.slow
 def test_lagranges_method():
     theta, frame, body, _ = pendulum_bodies()
     lm = me.LagrangesMethod(me.Lagrangian(frame, body), [theta])

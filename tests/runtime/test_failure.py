@@ -50,6 +50,7 @@ def test_singular_motion_ends_with_a_status(name, potential):
     assert (again.q == run.q).all()
 
 
+@pytest.mark.slow
 def test_leaving_the_domain_is_not_finite():
     import sympy as sp
 
@@ -116,7 +117,9 @@ def test_huge_angles_take_the_robust_kernels():
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 @pytest.mark.parametrize(
     ("system", "h"),
-    [(PENDULUM, 0.02), (ss.systems.lagrange_top(), 0.01), (ss.systems.fermi_pasta_ulam(), 0.01)],
+    sweep(
+        [(PENDULUM, 0.02), (ss.systems.lagrange_top(), 0.01), (ss.systems.fermi_pasta_ulam(), 0.01)]
+    ),
     ids=lambda value: getattr(value, "name", str(value)),
 )
 def test_stopping_leaves_no_trace(system, h, scheme):
@@ -158,6 +161,7 @@ def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
     assert (runs[0].q == runs[1].q).all()
 
 
+@pytest.mark.slow
 def test_a_singular_jacobian_has_its_status():
     """At rest on a hill, with h^2 K = -4 M: the midpoint step is any step."""
     stepper = ss.compile(one_dimensional("hill", lambda x: x**4 - 2 * x**2), "midpoint")

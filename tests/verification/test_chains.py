@@ -10,6 +10,7 @@ from index_one import index_one
 import symsimpson as ss
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["simpson", pytest.param("gauss6", marks=pytest.mark.slow)])
 def test_bands_give_the_steps_of_dense_matrices(scheme):
     """In 20 digits, so that nothing is compiled; with results that are made of constraints."""

@@ -72,6 +72,7 @@ def test_compiled_steps_agree_with_many_digits(scheme):
     assert np.abs((run.p - exact.p).astype(float)).max() < 1e-15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES, 2))
 def test_the_order_is_kept_and_work_is_counted(scheme):
     made = ss.compile(damped(), scheme)

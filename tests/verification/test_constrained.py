@@ -17,7 +17,7 @@ ORDERS = {"midpoint": 2, "lobatto2": 2, "simpson": 4, "gauss4": 4, "lobatto6": 6
           "gauss8": 8}  # fmt: skip
 
 
-@pytest.mark.parametrize("scheme", sweep(ORDERS, 4))
+@pytest.mark.parametrize("scheme", sweep(ORDERS, 3))
 @pytest.mark.parametrize("name", sweep(PROBLEMS))
 def test_the_order_is_that_without_constraints(name, scheme):
     """Of positions, momenta and the energy, in 40 digits, so that no rounding stands in the way."""
@@ -49,7 +49,7 @@ SCHEMES = ["simpson", "gauss4", "midpoint", "lobatto2", "lobatto6", "gauss6", "g
 
 
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
-@pytest.mark.parametrize("name", sweep(["cartesian_pendulum", "four_bar", "quaternion_top"], 2))
+@pytest.mark.parametrize("name", sweep(["cartesian_pendulum", "four_bar", "quaternion_top"]))
 def test_certificates_pass(name, scheme):
     """Symplectic for displacements that constraints allow, reversible, momenta, orders: all."""
     system = ss.systems.CONSTRAINED[name]()

@@ -117,6 +117,7 @@ def test_strong_damping_decays_with_radau_nodes():
     assert errors["radau5"][1] < 3e-6
 
 
+@pytest.mark.slow
 def test_damping_that_is_not_resolved_is_warned_of():
     (x,) = ss.coordinates("x")
     system = ss.MechanicalSystem(

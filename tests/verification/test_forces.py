@@ -130,6 +130,7 @@ def test_every_mistake_in_the_virtual_work_costs_the_order(wrong):
     assert order > 3.85 if not wrong else order < 2.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "gauss4", "lobatto6", "gauss8"]))
 def test_momentum_changes_by_what_forces_give(scheme):
     """Angular momentum: the change is h sum_i b_i (q_i x f_i), the quadrature of a new coordinate.
@@ -209,6 +210,7 @@ def test_work_of_a_conservative_system_is_none():
     assert (run.energy_balance == run.energy - run.energy[0]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8"]))
 def test_lanes_members_and_states_between_agree(scheme):
     system, q, v, _ = double_pendulum()
@@ -226,6 +228,7 @@ def test_lanes_members_and_states_between_agree(scheme):
     assert np.abs(middle.q[0] - fine.q[-1]).max() < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", ["of t and q", pytest.param("of v", marks=pytest.mark.slow)])
 def test_loops_take_forces_too(force):
     """Eighteen masses on hard springs, written as loops, against the equations of Hamilton."""

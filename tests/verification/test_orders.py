@@ -50,6 +50,7 @@ def exact_nutation(times):
     return np.array([float(mpmath.acos(u1 + (u2 - u1) * s**2)) for s in sn])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "order", "known"),
     [("simpson", 4, [3.438e-6, 2.142e-7, 1.338e-8, 8.363e-10]),

@@ -29,7 +29,7 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
-from symsimpson.runtime.runs.run import Kept, Run
+from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
 
@@ -114,8 +114,7 @@ def looked_at(
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
-    energies = look_at_energy(stepper, run, t, q, p)
+    energies = look_at_energy(stepper, run, trajectory.steps, q, p)
     if energies is None:
         return trajectory
     about = trajectory.__getstate__()
@@ -178,7 +177,7 @@ def _checkpoint(
 
 def new_run(
     stepper: Evaluator, spec: RunSpec, stride: int, stored: int, inputs: Reals | None = None,
-    kept: Kept | None = None,
+    kept: Kept = NOTHING_KEPT,
 ) -> Run:  # fmt: skip
     """Make a run that has room for so many states, and for what is kept beside them.
 
@@ -187,7 +186,7 @@ def new_run(
     InputError
         If they do not fit into memory.
     """
-    if kept is None and spec.tangents is not None:
+    if kept is NOTHING_KEPT and spec.tangents is not None:
         header = stepper._module.header
         kept = kept_variations(header, spec.tangents.shape[1] + len(header.varied_by or ()))
     try:

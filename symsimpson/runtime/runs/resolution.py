@@ -92,10 +92,11 @@ class Sampled:
 
 
 def energies_at(
-    stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals, places: Places
+    stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals, places: Places
 ) -> Sampled:  # fmt: skip
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
-    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, *(x[places] for x in (t, q, p)))
+    t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
+    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, t, q[places], p[places])
     total, kinetic = np.asarray(found, dtype=np.float64).T
     return Sampled(total, kinetic, places, stepper._module.header.conservative)
 
@@ -121,15 +122,15 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
 
 
 def look_at_energy(
-    stepper: Evaluator, run: Run, t: Reals, q: Reals, p: Reals
+    stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals
 ) -> Sampled | None:  # fmt: skip
-    """Evaluate the energy at stored states of a run that is over.
+    """Evaluate the energy at stored states of a run that is over, after so many steps.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
     last = len(q) - 1
     if not stepper._module.header.real_everywhere:
-        return energies_at(stepper, run, t, q, p, np.arange(last + 1))
+        return energies_at(stepper, run, steps, q, p, np.arange(last + 1))
     if last + 1 < FEWEST or not stepper._module.header.conservative:
         return None
     few = min(last, SAMPLES - 1)
@@ -140,4 +141,4 @@ def look_at_energy(
             energy, run.h, run.W, stepper._module.header.told, run.q, run.p, last, few, LIMIT
         ):
             return None
-    return energies_at(stepper, run, t, q, p, np.arange(few + 1) * last // few)
+    return energies_at(stepper, run, steps, q, p, np.arange(few + 1) * last // few)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.loaded import Loaded
 
-__all__ = ["Kept", "Run", "workspace"]
+__all__ = ["NOTHING_KEPT", "Kept", "Run", "workspace"]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
@@ -62,6 +62,9 @@ class Kept:
     renewal: int = 1
 
 
+NOTHING_KEPT = Kept()
+
+
 class Run:
     """A trajectory under way: its workspace, and the arrays in which states are stored.
 
@@ -78,18 +81,17 @@ class Run:
         stored: int,
         fallbacks: Sequence[str] | None = None,
         inputs: NDArray[Any] = NO_INPUTS,
-        kept: Kept | None = None,
+        kept: Kept = NOTHING_KEPT,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
         layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._inputs = inputs
-        kept = kept or Kept()
-        self._driver = partial(numbers.driver, renewing=bool(kept.renewed))
-        self._undisturbed = numbers.undisturbed
+        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self._behind, self.told = kept.kernel, header.told
         if kept.renewed:
             self.told = header.told_to_renew(kept.renewed, kept.renewal)
+            self._driver = partial(numbers.driver, renewing=True)
         self.W = workspace(header, numbers, parameters, kept.room)
         self._column = self.W[:, 0]
         self._status = layout["STATUS"]

@@ -86,6 +86,7 @@ def test_stored_states(stepper, every):
         assert found.newton_iterations[3] > counted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make", sweep([ss.systems.lagrange_top, ss.systems.harmonic_oscillator, ss.systems.kepler,
                    lambda: ss.systems.fermi_pasta_ulam(8), ss.systems.n_pendulum])

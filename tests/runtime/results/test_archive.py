@@ -154,6 +154,7 @@ def test_files_that_were_edited(tmp_path, monkeypatch, change, error, message):
     assert not (tmp_path / "canary").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
 def test_damaged_files_raise_what_they_should(tmp_path, ending):
     run = run_of("double_pendulum", "simpson")

@@ -108,6 +108,7 @@ def test_the_first_state_is_no_crossing(pendulum):
         assert found.t[0] > 0.5
 
 
+@pytest.mark.slow
 def test_sections_do_not_disturb_the_run_and_equal_its_events(monkeypatch):
     stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
     given = {"v0": [0.4, 0.0], "h": 0.25, "steps": 2000}

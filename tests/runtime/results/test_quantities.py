@@ -27,6 +27,7 @@ def many(stepper):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 3, -1, np.int64(3), np.int32(-2)])
 def test_a_number_gives_a_state(run, number):
     state = run[number]

@@ -81,6 +81,7 @@ def test_it_hardly_moves_where_the_energy_swings():
     assert np.ptp(run.shadow_energy) < 2e-3 * np.ptp(run.energy)
 
 
+@pytest.mark.slow
 def test_it_is_drawn_beside_the_energy():
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.05, steps=50)
     axes = run.plot_energy(shadow=True)

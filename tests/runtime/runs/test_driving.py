@@ -89,6 +89,7 @@ def test_loops_over_terms_take_the_same_inputs_as_straight_lines():
     assert np.abs(smooth("simpson") - smooth("gauss12")).max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["blanes_moan4", "suzuki4", "kahan_li6"], 1))
 def test_kicks_take_inputs_where_they_stand(scheme):
     x, y = ss.coordinates("x y")
@@ -137,6 +138,7 @@ def test_loops_over_kicks_take_inputs_where_they_stand():
     assert np.abs(end("kahan_li8", 20) - end("gauss8", 20)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_ensembles_give_each_member_its_inputs():
     made = stepper()
     own = rng.normal(size=(11, STEPS))

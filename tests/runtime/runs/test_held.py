@@ -120,6 +120,7 @@ def test_steps_by_themselves_are_those_of_a_run(stepper):
         assert np.abs(q - run.q[k]).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_lanes_and_states_between(stepper):
     q0 = np.array([START["q0"], [0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
     v0 = np.array([START["v0"], [1.0, 0.0, 0.0], [0.0, 0.5, 0.5]])

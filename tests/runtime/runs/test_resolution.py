@@ -130,6 +130,7 @@ def test_an_encounter_that_is_not_resolved_is_warned_of(every):
         stepper.poincare("x1", **state, h=1e-3, steps=20_000)
 
 
+@pytest.mark.slow
 def test_a_barrier_that_is_jumped_is_warned_of():
     stepper = ss.compile(particle(sp.Rational(1, 100) / X, "barrier"), "lobatto8")
     with pytest.warns(ss.ResolutionWarning):
