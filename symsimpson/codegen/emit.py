@@ -200,7 +200,6 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
     def row(values: Iterable[sp.Expr]) -> str:
         return _literal_tuple(number(value) for value in values)
 
-    # arrays are quick to index, where compilers make a tuple a choice of branches
     d, n = scheme.degree, equations.system.n
     lines = [
         f"# the scheme: {scheme.legend}",
@@ -221,7 +220,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
 
 
 def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
-    """Write the tables of a scheme: rows of numbers, and rows of rows."""
+    """Write the tables of a scheme as arrays: of tuples compilers make a choice of branches."""
     lines = []
     for name, table in scheme.tables.items():
         if isinstance(table[0], sp.Expr):

@@ -26,7 +26,7 @@ from symsimpson.runtime.kernels.observed import KINDS, Reduction, observing_kern
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.chaos import directions, find_chaos, kept_growth
 from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
-from symsimpson.runtime.runs.run import Kept
+from symsimpson.runtime.runs.run import NOTHING_KEPT
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import kept_variations
 
@@ -201,7 +201,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = stepper._module.header, task.lanes
     kernels = Kernels(stepper.source, header, lanes)
-    kept, columns, told = Kept(), np.zeros((0, 0)), header.told.copy()
+    kept, columns, told = NOTHING_KEPT, np.zeros((0, 0)), header.told.copy()
     watched, observing, slopes = 0, 0, 0
     if task.tangents is not None:
         columns = task.tangents
