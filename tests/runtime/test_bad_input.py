@@ -189,7 +189,11 @@ OTHERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("call", "kind", "message"), OTHERS.values(), ids=OTHERS)
+@pytest.mark.parametrize(
+    ("call", "kind", "message"),
+    [pytest.param(*case, id=name, marks=pytest.mark.slow if name == "singular" else ())
+     for name, case in OTHERS.items()],
+)  # fmt: skip
 def test_other_functions(call, kind, message):
     with pytest.raises(kind, match=message) as caught:
         call()

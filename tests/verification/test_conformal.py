@@ -96,6 +96,7 @@ def _rates(t, z):
     return [v1, v2, force - 2 * GAMMA * p1, -2 * q2 - q1**2 - 2 * GAMMA * p2]
 
 
+@pytest.mark.slow
 def test_certificates_have_the_factor():
     certificate = ss.compile(damped()).certify(STATE[:2], p0=STATE[2:], h=0.1)
     assert certificate.passed
