@@ -135,6 +135,17 @@ def path_tables(kind, nodes, degree):
     )
 
 
+def shares_up_to(c, b, end):
+    """The integrals up to an end of the Lagrange polynomials of the nodes, each by its weight."""
+    one = 10**DIGITS
+    inner = [basis(c, end * x // one) for x in c]
+    shares = []
+    for j in range(len(b)):
+        total = sum(b[m] * inner[m][j] for m in range(len(b))) // one
+        shares.append(end * total // b[j])
+    return shares
+
+
 def stage_table(kind, nodes):
     """How velocities and forces at the nodes add up to positions and momenta there, and later.
 
@@ -148,13 +159,11 @@ def stage_table(kind, nodes):
     table = array([[real(0)] * STRIDE for _ in range(4 * nodes)])
     velocities, forces, ahead = table[:nodes], table[nodes : 2 * nodes], table[2 * nodes :]
     for i in range(nodes):
-        inner = [basis(c, c[i] * x // one) for x in c]
+        shares = shares_up_to(c, b, c[i])
         following = basis(c, one + c[i])
         smooth = [legendre_p(k, 2 * c[i] + one)[0] for k in range(max(1, nodes - 2))]
         for j in range(nodes):
-            total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
-            share = c[i] * total // b[j]
-            velocities[j, i] = on_grid(share)
+            velocities[j, i] = on_grid(shares[j])
             forces[i, j] = real(1) - velocities[j, i]
             ahead[j, i] = number(b[i] * following[j] // b[j])
             terms = [
@@ -167,14 +176,6 @@ def stage_table(kind, nodes):
 
 def reach_table(kind, nodes):
     """How moves of the nodes add up to increments of the control points: integrals by b_j."""
-    one = 10**DIGITS
     c, b = quadrature(kind, nodes)
-    table = []
-    for end in quadrature("lobatto", nodes + 1)[0][1:]:
-        inner = [basis(c, end * x // one) for x in c]
-        shares = []
-        for j in range(nodes):
-            total = sum(b[m] * inner[m][j] for m in range(nodes)) // one
-            shares.append(number(end * total // b[j]))
-        table.append(shares)
-    return array(table)
+    ends = quadrature("lobatto", nodes + 1)[0][1:]
+    return array([[number(share) for share in shares_up_to(c, b, end)] for end in ends])

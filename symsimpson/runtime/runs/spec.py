@@ -115,9 +115,7 @@ def read_run(
         given, other = read_given("a run", how, v0, p0)
         q = read_vector("q0", q0, names, numbers)
         second = read_vector(given, other, names, numbers)
-        if stepper._module.header.constraints:
-            found = allowed(stepper, q[None], second[None], given, values[None], t0)
-            q, second = (x[0] for x in found)
+        q, second = (x[0] for x in allowed(stepper, q[None], second[None], given, values[None], t0))
         return RunSpec(
             q, second, given, values, h, t0, steps, stride,
             read_driving(stepper, inputs, h, steps),
