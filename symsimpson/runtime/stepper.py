@@ -14,6 +14,7 @@ from symsimpson.runtime.derivatives import Differentiating
 from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.inputs import read_failure
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
 
@@ -182,11 +183,15 @@ class Stepper(Differentiating):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
+        start, times = (q0, v0, p0), (h, t_end, steps, t0)
+        plain = inputs is None and tangents is None and sensitivities is None
+        if plain and checkpoint is None and progress is None and on_failure == "raise":
+            over = brief_run(self, start, times, parameters, every)
+            if over is not None:
+                return over
         stepper = self._differentiating(tangents, sensitivities, checkpoint)
         carried = 0 if tangents is None and sensitivities is not None else tangents
-        spec = read_run(
-            stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, every, inputs, carried
-        )  # fmt: skip
+        spec = read_run(stepper, start, times, parameters, every, inputs, carried)
         return integrate(stepper, spec, checkpoint, checkpoint_every, progress, on_failure)
 
     def ensemble(

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_count, read_number, read_step
+from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.driving import places
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
@@ -65,8 +66,11 @@ class Stepping(Evaluator):
         >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
         (True, True)
         """
-        spec = read_run(self, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(self, inputs))
-        end = integrate(self, spec, None, None, None, "raise")
+        start, times = (q, v, p), (h, None, 1, t)
+        end = brief_run(self, start, times, parameters, None) if inputs is None else None
+        if end is None:
+            spec = read_run(self, start, times, parameters, None, of_a_step(self, inputs))
+            end = integrate(self, spec, None, None, None, "raise")
         return end.q[0], end.p[0]
 
     def node_times(self, h: Any, steps: int, t0: Any = 0.0) -> Reals:

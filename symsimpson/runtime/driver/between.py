@@ -18,6 +18,7 @@ from symsimpson.interface import (
     POSITION,
     STATUS,
 )
+from symsimpson.runtime.driver.begin import begin
 from symsimpson.runtime.driver.explicit import finite
 from symsimpson.runtime.driver.steps import (
     DRIVER_OPTIONS,
@@ -26,7 +27,6 @@ from symsimpson.runtime.driver.steps import (
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
-    begin,
     call,
     give,
     solve,

@@ -16,7 +16,7 @@ from symsimpson.runtime.kernels.vectors import vector_bits
 __all__ = ["driver", "driver_text"]
 
 #: The modules that are compiled as one text, in this order.
-PARTS = ("steps", "recovery", "explicit", "ensembles", "between", "work", "backward")
+PARTS = ("steps", "begin", "recovery", "explicit", "ensembles", "between", "work", "backward")
 
 
 def driver_text(lanes: int = 1, *, renewing: bool = False) -> str:

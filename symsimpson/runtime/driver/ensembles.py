@@ -25,6 +25,7 @@ from symsimpson.interface import (
     TANGENT,
     VELOCITY,
 )
+from symsimpson.runtime.driver.begin import begin, begin_growth
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover
 from symsimpson.runtime.driver.steps import (
@@ -36,8 +37,6 @@ from symsimpson.runtime.driver.steps import (
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
-    begin,
-    begin_growth,
     call,
     take_steps,
 )

@@ -35,12 +35,10 @@ from symsimpson.interface import (
     NOT_CONVERGED,
     NOT_FINITE,
     POSITION,
-    PREPARE,
     PREVIOUS,
     RELATIVE,
     RENEWAL,
     RENEWED,
-    START,
     STATE_END,
     STATUS,
     STEP_TOO_LARGE,
@@ -80,9 +78,6 @@ INPUTS = types.Array(types.float64, 4, "A", readonly=True)
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
     "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
-    "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
-    "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
-    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "take_steps": types.void(
         SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1],
         types.int64, types.int64, STATES, STATES, STATES, COUNTS, INPUTS,
@@ -183,36 +178,6 @@ def step_back(W, at, lane):
         W[first + row, lane] = W[previous + row, lane]
 
 
-@njit(**DRIVER_OPTIONS)
-def begin(kernels, legendre, h, t, W, at):
-    """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
-    for lane in range(LANES):
-        W[at[ACTIVE], lane] = 1.0
-        W[at[STATUS], lane] = 0.0
-        W[at[CONTRACTION], lane] = 1.0
-        W[at[LARGEST_SQUARED], lane] = 0.0
-        W[at[ITERATIONS], lane] = 0.0
-    call(kernels[PREPARE], h, t, W)
-    if legendre != 0:
-        call(legendre, h, t, W)
-    call(kernels[START], h, t, W)
-
-
-@njit(**DRIVER_OPTIONS)
-def switch(kernels, h, t, W, at):
-    """Go on with other kernels of the same layout, from the state and the predicted increments."""
-    first, last = at[INCREMENT], at[STATE_END]
-    increments = np.empty((last - first, LANES))
-    for lane in range(LANES):
-        keep(W, first, last, lane, increments)
-        W[at[STATUS], lane] = 0.0
-    call(kernels[PREPARE], h, t, W)
-    call(kernels[START], h, t, W)
-    for lane in range(LANES):
-        put_back(W, first, last, lane, increments)
-        put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
-
-
 @njit(**INLINE)
 def store(W, at, place, q_out, p_out, kept_out, iterations_out):
     """Store the states of lanes that go on, and their iterations since the states before.
@@ -228,20 +193,6 @@ def store(W, at, place, q_out, p_out, kept_out, iterations_out):
                 kept_out[place, k, lane] = W[at[KEPT] + k, lane]
             iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
             W[at[ITERATIONS], lane] = 0.0
-
-
-@njit(**DRIVER_OPTIONS)
-def begin_growth(W, at, directions):
-    """Begin variations of a state, orthonormal columns, and what is kept of how they grow."""
-    size, count = directions.shape
-    product = at[KEPT] + 2 * count + 4
-    for lane in range(LANES):
-        for row in range(at[KEPT], product + count * count):
-            W[row, lane] = 0.0
-        for j in range(count):
-            W[product + j * (count + 1), lane] = 1.0
-            for a in range(size):
-                W[at[TANGENT] + j * size + a, lane] = directions[a, j]
 
 
 @njit(**DRIVER_OPTIONS)

@@ -64,8 +64,9 @@ class Numbers:
 
     def all_finite(self, array: NDArray[Any]) -> bool:
         """Return whether all numbers are finite; quick where there are few."""
-        if array.dtype == np.float64 and array.size <= FEW:
-            return all(map(math.isfinite, array.ravel().tolist()))
+        few = array.dtype.char == "d" and array.ndim == 1 and len(array) <= FEW
+        if few and math.isfinite(sum(array.tolist())):
+            return True  # a sum of finite ones may be infinite
         return bool(self.finite(array).all())
 
     def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:

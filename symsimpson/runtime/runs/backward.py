@@ -22,7 +22,6 @@ from symsimpson.runtime.runs.integrate import (
     look_at_step,
     new_run,
     raise_failure,
-    stored_by,
     trajectory_of,
 )
 from symsimpson.runtime.runs.run import Kept, workspace
@@ -132,7 +131,7 @@ class _Way:
                 self._places.append((run.position(), run.W[:, 0].copy()))
                 run.advance(min(run.step + self.piece, count))
         if run.status is not Status.SUCCESS:
-            trajectory = trajectory_of(stepper, run, count, run.status, spec, stored_by(run), 0)
+            trajectory = trajectory_of(stepper, run, count, run.status, spec, run.stored(), 0)
             raise_failure(run, trajectory, trajectory)
         self.q1, self.p1 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
 
@@ -146,7 +145,7 @@ class _Way:
                 run.put_back(position, kept)
                 run.store(0)
                 run.advance(last)
-            yield first, run.kept[: last - first + 1], *stored_by(run)[:2]
+            yield first, run.kept[: last - first + 1], *run.stored()[:2]
 
 
 class _Back:

@@ -17,7 +17,6 @@ from symsimpson.runtime.runs.integrate import (
     look_at_step,
     new_run,
     raise_failure,
-    stored_by,
     trajectory_of,
 )
 from symsimpson.runtime.runs.run import Kept
@@ -91,7 +90,7 @@ def find_chaos(
     look_at_step(stepper, run, spec)
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
-    trajectory = trajectory_of(stepper, run, spec.steps, run.status, spec, stored_by(run), stride)
+    trajectory = trajectory_of(stepper, run, spec.steps, run.status, spec, run.stored(), stride)
     if not trajectory.success:
         raise_failure(run, trajectory, trajectory)
     return chaos_of(stepper, run.kept[1 : len(trajectory), :, 0], trajectory, count)

@@ -83,7 +83,7 @@ def integrate(
             except StorageError as error:
                 problem = error
         status = run.status if problem is None else Status.FILE_ERROR
-        stored_states = keeper.states() if keeper is not None and run.every else stored_by(run)
+        stored_states = keeper.states() if keeper is not None and run.every else run.stored()
         trajectory = trajectory_of(
             stepper, run, count, status, spec, stored_states, spec.every, keeper
         )
@@ -152,12 +152,6 @@ def looked_at(
     )
     warnings.warn(message, ResolutionWarning, stacklevel=4)
     return Trajectory(**about | {"message": f"{trajectory.message} {message}"})
-
-
-def stored_by(run: Run) -> tuple[Reals, Reals, NDArray[np.int64]]:
-    """Return q, p and iterations of the states that a run has stored in memory."""
-    kept = (run.step - run.first) // run.every + 1 if run.every else 0
-    return run.q[:kept, :, 0], run.p[:kept, :, 0], run.iterations[:kept, 0]
 
 
 def _checkpoint(
@@ -229,11 +223,13 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
 
 def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
-    key = (run.h, spec.parameters.tobytes())
+    key = spec.h, spec.parameters.tobytes()
     plain = run.W.dtype == np.float64
+    if not plain or key in stepper._looked_at:
+        return
+    stepper._looked_at.add(key)
     system, tools = stepper._module.declared, stepper._module.tools
-    if plain and system is not None and tools is not None and key not in stepper._looked_at:
-        stepper._looked_at.add(key)
+    if system is not None and tools is not None:
         q, v = (run.rows(name, stepper.n) for name in ("POSITION", "VELOCITY"))
         values = np.concatenate([spec.parameters, spec.inputs[0, 0, 0]])
         tools.check_step(stepper, system, q, v, values, run.h, run.t0)
@@ -256,7 +252,7 @@ def trajectory_of(
         t = run.t0 + stepper._module.numbers.counted(0, done + 1, every) * run.h
     else:
         t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
-        q, p = (run.rows(name, stepper.n)[None].copy() for name in ("POSITION", "MOMENTUM"))
+        q, p = run.end()
         iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
     tangents = tangents_of(stepper, run, spec, len(t) if every else 0)
     message = status.message

@@ -12,7 +12,6 @@ from symsimpson.runtime.runs.integrate import (
     look_at_step,
     new_run,
     raise_failure,
-    stored_by,
     trajectory_of,
 )
 from symsimpson.runtime.runs.spec import RunSpec
@@ -84,7 +83,7 @@ class ControlLoop:
             run.advance(before + 1)
             if not run.alive:
                 ended = trajectory_of(
-                    stepper, run, before + 1, run.status, self._spec, stored_by(run), 0
+                    stepper, run, before + 1, run.status, self._spec, run.stored(), 0
                 )  # fmt: skip
                 raise_failure(run, ended, ended)
 

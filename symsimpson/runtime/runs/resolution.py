@@ -20,7 +20,14 @@ from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
 if TYPE_CHECKING:
     from symsimpson.runtime.runs.run import Run
 
-__all__ = ["Sampled", "check_start", "energies_at", "look_at_energy", "sampling_stride"]
+__all__ = [
+    "Sampled",
+    "check_start",
+    "energies_at",
+    "look_at_energy",
+    "looked_at_of",
+    "sampling_stride",
+]
 
 #: So many states of a run are looked at, in blocks of which the median counts.
 SAMPLES, BLOCKS = 64, 8
@@ -121,6 +128,12 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
         )
 
 
+def looked_at_of(stepper: Evaluator, last: int) -> int:
+    """Return how many of so many states behind the first are looked at; none of a short run."""
+    judged = last + 1 >= FEWEST and stepper._module.header.conservative
+    return min(last, SAMPLES - 1) if judged else 0
+
+
 def look_at_energy(
     stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals
 ) -> Sampled | None:  # fmt: skip
@@ -131,9 +144,9 @@ def look_at_energy(
     last = len(q) - 1
     if not stepper._module.header.real_everywhere:
         return energies_at(stepper, run, steps, q, p, np.arange(last + 1))
-    if last + 1 < FEWEST or not stepper._module.header.conservative:
+    few = looked_at_of(stepper, last)
+    if not few:
         return None
-    few = min(last, SAMPLES - 1)
     if q.base is not None and q.base is run.q.base:
         steady = stepper._module.numbers.driver("steady")
         energy = stepper._module.kernels.address("energy")

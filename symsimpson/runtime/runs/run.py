@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -84,9 +84,8 @@ class Run:
         kept: Kept = NOTHING_KEPT,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
-        layout, n = header.layout, header.n
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
-        self._inputs = inputs
+        self._parameters, self._inputs = parameters, inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self._behind, self.told = kept.kernel, header.told
         if kept.renewed:
@@ -94,36 +93,41 @@ class Run:
             self._driver = partial(numbers.driver, renewing=True)
         self.W = workspace(header, numbers, parameters, kept.room)
         self._column = self.W[:, 0]
-        self._status = layout["STATUS"]
-        self.q, self.p = numbers.zeros((2, stored, n, 1))
+        self._status = header.layout["STATUS"]
+        self._watcher: Watcher | None = None
+        self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
+        self._stretch = numbers.stretch
+        self.q, self.p = numbers.zeros((2, stored, header.n, 1))
         #: What is kept beside them.
         self.kept = numbers.zeros((stored, kept.rows, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
-        self._watcher: Watcher | None = None
         self._interrupted = False
-        self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._set, self._set_until = 0, -1
-        self._stretch = numbers.stretch
 
     def begin(
         self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False
     ) -> None:
         """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed."""
-        layout, n = self.header.layout, self.header.n
-        legendre = 0
-        second = layout["MOMENTUM"]
         if any_angle:
             self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
-        if velocity:
-            legendre = self.kernels.address("legendre", any_angle=any_angle)
-            second = layout["VELOCITY"]
-        self._column[layout["POSITION"] : layout["POSITION"] + n] = q
-        self._column[second : second + n] = other
-        self._driver("begin")(self._kernels(), legendre, self.h, self.t0, self.W, self.told)
+        legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
+        self._begin_anew(
+            self._kernels(), legendre, self.h, self.t0, self.W, self.told, self._parameters, q,
+            other,
+        )  # fmt: skip
         if self.every:
             self.store(0)
+
+    @cached_property
+    def _begin_anew(self) -> Any:
+        return self._driver("begin_anew")
+
+    @cached_property
+    def _take_steps(self) -> Any:
+        explicit = self.header.newton_unknowns == 0
+        return self._driver("take_explicit_steps" if explicit else "take_steps")
 
     def apply(self, kernel: str) -> None:
         """Call a kernel of the state where the run is."""
@@ -161,6 +165,16 @@ class Run:
     def value(self, block: str) -> Any:
         """Return the number in a block of one row."""
         return self._column[self.header.layout[block]]
+
+    def end(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return q and p where the run is, shape (1, n)."""
+        n = self.header.n
+        return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
+
+    def stored(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.int64]]:
+        """Return q, p and iterations of the states that were stored."""
+        kept = self._progress.item(0) // self.every + 1 if self.every else 0
+        return self.q[:kept, :, 0], self.p[:kept, :, 0], self.iterations[:kept, 0]
 
     @property
     def step(self) -> int:
@@ -221,7 +235,7 @@ class Run:
                 until = min(until, self._set_until)
             before, start = self.step, time.perf_counter()
             with self._undisturbed():
-                self._stretch_until(self._kernels(), until)
+                self.take(until)
             spent = time.perf_counter() - start
             if self._watcher is not None:
                 self._watcher(self.step - before)
@@ -253,24 +267,17 @@ class Run:
     def _time(self) -> Any:
         return self.t0 + self.h * self.step
 
-    def _stretch_until(self, kernels: Any, stop: int) -> None:
-        """Run compiled, recovering the steps at which the loop stops."""
-        at, W = self.told, self.W
+    def take(self, stop: int) -> None:
+        """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
+        kernels, at, W = self._kernels(), self.told, self.W
         t0, stop = self.t0, stop - self.first
         self._progress[2] = self.first
-        if self.header.newton_unknowns == 0:
-            self._driver("take_explicit_steps")(
-                kernels, self.h, t0, W, at, self._progress, stop, self.every, self.q, self.p,
-                self.kept, self.iterations, self._inputs,
-            )  # fmt: skip
-            return
-        take_steps = self._driver("take_steps")
         while True:
-            take_steps(
+            self._take_steps(
                 kernels, self.h, t0, W, at, self._progress, stop, self.every,
                 self.q, self.p, self.kept, self.iterations, self._inputs,
             )  # fmt: skip
-            event = self._progress[1]
+            event = self._progress.item(1)
             if event == 0:
                 return
             self._driver("recover")(kernels, self.h, self._time(), W, at, event)

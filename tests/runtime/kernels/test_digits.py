@@ -129,14 +129,14 @@ def test_a_step_too_large_fails_as_in_double_precision(arithmetic):
 
 def test_interrupt_keeps_whole_steps(monkeypatch):
     stepper = ss.compile(ss.systems.double_pendulum(), precision=200)
-    plain = Run._stretch_until
+    plain = Run.take
 
-    def interrupted(self, kernels, stop):
-        plain(self, kernels, stop)
+    def interrupted(self, stop):
+        plain(self, stop)
         if self.step >= 7:
             signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr(Run, "_stretch_until", interrupted)
+    monkeypatch.setattr(Run, "take", interrupted)
     with pytest.raises(ss.Interrupted) as caught:
         stepper.integrate([1.0, 2.0], p0=[0, 0], h=0.01, steps=60, every=None)
     monkeypatch.undo()
