@@ -116,7 +116,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
-    loops = _loops(low, storage, held)
+    loops = _loops(low, storage, held, kept_mass=False)
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
@@ -148,7 +148,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
-    return _module(low, storage, held, functions, kernels, tables, unknowns, constant_mass=False)
+    return _module(low, loops, functions, kernels, tables, unknowns)
 
 
 def _looped(equations: DiscreteEquations) -> Module:
@@ -182,7 +182,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         tables |= own
     elif held:
         functions += constraint_functions(low, held, drifting=drifting)
-    loops = _loops(low, storage, held)
+    loops = _loops(low, storage, held, kept_mass=constant)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
     if held:
@@ -210,9 +210,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         own_tables |= held.constants(degree) if held else {}
     tables = own_tables | tables
     unknowns = blocks * low.n + (equations.unknowns.behind if blocks else 0)
-    return _module(
-        low, storage, held, functions, kernels, tables, unknowns, constant_mass=constant
-    )  # fmt: skip
+    return _module(low, loops, functions, kernels, tables, unknowns)
 
 
 def _many(found: Sequence[Family]) -> bool:
@@ -221,31 +219,29 @@ def _many(found: Sequence[Family]) -> bool:
     return members >= FAMILY_MEMBERS * len(found)
 
 
-def _loops(low: Lowering, storage: Storage, held: Held | None) -> LoopKernels:
+def _loops(low: Lowering, storage: Storage, held: Held | None, *, kept_mass: bool) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
         storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
-        plain.rate is not None, held,
+        plain.rate is not None, held, kept_mass,
     )  # fmt: skip
 
 
 def _module(
     low: Lowering,
-    storage: Storage,
-    held: Held | None,
+    loops: LoopKernels,
     functions: list[Function],
     kernels: list[Kernel],
     tables: dict[str, object],
     unknowns: int,
-    *,
-    constant_mass: bool,
 ) -> Module:
     """Add what is computed once a run, when it is known what that is; lay out the workspace.
 
     Derivatives of a step are taken of all that it is made of.
     """
+    storage, held = loops.storage, loops.held
     more, own_kernels, own_tables = differentiating(
-        low, _loops(low, storage, held), sorted(range(low.n), key=storage.order.__getitem__),
+        low, loops, sorted(range(low.n), key=storage.order.__getitem__),
         following="FOLLOWING" in tables,
     )  # fmt: skip
     functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
@@ -266,7 +262,7 @@ def _module(
     inputs = len(low.names.inputs)
     if inputs:
         tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
-    loops, stores, products = coefficient_loops(low, own)
+    coefficients, stores, products = coefficient_loops(low, own)
     tables = {**tables, **products}
     if damped:
         places = (*scheme.quadrature.nodes, sp.S.One)
@@ -275,7 +271,7 @@ def _module(
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]
     doc = "What depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
-    prepare = Kernel("prepare", doc, lanes((*known, *loops, *for_stages)))
+    prepare = Kernel("prepare", doc, lanes((*known, *coefficients, *for_stages)))
     sizes = {
         "PARAMETER": len(low.names.parameters),
         "INVARIANT": len(low.names.invariants),
@@ -296,7 +292,7 @@ def _module(
     sizes["JACOBIAN"] = storage.size(unknown.control_points)
     if held:
         sizes["JACOBIAN"] += held.storage.size(unknown.control_points)
-    first, rows = layout(storage, unknown, sizes, constant_mass=constant_mass)
+    first, rows = layout(storage, unknown, sizes, constant_mass=loops.kept_mass)
     if low.equations.varied is not None:
         first["TANGENT"] = rows  # behind all others, as much as a run needs
     return Module(

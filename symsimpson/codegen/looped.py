@@ -49,6 +49,8 @@ class LoopKernels:
         Whether the weights of nodes grow.
     held : Held or None
         How constraints stand among the coordinates, if there are any.
+    kept_mass : bool
+        Whether the factors of a constant M stay in their place from step to step.
     """
 
     storage: Storage
@@ -58,6 +60,7 @@ class LoopKernels:
     driven: bool
     damped: bool
     held: Held | None
+    kept_mass: bool
 
     @property
     def entries(self) -> int:
@@ -87,6 +90,10 @@ class LoopKernels:
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
         return (*self.start(time), _call("mass"), *self.factors())
+
+    def mass_again(self) -> tuple[Statement, ...]:
+        """Factorise a constant M again, where something else took its place."""
+        return self._velocity("t + h") if self.kept_mass else ()
 
     def factors(self) -> tuple[Statement, ...]:
         """Factorise M, bordered by constraints if there are any."""

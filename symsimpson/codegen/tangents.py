@@ -67,6 +67,7 @@ def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
         each(Call("close_variation", _ONE), *decay),
         Call("exchange_steps"),
         *made.projected(),
+        *made.loops.mass_again(),
     )
     doc = "Carry variations of the state to the end of the step that was taken."
     kernels = [Kernel("tangent", doc, lanes((When(body),)))]

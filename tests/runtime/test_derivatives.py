@@ -1,7 +1,10 @@
 """Derivatives of steps and runs: what they are, and what is said where there are none."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
+import sympy as sp
 from workspace import sweep
 
 import symsimpson as ss
@@ -205,3 +208,18 @@ def test_members_that_are_run_by_themselves_carry_as_much(pendulum, reduce, ever
     one = pendulum.integrate([far], **given)
     assert (many.status == 0).all()
     assert np.array_equal(many.tangent[1], one.tangent if every else one.tangent[0])
+
+
+def test_a_constant_mass_keeps_its_factors_beside_variations():
+    n = 9
+    q = ss.coordinates(" ".join(f"x{i}" for i in range(n)))
+    v = [x.diff() for x in q]
+    kinetic = sum(w**2 for w in v) / 2 + sum(a * b for a, b in combinations(v, 2)) / sp.Integer(24)
+    potential = sum(1 / (1 + (a - b) ** 2) for a, b in combinations(q, 2))
+    system = ss.MechanicalSystem("tied", coordinates=q, kinetic=kinetic, potential=potential)
+    stepper = ss.compile(system, precision=20)
+    asked = {"q0": [0.1 * k for k in range(n)], "p0": [0.2] * n, "h": 0.125, "steps": 3}
+    plain, varied = stepper.integrate(**asked), stepper.integrate(**asked, tangents=1)
+    assert "range(NODES)" in stepper.source
+    assert plain.newton_iterations.tolist() == varied.newton_iterations.tolist()
+    assert abs(plain.q - varied.q).max() < 1e-18
