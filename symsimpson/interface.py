@@ -64,6 +64,8 @@ BLOCKS = {
     "WORK": "integrals of these over steps",
     "STAGE_V": "h b_i v_i",
     "STAGE_F": "h b_i F_i",
+    "STAGE_Q": "positions at the nodes, less q",
+    "STAGE_P": "momenta at the nodes, less p",
     "STAGE_STEP": "h b_i",
     "STAGE_RATE": "1 / (h b_i)",
     "STAGE_PLACE": "c_i",

@@ -23,6 +23,7 @@ from symsimpson.codegen.looped import (
     solve_constants,
     solve_tables,
 )
+from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
@@ -116,7 +117,7 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
-    loops = _loops(low, storage, held, kept_mass=False)
+    loops = _loops(low, storage, held, constant_mass=False)
     kernels = [*unrolled_kernels(low), _energy(low)]
     if equations.plain.invariants:
         kernels.append(_invariants(low))
@@ -155,6 +156,7 @@ def _looped(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     part, degree = equations.joined(), equations.scheme.degree
     constant = isinstance(part, (Separable, Composed))
+    structure = equations.system.structure
     # terms are told apart by coordinates alone, and those of a force have no L
     plain = equations.plain
     alike = plain.conservative
@@ -182,7 +184,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         tables |= own
     elif held:
         functions += constraint_functions(low, held, drifting=drifting)
-    loops = _loops(low, storage, held, kept_mass=constant)
+    loops = _loops(low, storage, held, constant_mass=constant or structure.constant_mass)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
     if held:
@@ -193,7 +195,7 @@ def _looped(equations: DiscreteEquations) -> Module:
         state = Point("state", low.q, low.v, low.t, low.inputs(0))
         kernels.append(_power(low, state, loops.before_state()))
     blocks = 0
-    own_tables = storage.node_constants()
+    own_tables = {**storage.node_constants(), "MASS_BAND": storage.band_of(plain.M)}
     if not isinstance(part, Composed):
         kernels.append(loops.equations())
         if part.columns and equations.plain.powers:
@@ -213,17 +215,33 @@ def _looped(equations: DiscreteEquations) -> Module:
     return _module(low, loops, functions, kernels, tables, unknowns)
 
 
+def _stages(
+    low: Lowering, loops: LoopKernels, *, by_loops: bool
+) -> StageKernels | LoopedStages | None:
+    """Return what iterates over velocities and forces at the nodes, where that pays."""
+    plain = low.equations.plain
+    if not low.equations.scheme.by_stages or plain.rate is not None or loops.held:
+        return None
+    written = StageKernels(low) if low.n <= STAGE_COORDINATES else None
+    if written is not None and written.kernels:
+        return written
+    pays = by_loops and loops.constant_mass and not loops.storage.banded
+    return LoopedStages(low, loops) if pays else None
+
+
 def _many(found: Sequence[Family]) -> bool:
     """Return whether families have members enough to be worth a loop."""
     members = sum(len(family.coordinates) for family in found)
     return members >= FAMILY_MEMBERS * len(found)
 
 
-def _loops(low: Lowering, storage: Storage, held: Held | None, *, kept_mass: bool) -> LoopKernels:
+def _loops(
+    low: Lowering, storage: Storage, held: Held | None, *, constant_mass: bool
+) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
         storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
-        plain.rate is not None, held, kept_mass,
+        plain.rate is not None, held, constant_mass,
     )  # fmt: skip
 
 
@@ -248,14 +266,12 @@ def _module(
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
-    plainly = not (damped or held)
-    if scheme.by_stages and unknowns and low.n <= STAGE_COORDINATES and plainly:
-        stages = StageKernels(low)
+    by_loops = any(function.name == "gradient" for function in functions)
+    stages = _stages(low, loops, by_loops=by_loops) if unknowns else None
+    if stages is not None:
         kernels = [*kernels, *stages.kernels]
-        stage_sizes = stages.sizes
-        if stages.kernels:
-            tables = {**tables, "STRIDE": stages.stride}
-            for_stages = stages.constants
+        tables = {**tables, "STRIDE": stages.stride}
+        stage_sizes, for_stages = stages.sizes, stages.constants
     own = [value.xreplace(low.parameters) for value in low.coefficients]
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
@@ -292,7 +308,7 @@ def _module(
     sizes["JACOBIAN"] = storage.size(unknown.control_points)
     if held:
         sizes["JACOBIAN"] += held.storage.size(unknown.control_points)
-    first, rows = layout(storage, unknown, sizes, constant_mass=loops.kept_mass)
+    first, rows = layout(storage, unknown, sizes, constant_mass=loops.constant_mass)
     if low.equations.varied is not None:
         first["TANGENT"] = rows  # behind all others, as much as a run needs
     return Module(

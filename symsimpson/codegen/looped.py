@@ -49,8 +49,8 @@ class LoopKernels:
         Whether the weights of nodes grow.
     held : Held or None
         How constraints stand among the coordinates, if there are any.
-    kept_mass : bool
-        Whether the factors of a constant M stay in their place from step to step.
+    constant_mass : bool
+        Whether M is, so that its factors may stay in their place from step to step.
     """
 
     storage: Storage
@@ -60,7 +60,7 @@ class LoopKernels:
     driven: bool
     damped: bool
     held: Held | None
-    kept_mass: bool
+    constant_mass: bool
 
     @property
     def entries(self) -> int:
@@ -84,8 +84,11 @@ class LoopKernels:
 
     def nodes(self, over: str, *body: Statement) -> Loop:
         """Go over nodes of the path."""
-        time = self._time("t + PLACES[node] * h", "node")
-        return Loop("node", over, (_call("path", *_NODE), *time, *body))
+        return Loop("node", over, (_call("path", *_NODE), *self.time_at_node(), *body))
+
+    def time_at_node(self) -> tuple[Statement, ...]:
+        """Keep the time at a node of the step and the inputs there, if something needs them."""
+        return self._time("t + PLACES[node] * h", "node")
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
@@ -93,7 +96,7 @@ class LoopKernels:
 
     def mass_again(self) -> tuple[Statement, ...]:
         """Factorise a constant M again, where something else took its place."""
-        return self._velocity("t + h") if self.kept_mass else ()
+        return self._velocity("t + h") if self.constant_mass else ()
 
     def factors(self) -> tuple[Statement, ...]:
         """Factorise M, bordered by constraints if there are any."""

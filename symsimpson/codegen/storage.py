@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 __all__ = ["Storage"]
@@ -53,6 +54,11 @@ class Storage:
     def node_offset(self) -> int:
         """Where the first entry of an n by n matrix stands."""
         return self.band if self.banded else 0
+
+    def band_of(self, entries: Iterable[tuple[int, int]]) -> int:
+        """Return the largest distance of the places of these pairs of coordinates."""
+        place = {a: s for s, a in enumerate(self.order)}
+        return max((abs(place[i] - place[j]) for i, j in entries), default=0)
 
     def size(self, blocks: int) -> int:
         """Rows of a matrix of all unknowns."""

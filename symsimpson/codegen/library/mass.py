@@ -18,7 +18,7 @@ MASS_DIAGONAL: int
 MASS: int
 ENERGY: int
 KINETIC: int
-BAND: int
+MASS_BAND: int
 NODE_STRIDE: int
 NODE_OFFSET: int
 COORDINATE: tuple[int, ...]
@@ -38,7 +38,7 @@ def factor_mass(W, lane):
     first = NODE_L_VV + NODE_OFFSET
     for i in range(DIMENSION):
         W[MASS_DIAGONAL + COORDINATE[i], lane] = W[first + i * NODE_STRIDE + i, lane]
-    factor_symmetric(W, first, DIMENSION, BAND, NODE_STRIDE, lane)
+    factor_symmetric(W, first, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
     deficit = real(0)
     for i in range(DIMENSION):
         pivot = W[first + i * NODE_STRIDE + i, lane]
@@ -57,7 +57,7 @@ def momentum_to_solve(W, lane):
 def solve_mass(W, lane):
     """Solve L D L^T v = right, which stands in the rows of a node's velocity."""
     first = NODE_L_VV + NODE_OFFSET
-    solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, BAND, NODE_STRIDE, lane)
+    solve_symmetric(W, first, NODE_VELOCITY, DIMENSION, MASS_BAND, NODE_STRIDE, lane)
     for i in range(DIMENSION):
         W[VELOCITY + COORDINATE[i], lane] = W[NODE_VELOCITY + i, lane]
 
@@ -67,7 +67,7 @@ def momentum(W, lane):
     """Momentum p = M v + a."""
     for s in range(DIMENSION):
         p = W[NODE_L_V + s, lane]
-        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+        for b in range(max(0, s - MASS_BAND), min(DIMENSION, s + MASS_BAND + 1)):
             mass = W[NODE_L_VV + s * NODE_STRIDE + b + NODE_OFFSET, lane]
             p += mass * W[NODE_VELOCITY + b, lane]
         W[MOMENTUM + COORDINATE[s], lane] = p

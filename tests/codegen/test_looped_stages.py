@@ -1,0 +1,76 @@
+"""Stages by loops come to what Newton's method comes to, for all that a constant M may go with."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.codegen import kernels
+
+H = 0.0625
+
+
+def model(**more):
+    """Three tied masses, of which the last has no force of its own."""
+    x, y, _ = q = ss.coordinates("x y z")
+    u, v, w = (one.diff() for one in q)
+    a = sp.Symbol("a", positive=True)
+    return ss.MechanicalSystem(
+        "tied", coordinates=q, kinetic=(u**2 + 2 * v**2 + w**2) / 2 + a * (u + v) * w / 3,
+        potential=(x**2 + x * y + y**4) / 2 + sp.sin(x), parameters={a: 0.5}, **more,
+    )  # fmt: skip
+
+
+def variants():
+    x, y, _ = ss.coordinates("x y z")
+    push = sp.Symbol("push")
+    yield "conservative", {}, {}
+    yield "dragged", {"forces": {x: -x.diff() * y / 4, y: sp.cos(2 * ss.time)}}, {}
+    yield "driven", {"forces": {y: push}, "inputs": (push,)}, {"inputs": {"push": [0.5, -0.25, 1]}}
+
+
+@pytest.fixture
+def by_loops(monkeypatch):
+    monkeypatch.setattr(kernels, "STAGE_COORDINATES", 0)
+
+
+def runs(stepper, monkeypatch, **given):
+    """Run by stages, then by Newton's method alone."""
+    made = stepper._differentiating(given.get("tangents"), None, None)._module.kernels
+    assert made.fallbacks[0] == "stages"
+    for first in (0, 1):
+        monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
+        yield stepper.integrate([0.3, -0.5, 0.2], v0=[0.7, 0.1, -0.4], h=H, steps=3, **given)
+
+
+@pytest.mark.parametrize(("about", "more", "given"), list(variants()))
+def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypatch):
+    stepper = ss.compile(model(**more), "gauss10", precision=40)
+    assert "enter_node(" in stepper.source
+    stages, newton = runs(stepper, monkeypatch, **given)
+    assert stages.newton_iterations[1:].min() > newton.newton_iterations[1:].max()
+    assert abs(stages.q - newton.q).max() < 1e-33
+    assert abs(stages.p - newton.p).max() < 1e-33
+
+
+def test_their_derivatives_agree(by_loops, monkeypatch):
+    stepper = ss.compile(model(), "gauss10", precision=40)
+    stages, newton = runs(stepper, monkeypatch, tangents=2)
+    assert abs(stages.tangent[-1] - newton.tangent[-1]).max() < 1e-30
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["gauss6", "gauss12"])
+def test_clusters_of_atoms_compiled(scheme, monkeypatch):
+    system = ss.systems.argon_cluster(9)
+    stepper = ss.compile(system, scheme)
+    assert "enter_node(" in stepper.source
+    found = []
+    made = stepper._module.kernels
+    for first in (0, 1):
+        monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
+        found.append(stepper.integrate(**system.reference_state, h=1e-4, steps=50))
+    for name in ("q", "p"):
+        stages, newton = (getattr(run, name) for run in found)
+        assert np.abs(stages - newton).max() < 1e-12 * np.abs(newton).max()
+    assert np.abs(found[0].p.reshape(-1, 9, 3).sum(axis=1)).max() < 1e-13
