@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,8 @@ class WorkPrecision:
         Until the first result of a contender, if nothing was compiled before.
     machine : mapping
         Processor, load, versions.
+    call_seconds : mapping from str to float
+        What a run of a single short step takes: the call itself, most of all.
     """
 
     system: str
@@ -72,6 +74,7 @@ class WorkPrecision:
     points: tuple[Point, ...]
     compile_seconds: Mapping[str, float]
     machine: Mapping[str, Any]
+    call_seconds: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,12 +154,13 @@ class WorkPrecision:
             f"{self.system} to t = {self.t_end:g}: median run time at an error of the end state",
             f"  {machine.get('processor')}, load {machine.get('load')}; "
             f"errors against a solution known to {self.solution_error:.0e}",
-            f"{'':<26}" + "".join(f"{level:>12.0e}" for level in self.levels),
+            f"{'':<26}" + "".join(f"{level:>12.0e}" for level in self.levels) + f"{'a call':>12}",
         ]
         for name in self.names:
             found = [self.fastest(name, level) for level in self.levels]
             cells = "".join(f"{_time(p.median):>12}" if p else f"{'-':>12}" for p in found)
-            lines.append(f"{name:<26}{cells}")
+            call = self.call_seconds.get(name)
+            lines.append(f"{name:<26}{cells}{_time(call) if call else '-':>12}")
         return "\n".join(lines)
 
 

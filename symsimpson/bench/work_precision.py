@@ -9,7 +9,7 @@ import statistics
 import time
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -29,6 +29,8 @@ LEAST_SECONDS = 1e-3
 #: A choice that takes longer than this once is not made finer.
 MOST_SECONDS = 2.0
 MOST_SLOW, LEAP = 3, 3
+#: So much of the time is a call alone: one step.
+BRIEF = 1e-6
 #: Errors are not followed below this: it is rounding.
 FLOOR = 3e-14
 
@@ -96,17 +98,20 @@ def work_precision(
     """
     _check(errors, t_end, repeats)
     problem = make_problem(system, state, t_end)
-    contenders = [*(ours(problem, scheme) for scheme in schemes), *_peers(problem, peers)]
-    entries, seconds = [], {}
+    entries, seconds, calls = [], {}, []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a peer at a tolerance beyond its means
-        for contender in contenders:
+        for contender in _contenders(problem, schemes, peers):
             begin = time.perf_counter()
             _once(contender, contender.choices[0], problem)
             seconds[contender.name] = time.perf_counter() - begin
             entries += _sweep(contender, problem, min(errors))
+        brief = replace(problem, t_end=BRIEF * problem.t_end)
+        for contender in _contenders(brief, schemes, peers):
+            coarsest = 1.0 if contender.what == "steps" else contender.choices[0]
+            calls += [one for one in [_once(contender, coarsest, brief)] if one is not None]
         for _ in range(repeats):
-            for entry in entries:
+            for entry in (*entries, *calls):
                 entry.times.append(_timed(entry.run, entry.number))
     points = [
         Point(
@@ -118,6 +123,7 @@ def work_precision(
     return WorkPrecision(
         system.name, problem.t_end, tuple(problem.q0.tolist()), tuple(problem.p0.tolist()),
         problem.solution_error, tuple(errors), tuple(points), seconds, _machine(),
+        {e.contender.name: statistics.median(e.times) for e in calls},
     )  # fmt: skip
 
 
@@ -128,8 +134,11 @@ def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
         raise InputError(f"t_end is {t_end!r} and repeats is {repeats!r}.\nBoth must be positive.")
 
 
-def _peers(problem: Problem, names: str | Sequence[str]) -> Iterable[Contender[Runnable]]:
-    return peers(problem, names)
+def _contenders(
+    problem: Problem, schemes: Sequence[str | Scheme], names: str | Sequence[str]
+) -> Iterable[Contender[Runnable]]:
+    yield from (ours(problem, scheme) for scheme in schemes)
+    yield from peers(problem, names)
 
 
 def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _Entry | None:

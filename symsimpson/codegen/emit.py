@@ -66,8 +66,8 @@ INFINITE = real("inf")
 _NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
 _STAGE_THRESHOLDS = """\
 MANY = 10  # after more iterations what nodes have is extrapolated with care
-LOST = 2.0**-132  # what is left at nodes has a sign and adds up: far below rounding
-ROUNDING = 2.0**-110  # corrections below this are made of rounding
+LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
+ROUNDING = 2.0**-132  # corrections below this are made of rounding
 """
 
 

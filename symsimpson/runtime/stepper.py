@@ -185,7 +185,8 @@ class Stepper(Differentiating):
         """
         start, times = (q0, v0, p0), (h, t_end, steps, t0)
         plain = inputs is None and tangents is None and sensitivities is None
-        if plain and checkpoint is None and progress is None and on_failure == "raise":
+        known = on_failure in ("raise", "return")
+        if plain and checkpoint is None and progress is None and known:
             over = brief_run(self, start, times, parameters, every)
             if over is not None:
                 return over

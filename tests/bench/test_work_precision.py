@@ -82,6 +82,8 @@ def test_a_record(record, tmp_path):
         assert work[0] < work[1]
     assert record.fastest("simpson", 1e-7).evaluations > 0
     assert record.fastest("simpson", 1e-300) is None
+    assert tuple(record.call_seconds) == record.names
+    assert min(record.call_seconds.values()) > 0
     text = repr(record)
     assert "simpson" in text
     assert record.machine["processor"] in text

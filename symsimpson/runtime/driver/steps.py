@@ -110,37 +110,42 @@ def apply(kernel, h, t, W):
 
 
 @njit(**DRIVER_OPTIONS)
-def give_up(W, at):
+def give_up(active):
     """Mark the lanes that have not converged."""
     for lane in range(LANES):
-        if W[at[ACTIVE], lane] > 0.0:
-            W[at[ACTIVE], lane] = -NOT_CONVERGED
+        if active[lane] > 0.0:
+            active[lane] = -NOT_CONVERGED
     return NOT_CONVERGED
 
 
 @njit(**INLINE)
-def solve(iterate, h, t, W, at):
+def solve_for(iterate, h, t, W, active, relative, contraction):
     """Iterate until every active lane is done; give 0, or the status of a lane that failed.
 
-    The kernel checks that: lanes that are done have ACTIVE = 0, failed ones ACTIVE = -status.
+    The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
+    three are rows of the workspace.
     """
-    lanes = LANES
-    active, relative, contraction = at[ACTIVE], at[RELATIVE], at[CONTRACTION]
-    for lane in range(lanes):
-        W[relative, lane] = np.inf
-        W[contraction, lane] = min(1.0, W[contraction, lane] * FADING)
+    for lane in range(LANES):
+        relative[lane] = np.inf
+        contraction[lane] = min(1.0, contraction[lane] * FADING)
     for _ in range(MOST_ITERATIONS):
         call(iterate, h, t, W)
         busy = 0
-        for lane in range(lanes):
-            busy += W[active, lane] > 0.0
+        for lane in range(LANES):
+            busy += active[lane] > 0.0
         if busy == 0:
             worst = 0
-            for lane in range(lanes):
-                if W[active, lane] < 0.0:
+            for lane in range(LANES):
+                if active[lane] < 0.0:
                     worst = NOT_FINITE
             return worst
-    return give_up(W, at)
+    return give_up(active)
+
+
+@njit(**DRIVER_OPTIONS)
+def solve(iterate, h, t, W, at):
+    """Do so, with the rows of a workspace."""
+    return solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
 
 
 @njit(**INLINE)
@@ -287,8 +292,9 @@ def take_steps(
     keeps. A lane with a status other than 0 is not touched. At an event the step is not
     finished: ``recover`` does that, and ``take_steps`` goes on.
     """
-    lanes = LANES
-    active, status, in_doubt = at[ACTIVE], at[STATUS], at[IN_DOUBT]
+    # as rows of their own their lanes are vectors
+    active, status, in_doubt = W[at[ACTIVE]], W[at[STATUS]], W[at[IN_DOUBT]]
+    relative, contraction = W[at[RELATIVE]], W[at[CONTRACTION]]
     step, recovered, before = progress[0], progress[1] != 0, progress[2]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
@@ -301,32 +307,32 @@ def take_steps(
             if watched:
                 W[at[COUNT], 0] = W[at[LARGEST_SQUARED], 0]
             alive = 0
-            for lane in range(lanes):
-                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-                alive += W[status, lane] == 0.0
+            for lane in range(LANES):
+                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
+                alive += status[lane] == 0.0
             if alive == 0:
                 break
             give(W, at, inputs, before + step)
-            if solve(kernels[ITERATE], h, t, W, at) != 0:
+            if solve_for(kernels[ITERATE], h, t, W, active, relative, contraction) != 0:
                 progress[1] = FAILED
                 break
             doubts = 0
-            for lane in range(lanes):
-                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            for lane in range(LANES):
+                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
             call(kernels[ADVANCE], h, t, W)
-            for lane in range(lanes):
-                doubts += (W[status, lane] == 0.0) & (W[in_doubt, lane] != 0.0)
+            for lane in range(LANES):
+                doubts += (status[lane] == 0.0) & (in_doubt[lane] != 0.0)
             if doubts > 0:
                 progress[1] = SUSPICIOUS
                 break
         if watched:
             watch(kernels, h, t0 + h * (before + step), W, at)
-            if W[status, 0] != 0.0:
+            if status[0] != 0.0:
                 break
         recovered = False
         if followed:
-            for lane in range(lanes):
-                W[active, lane] = 1.0 if W[status, lane] == 0.0 else 0.0
+            for lane in range(LANES):
+                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
             call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += 1
         if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
