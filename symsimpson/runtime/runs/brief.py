@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symsimpson.runtime.inputs import read_steps
 from symsimpson.runtime.kernels.numbers import FLOAT64
@@ -30,6 +31,12 @@ MOST_ROWS = 2**18
 #: What states are given as; of others somebody may have to be told something.
 PLAIN = (list, tuple, np.ndarray)
 DONE = Status.SUCCESS.message
+
+Floats = NDArray[np.float64]
+#: h, t0 and the number of steps.
+Times = tuple[float, float, int]
+#: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).
+Stored = tuple[Floats, NDArray[np.int64]]
 
 
 class Prepared:
@@ -51,7 +58,41 @@ class Prepared:
         self.take = FLOAT64.driver("take_explicit_steps" if explicit else "take_steps")
         self.progress, self.kept = np.zeros(3, dtype=np.int64), np.zeros((1, 0, 1))
         #: Where states go that are looked at and forgotten.
-        self.sampled = np.zeros((2, SAMPLES + 1, n, 1)), np.zeros((SAMPLES + 1, 1), dtype=np.int64)
+        self.sampled = room(SAMPLES, n)
+
+    def run(
+        self, values: Floats, q: Floats, other: Floats, velocity: bool, times: Times, stride: int,
+        stored: Stored,
+    ) -> bool:  # fmt: skip
+        """Take steps; tells whether all is well so far."""
+        (h, t0, steps), (states, iterations) = times, stored
+        legendre = self.legendre if velocity else 0
+        self.begin(self.kernels, legendre, h, t0, self.W, self.told, values, q, other)
+        states[0, 0], states[1, 0] = self.q.T, self.p.T
+        self.progress[:] = 0
+        self.take(
+            self.kernels, h, t0, self.W, self.told, self.progress, steps, stride, *states,
+            self.kept, iterations, NO_INPUTS,
+        )  # fmt: skip
+        done = self.progress.item(0) == steps and self.status.item() == 0
+        finite = FLOAT64.all_finite(self.q[0]) and FLOAT64.all_finite(self.p[0])
+        return bool(done and finite and self.pivot.item() >= 0)
+
+
+def room(last: int, n: int) -> Stored:
+    """Return room for so many states behind the first."""
+    return np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)
+
+
+def read_plainly(value: Any, n: int) -> Floats | None:
+    """Return a list or an array of n doubles as an array; None if it is anything else."""
+    if type(value) not in PLAIN:
+        return None
+    try:
+        found = np.array(value)
+    except (TypeError, ValueError):
+        return None
+    return found if found.dtype.char == "d" and found.shape == (n,) else None
 
 
 def brief_run(
@@ -66,19 +107,17 @@ def brief_run(
     start, times, parameters, every
         As for :func:`symsimpson.runtime.runs.spec.read_run`.
     """
-    (q0, v0, p0), (h, t_end, steps, t0), prepared = start, times, stepper._prepared
-    second = p0 if v0 is None else v0
-    given = type(q0) in PLAIN and type(second) in PLAIN and (v0 is None or p0 is None)
-    if prepared is None or not given or type(h) is not float or type(every or 1) is not int:
+    (q0, v0, p0), h, prepared = start, times[0], stepper._prepared
+    one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
+    if prepared is None or not one or not isinstance(h, float):
         return None
-    values = stepper._values(parameters)
+    values, n = stepper._values(parameters), len(stepper.coordinates)
     if (h, values.tobytes()) not in stepper._looked_at:
         return None
-    h, steps, t0 = read_steps(h, t_end, steps, t0, FLOAT64)
-    q, other, n = np.array(q0), np.array(second), len(stepper.coordinates)
-    double = q.dtype.char == other.dtype.char == "d" and q.shape == other.shape == (n,)
-    short = 0 < steps * stepper._module.header.rows <= MOST_ROWS
-    if not double or not short or (every is not None and every < 1):
+    h, steps, t0 = read_steps(*times, FLOAT64)
+    short = 0 < steps * stepper._module.header.rows <= MOST_ROWS and (every is None or every > 0)
+    q, other = read_plainly(q0, n), read_plainly(p0 if v0 is None else v0, n)
+    if not short or q is None or other is None:
         return None
     try:  # threads may do this at the same time
         made = prepared.pop()
@@ -86,40 +125,23 @@ def brief_run(
         made = Prepared(stepper)
     stride = every or sampling_stride(stepper, steps)
     last = steps // stride if stride else 0
-    (Q, P), iterations = made.sampled
-    if every:
-        (Q, P), iterations = np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)
-    legendre, W, told, progress = (
-        0 if v0 is None else made.legendre,
-        made.W,
-        made.told,
-        made.progress,
-    )
-    made.begin(made.kernels, legendre, h, t0, W, told, values, q, other)
-    Q[0], P[0] = made.q.T, made.p.T
-    progress[:] = 0
-    made.take(
-        made.kernels, h, t0, W, told, progress, steps, stride, Q, P, made.kept, iterations,
-        NO_INPUTS,
-    )  # fmt: skip
-    if progress.item(0) != steps or made.status.item() or not made.pivot.item() >= 0:
+    stored = room(last, n) if every else made.sampled
+    if not made.run(values, q, other, v0 is not None, (h, t0, steps), stride, stored):
         return None
-    q, p = made.q.copy(), made.p.copy()
-    if not (FLOAT64.all_finite(q[0]) and FLOAT64.all_finite(p[0])):
-        return None
-    counted = int(made.iterations.item())
+    (Q, P), counts = stored
     few = looked_at_of(stepper, last)
-    if few and not made.steady(made.energy, h, W, told, Q, P, last, few, LIMIT):
+    end, since = (made.q.copy(), made.p.copy()), int(made.iterations.item())
+    if few and not made.steady(made.energy, h, made.W, made.told, Q, P, last, few, LIMIT):
         return None
     prepared.append(made)
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
-        q, p, counts = Q[:, :, 0], P[:, :, 0], iterations[:, 0]
+        end, iterations = (Q[:, :, 0], P[:, :, 0]), counts[:, 0]
     else:
-        before = int(iterations[1 : last + 1].sum()) if last else 0
-        t, counts = np.array([t0 + h * steps]), np.array([before + counted])
+        since += int(counts[1 : last + 1].sum()) if last else 0
+        t, iterations = np.array([t0 + h * steps]), np.array([since])
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=counts, h=h, steps=steps, every=every,
+        t=t, q=end[0], p=end[1], newton_iterations=iterations, h=h, steps=steps, every=every,
         status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=values, _inputs=NO_INPUTS,
         _tangents=None,
     )  # fmt: skip
