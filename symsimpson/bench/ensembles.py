@@ -1,4 +1,4 @@
-"""Throughput of 10,000 double pendulums, beside heyoka's ensembles if installed."""
+"""Throughput of many double pendulums, beside heyoka's ensembles if installed."""
 
 from __future__ import annotations
 
@@ -35,10 +35,13 @@ Floats = NDArray[np.float64]
 Run = Callable[[], Floats]
 
 
-def report() -> Iterator[str]:
+def report(members: int = MEMBERS) -> Iterator[str]:
     """Run the comparison and give its lines; all runs alternate in one process, warm."""
     threads, wide = available_threads(), lanes_of_machine()
-    angles = np.random.default_rng(1).uniform(-2, 2, (MEMBERS, 2))
+    angles = np.random.default_rng(1).uniform(-2, 2, (members, 2))
+
+    def rate(seconds: float) -> str:
+        return f"{members / seconds:>8,.0f} trajectories/s"
 
     def ours(scheme: str, steps: int, lanes: int | None = None, threads: int = threads) -> Run:
         stepper = ss.compile(ss.systems.double_pendulum(), scheme)
@@ -49,13 +52,13 @@ def report() -> Iterator[str]:
         task = replace(task, lanes=lanes or task.lanes)
         return lambda: run_blocks(stepper, task, lambda done: None)[0].q
 
-    yield f"{MEMBERS} double pendulums, 500 Simpson steps of h = 0.02"
+    yield f"{members} double pendulums, 500 Simpson steps of h = 0.02"
     shapes = ((wide, threads), (wide, 1), (1, 1))
     medians = _medians({f"{shape}": ours("simpson", 500, *shape) for shape in shapes})
     for (lanes, used), seconds in zip(shapes, medians.values(), strict=True):
-        each = seconds * used / (500 * MEMBERS) * 1e9
+        each = seconds * used / (500 * members) * 1e9
         name = f"{lanes} lanes, {used} threads"
-        yield f"  {name:<24}{_rate(seconds)}, {each:6.1f} ns a step and core"
+        yield f"  {name:<24}{rate(seconds)}, {each:6.1f} ns a step and core"
     ratio = medians["(1, 1)"] / medians[f"({wide}, 1)"]
     yield f"  {wide} lanes give {ratio:.1f} times the throughput of one"
 
@@ -78,13 +81,9 @@ def report() -> Iterator[str]:
         for name, (choice, error, _) in chosen.items():
             ratio = medians[name] / fastest
             yield (
-                f"  {name:<40}{_rate(medians[name])}, {ratio:5.2f} of the time of {best}"
+                f"  {name:<40}{rate(medians[name])}, {ratio:5.2f} of the time of {best}"
                 f" ({choice:.3g}: {error:.1e})"
             )
-
-
-def _rate(seconds: float) -> str:
-    return f"{MEMBERS / seconds:>8,.0f} trajectories/s"
 
 
 def _coarsest(one: Contender[Run], truth: Floats, level: float) -> tuple[Any, float, Run]:

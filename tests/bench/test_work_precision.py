@@ -156,11 +156,10 @@ def test_the_command(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_ensembles_are_compared(monkeypatch):
-    monkeypatch.setattr(ensembles, "MEMBERS", 64)
     monkeypatch.setattr(ensembles, "REPEATS", 1)
     monkeypatch.setattr(ensembles, "LEVELS", (1e-3, 1e-6))
     monkeypatch.setattr(ensembles, "SCHEMES", ("simpson", "lobatto8"))
-    lines = list(ensembles.report())
+    lines = list(ensembles.report(64))
     assert "trajectories/s" in lines[1]
     try:
         import heyoka  # noqa: F401

@@ -18,7 +18,7 @@ from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
-from symsimpson.runtime.runs.resolution import LIMIT, SAMPLES, looked_at_of, sampling_stride
+from symsimpson.runtime.runs.resolution import LIMIT, SAMPLES, count_looked_at, sampling_stride
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def brief_run(
     if not made.run(values, q, other, v0 is not None, (h, t0, steps), stride, stored):
         return None
     (Q, P), counts = stored
-    few = looked_at_of(stepper, last)
+    few = count_looked_at(stepper, last)
     end, since = (made.q.copy(), made.p.copy()), int(made.iterations.item())
     if few and not made.steady(made.energy, h, made.W, made.told, Q, P, last, few, LIMIT):
         return None

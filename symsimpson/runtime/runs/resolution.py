@@ -25,7 +25,7 @@ __all__ = [
     "check_start",
     "energies_at",
     "look_at_energy",
-    "looked_at_of",
+    "count_looked_at",
     "sampling_stride",
 ]
 
@@ -128,7 +128,7 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
         )
 
 
-def looked_at_of(stepper: Evaluator, last: int) -> int:
+def count_looked_at(stepper: Evaluator, last: int) -> int:
     """Return how many of so many states behind the first are looked at; none of a short run."""
     judged = last + 1 >= FEWEST and stepper._module.header.conservative
     return min(last, SAMPLES - 1) if judged else 0
@@ -144,7 +144,7 @@ def look_at_energy(
     last = len(q) - 1
     if not stepper._module.header.real_everywhere:
         return energies_at(stepper, run, steps, q, p, np.arange(last + 1))
-    few = looked_at_of(stepper, last)
+    few = count_looked_at(stepper, last)
     if not few:
         return None
     if q.base is not None and q.base is run.q.base:

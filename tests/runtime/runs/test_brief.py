@@ -103,7 +103,8 @@ def test_what_is_wrong_is_said_as_ever():
         {"q0": [np.nan, 1.0]}, {"q0": [1.0]}, {"p0": None}, {"v0": [0.0, 0.0]}, {"steps": -1},
         {"steps": 1.5}, {"t_end": 1.0}, {"every": 0}, {"every": True}, {"h": 0.0},
         {"on_failure": "stop"}, {"parameters": {"nothing": 1.0}}, {"t0": np.inf},
-        {"q0": np.ma.array([1.0, 2.0], mask=[True, False])}, {"q0": "here"}, {"q0": [[1.0], [2.0, 3.0]]},
+        {"q0": np.ma.array([1.0, 2.0], mask=[True, False])}, {"q0": "here"},
+        {"q0": [[1.0], [2.0, 3.0]]},
     )  # fmt: skip
     for change in wrong:
         with pytest.raises(ss.InputError) as told:
