@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 __all__ = [
     "Sampled",
     "check_start",
+    "count_looked_at",
     "energies_at",
     "look_at_energy",
-    "count_looked_at",
     "sampling_stride",
 ]
 
