@@ -16,19 +16,24 @@ from symsimpson.runtime.kernels.vectors import vector_bits
 __all__ = ["driver", "driver_text"]
 
 #: The modules that are compiled as one text, in this order.
-PARTS = ("steps", "begin", "recovery", "explicit", "ensembles", "between", "work", "backward")
+PARTS = (
+    "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work", "backward",
+)  # fmt: skip
 
 
-def driver_text(lanes: int = 1, *, renewing: bool = False) -> str:
+def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True) -> str:
     """Return the text of the driver for a number of lanes, behind the agreement with modules.
 
-    One that is ``renewing`` makes variations orthonormal on the way.
+    One that is ``renewing`` makes variations orthonormal on the way; short runs of one that is
+    ``iterated`` solve their steps by iteration.
     """
     folder = resources.files("symsimpson.runtime.driver")
     files = [resources.files("symsimpson").joinpath("interface.py")]
     files += [folder.joinpath(f"{part}.py") for part in PARTS]
     text = "\n\n".join(_without_own_imports(file.read_text("utf-8")) for file in files)
-    constants = {"LANES": lanes, "RENEWING": renewing, "VECTOR_BITS": vector_bits()}
+    constants = {
+        "LANES": lanes, "RENEWING": renewing, "ITERATED": iterated, "VECTOR_BITS": vector_bits(),
+    }  # fmt: skip
     return redefined(text, {name: f"{name} = {value}" for name, value in constants.items()})
 
 
@@ -42,7 +47,9 @@ def _without_own_imports(text: str) -> str:
 
 
 @cache
-def driver(name: str, lanes: int = 1, *, renewing: bool = False) -> Callable[..., Any]:
+def driver(
+    name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
+) -> Callable[..., Any]:
     """Return a function of the driver for a number of lanes, compiled by itself."""
 
     def build(module: ModuleType) -> Callable[..., Any]:
@@ -53,4 +60,5 @@ def driver(name: str, lanes: int = 1, *, renewing: bool = False) -> Callable[...
         made: Callable[..., Any] = njit(module.SIGNATURES[name], **options)(function)
         return made
 
-    return compiled(driver_text(lanes, renewing=renewing), f"driver-{name}", build)
+    text = driver_text(lanes, renewing=renewing, iterated=iterated)
+    return compiled(text, f"driver-{name}", build)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.inputs import read_steps
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
@@ -43,40 +44,25 @@ class Prepared:
     """What a run needs that nobody sees: workspace, kernels, functions of the driver."""
 
     def __init__(self, stepper: Evaluator) -> None:
-        header, kernels, n = stepper._module.header, stepper._module.kernels, stepper.n
-        at, self.told = header.layout, header.told
-        self.W = workspace(header, FLOAT64, stepper._defaults)
-        rows = self.W[:, 0]
-        self.q, self.p = (self.W[at[name] :][:n].T for name in ("POSITION", "MOMENTUM"))
-        self.pivot, self.status, self.iterations = (
-            rows[at[name] :][:1] for name in ("MASS_PIVOT", "STATUS", "ITERATIONS")
-        )
+        header, kernels = stepper._module.header, stepper._module.kernels
+        self.W, self.told = workspace(header, FLOAT64, stepper._defaults), header.told
         self.kernels = kernels.set(kernels.fallbacks[0])
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
-        explicit = header.newton_unknowns == 0
-        self.begin, self.steady = FLOAT64.driver("begin_anew"), FLOAT64.driver("steady")
-        self.take = FLOAT64.driver("take_explicit_steps" if explicit else "take_steps")
-        self.progress, self.kept = np.zeros(3, dtype=np.int64), np.zeros((1, 0, 1))
+        self.run_briefly = driver("run_briefly", iterated=header.newton_unknowns > 0)
         #: Where states go that are looked at and forgotten.
-        self.sampled = room(SAMPLES, n)
+        self.sampled = room(SAMPLES, stepper.n)
 
     def run(
-        self, values: Floats, q: Floats, other: Floats, velocity: bool, times: Times, stride: int,
-        stored: Stored,
-    ) -> bool:  # fmt: skip
-        """Take steps; tells whether all is well so far."""
-        (h, t0, steps), (states, iterations) = times, stored
-        legendre = self.legendre if velocity else 0
-        self.begin(self.kernels, legendre, h, t0, self.W, self.told, values, q, other)
-        states[0, 0], states[1, 0] = self.q.T, self.p.T
-        self.progress[:] = 0
-        self.take(
-            self.kernels, h, t0, self.W, self.told, self.progress, steps, stride, *states,
-            self.kept, iterations, NO_INPUTS,
+        self, values: Floats, start: tuple[Floats, Floats, bool], times: Times, every: int,
+        few: int, stored: Stored, end: Floats,
+    ) -> int:  # fmt: skip
+        """Take steps, and return how many iterations they took; -1 if not all is well."""
+        (q, other, velocity), (h, t0, steps) = start, times
+        found: int = self.run_briefly(
+            self.kernels, self.legendre if velocity else 0, self.energy, h, t0, self.W, self.told,
+            values, q, other, steps, every, few, LIMIT, *stored, end, NO_INPUTS,
         )  # fmt: skip
-        done = self.progress.item(0) == steps and self.status.item() == 0
-        finite = FLOAT64.all_finite(self.q[0]) and FLOAT64.all_finite(self.p[0])
-        return bool(done and finite and self.pivot.item() >= 0)
+        return found
 
 
 def room(last: int, n: int) -> Stored:
@@ -96,7 +82,7 @@ def read_plainly(value: Any, n: int) -> Floats | None:
 
 
 def brief_run(
-    stepper: Evaluator, start: tuple[Any, Any, Any], times: tuple[Any, Any, Any, Any],
+    stepper: Evaluator, given: tuple[Any, Any, Any], times: tuple[Any, Any, Any, Any],
     parameters: Any, every: Any,
 ) -> Trajectory | None:  # fmt: skip
     """Run, and return what it has come to; None if it is not short, or something came up.
@@ -104,10 +90,10 @@ def brief_run(
     Parameters
     ----------
     stepper : Stepper
-    start, times, parameters, every
+    given, times, parameters, every
         As for :func:`symsimpson.runtime.runs.spec.read_run`.
     """
-    (q0, v0, p0), h, prepared = start, times[0], stepper._prepared
+    (q0, v0, p0), h, prepared = given, times[0], stepper._prepared
     one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
     if prepared is None or not one or not isinstance(h, float):
         return None
@@ -125,23 +111,21 @@ def brief_run(
         made = Prepared(stepper)
     stride = every or sampling_stride(stepper, steps)
     last = steps // stride if stride else 0
-    stored = room(last, n) if every else made.sampled
-    if not made.run(values, q, other, v0 is not None, (h, t0, steps), stride, stored):
-        return None
-    (Q, P), counts = stored
-    few = count_looked_at(stepper, last)
-    end, since = (made.q.copy(), made.p.copy()), int(made.iterations.item())
-    if few and not made.steady(made.energy, h, made.W, made.told, Q, P, last, few, LIMIT):
+    (Q, P), counts = stored = room(last, n) if every else made.sampled
+    end, few = np.empty((2, n)), count_looked_at(stepper, last)
+    start = q, other, v0 is not None
+    count = made.run(values, start, (h, t0, steps), stride, few, stored, end)
+    if count < 0:
         return None
     prepared.append(made)
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
-        end, iterations = (Q[:, :, 0], P[:, :, 0]), counts[:, 0]
+        Q, P, iterations = Q[:, :, 0], P[:, :, 0], counts[:, 0]
     else:
-        since += int(counts[1 : last + 1].sum()) if last else 0
-        t, iterations = np.array([t0 + h * steps]), np.array([since])
+        t, iterations = np.array([t0 + h * steps]), np.array([count])
+        Q, P = end[:1], end[1:]
     return Trajectory(
-        t=t, q=end[0], p=end[1], newton_iterations=iterations, h=h, steps=steps, every=every,
+        t=t, q=Q, p=P, newton_iterations=iterations, h=h, steps=steps, every=every,
         status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=values, _inputs=NO_INPUTS,
         _tangents=None,
     )  # fmt: skip

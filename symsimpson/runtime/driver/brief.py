@@ -1,0 +1,67 @@
+"""A whole short run in one call, where nothing needs to be looked at on the way.
+
+Compiled behind the text of the driver, whose names it uses.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from symsimpson.interface import ITERATIONS, MASS_PIVOT, MOMENTUM, POSITION, STATUS
+from symsimpson.runtime.driver.begin import begin_anew
+from symsimpson.runtime.driver.explicit import finite, steady, take_explicit_steps
+from symsimpson.runtime.driver.steps import (
+    COUNTS,
+    DRIVER_OPTIONS,
+    INPUTS,
+    SET,
+    SIGNATURES,
+    TOLD_ROWS,
+    WORKSPACE,
+    take_steps,
+)
+
+SIGNATURES |= {
+    "run_briefly": types.int64(
+        SET, types.int64, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS,
+        types.float64[::1], types.float64[::1], types.float64[::1], types.int64, types.int64,
+        types.int64, types.float64, types.float64[:, :, :, ::1], COUNTS, WORKSPACE, INPUTS,
+    ),
+}  # fmt: skip
+
+#: Whether steps are solved by iteration; this text is compiled for those that are not, too.
+ITERATED = True
+take_all = take_steps if ITERATED else take_explicit_steps
+
+
+@njit(**DRIVER_OPTIONS)
+def run_briefly(
+    kernels, legendre, energy, h, t0, W, at, parameters, q, other, steps, every, few, limit,
+    states, iterations, end, inputs,
+):  # fmt: skip
+    """Begin anew, take all steps, and return how many iterations they took, or -1.
+
+    It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
+    energy at a few of the stored states is not ``steady``. ``end`` is the last q and p.
+    """
+    n, last = q.size, steps // every if every != 0 else 0
+    begin_anew(kernels, legendre, h, t0, W, at, parameters, q, other)
+    for a in range(n):
+        states[0, 0, a, 0] = W[at[POSITION] + a, 0]
+        states[1, 0, a, 0] = W[at[MOMENTUM] + a, 0]
+    progress, nothing = np.zeros(3, dtype=np.int64), np.empty((1, 0, 1))
+    take_all(
+        kernels, h, t0, W, at, progress, steps, every, states[0], states[1], nothing, iterations,
+        inputs,
+    )  # fmt: skip
+    over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
+    if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):
+        return -1
+    count = np.int64(W[at[ITERATIONS], 0])
+    for i in range(1, last + 1):
+        count += iterations[i, 0]
+    for a in range(n):
+        end[0, a] = W[at[POSITION] + a, 0]
+        end[1, a] = W[at[MOMENTUM] + a, 0]
+    if few > 0 and not steady(energy, h, W, at, states[0], states[1], last, few, limit):
+        return -1
+    return count
