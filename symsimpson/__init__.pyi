@@ -32,6 +32,8 @@ from .mechanics.bodies import RigidBody as RigidBody
 from .mechanics.coordinates import coordinates as coordinates
 from .mechanics.coordinates import momenta as momenta
 from .mechanics.coordinates import time as time
+from .mechanics.retimed import RetimedSystem as RetimedSystem
+from .mechanics.retimed import energy as energy
 from .mechanics.rotations import body_rates as body_rates
 from .mechanics.rotations import coincide as coincide
 from .mechanics.rotations import quaternion as quaternion

@@ -104,6 +104,10 @@ BLOCKS = {
     "COST_END": "derivatives of a cost by these parameters, through the end of a step",
     "COST_SLOPE": "derivatives of a cost by the parameters that are varied, through each node",
     "NODE_COST": "a running cost at a node, its derivatives by q, by v and by these parameters",
+    "TIME": "t and what rounding has taken from it, then both before the step",
+    "TIME_END": "1 and the time at which the run ends, or 0",
+    "RATE": "dt/dtau at a node or a state",
+    "PASSED": "time that a step takes",
     "TANGENTS": "number of variations of the state that are carried along",
     "TANGENT": "these variations, or what else is kept behind each step; as long as a run asks for",
 }
@@ -115,7 +119,7 @@ OPTIONAL = (
     "NODE_F_V", "NODE_TIME", "INPUT", "NODE_INPUT", "GROWTH", "POWER", "WORK", "NODE_F_A",
     "NODE_P_A", "CONSTRAINT_A", "CONSTRAINT_QA", "EXCHANGE", "DERIVATIVE", "ADJOINT",
     "ADJOINT_RIGHT", "ADJOINT_START", "COST", "COST_END", "COST_SLOPE", "NODE_COST", "TANGENTS",
-    "TANGENT",
+    "TANGENT", "TIME", "TIME_END", "RATE", "PASSED",
     *(block for block in BLOCKS if block.startswith("STAGE_")),
 )  # fmt: skip
 
@@ -148,7 +152,7 @@ TOLD = (
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
-SINGULAR_CONSTRAINTS = 10
+SINGULAR_CONSTRAINTS, ARRIVED, RATE_NOT_POSITIVE = 10, 11, 12
 
 # values in IN_DOUBT
 ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
@@ -175,5 +179,5 @@ KERNELS = (
     "prepare", "start", "legendre", "newton", "newton_pivoted", "advance", "start_stages",
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
     "multipliers", "tangent", "tangent_pivoted", "momentum_slopes", "adjoint", "start_adjoint",
-    "record", "step_cost", "running_cost",
+    "record", "step_cost", "running_cost", "retime", "clock",
 )  # fmt: skip

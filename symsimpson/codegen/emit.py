@@ -163,6 +163,7 @@ def _header(equations: DiscreteEquations, module: Module) -> str:
     facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
     if equations.varied is not None:
         facts |= {"VARIED_BY": names.of(plain, equations.varied)}
+    facts |= {"RETIMED": True} if system.retiming is not None else {}
     facts |= {"HELD_BY": names.constraints} if names.constraints else {}
     if names.inputs:  # texts, so that many digits are not lost
         places = (sp.N(c, 50) for c in scheme.quadrature.nodes)
@@ -243,7 +244,7 @@ def _made(equations: DiscreteEquations, module: Module) -> str:
         lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
-        if equations.varied is not None:
+        if equations.looked_at:
             lines.append(f'REACHED_BY_MOVES = reach_table("{kind}", {s})')
     return "\n".join(["DIGITS = 40", *lines, ""]) if lines else ""
 

@@ -25,6 +25,8 @@ from symsimpson.codegen.looped import (
 )
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.retimed import keeping_time
+from symsimpson.codegen.retimed import sizes as retimed_sizes
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.tangents import differentiating
@@ -37,6 +39,7 @@ from symsimpson.codegen.terms_of_l import (
 )
 from symsimpson.codegen.unrolled import (
     STATE,
+    energy_stores,
     increments,
     lanes,
     part_solvers,
@@ -263,6 +266,8 @@ def _module(
         following="FOLLOWING" in tables,
     )  # fmt: skip
     functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
+    more, kernels = keeping_time(low, loops, kernels)
+    functions = functions + more
     for_stages: tuple[Statement, ...] = ()
     stage_sizes: dict[str, int] = {}
     scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
@@ -303,6 +308,7 @@ def _module(
         **(held.sizes(scheme.degree, drifting=_drifting(low.equations)) if held else {}),
         **stage_sizes,
         **differential_sizes(low),
+        **retimed_sizes(low),
     }
     unknown = low.equations.unknowns
     sizes["JACOBIAN"] = storage.size(unknown.control_points)
@@ -341,21 +347,8 @@ def part_unknowns(part: Part) -> int:
 
 
 def _energy(low: Lowering) -> Kernel:
-    """H = v.(p - a)/2 + V, and the first of the two alone."""
-    point, section = low.start_point(), "energy"
-    v, _ = velocity(low, point, low.p, "velocity")
-    terms = [
-        v[i] * (low.p[i] - low.template.entry(point, section, "a", i)) / 2 for i in range(low.n)
-    ]
-    kinetic = low.graph.define("kinetic_value", sp.Add(*terms), section)
-    value = sp.Add(low.template.entry(point, section, "V"), kinetic)
-    stores = (
-        Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
-        Store(Row("KINETIC", 0), kinetic),
-        *(Store(Row("VELOCITY", a), v[a]) for a in range(low.n)),
-    )
     doc = "The Hamiltonian at (q, p), its kinetic part, and the velocities."
-    return Kernel("energy", doc, lanes(low.statements(stores, STATE)))
+    return Kernel("energy", doc, lanes(low.statements(energy_stores(low), STATE)))
 
 
 def _invariants(low: Lowering) -> Kernel:

@@ -82,7 +82,7 @@ class LoopedStages:
         return Kernel("iterate", doc, lanes(body))
 
     def _advance(self) -> Kernel:
-        left = () if self.low.equations.varied is None else (Call("leave_path"),)
+        left = (Call("leave_path"),) if self.low.equations.looked_at else ()
         more = map(Call, ("extrapolate_stages", "check_stage_acceptance"))
         body = (Call("close_stages"), *left, *more)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."

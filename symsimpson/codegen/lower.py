@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from heapq import heappop, heappush
+from typing import Self
 
 import sympy as sp
 
@@ -17,6 +20,7 @@ from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
+from symsimpson.discrete.reductions import Coupled
 from symsimpson.discrete.slopes import derive_cost, derive_slopes
 from symsimpson.mechanics.constraints import regular_mass
 
@@ -132,6 +136,13 @@ class Lowering:
         """Whether constraints help out an M that is singular without."""
         values = self.equations.system.parameters.values()
         return not regular_mass(self.equations.plain, values)
+
+    def of_all(self, jet: Jet) -> Self:
+        """Return the same with another jet, and all coordinates solved for together."""
+        own, every = copy(self), Coupled(tuple(range(self.n)), (), ())
+        own.equations = replace(self.equations, parts=(every,))
+        own.__dict__["template"] = self._template(jet)
+        return own
 
     @cached_property
     def watched(self) -> JetTemplate:

@@ -157,6 +157,7 @@ NODE_FUNCTIONS = frozenset(
         "parameter_slopes",
         "cost_slopes",
         "constraint_parameter_slopes",
+        "time_rate",
     ]
 )
 

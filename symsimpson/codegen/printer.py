@@ -80,15 +80,18 @@ class Printer(StrPrinter):
 
     def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
         base, exponent = expr.as_base_exp()
-        if exponent.is_Rational and exponent.q == 2:
+        if exponent.is_Rational and exponent.q in (2, 4):
+            # compilers write loops over square roots as vector code, not those over powers
             self.used.add("sqrt")
             argument = self._print(base)
+            whole, rest = divmod(abs(exponent), 1)
             root = f"sqrt(real({argument}))" if base.is_Integer else f"sqrt({argument})"
-            whole = abs(exponent) - sp.Rational(1, 2)
-            power = root if whole == 0 else f"{self._print(base**whole)}*{root}"
+            roots = {2: [root], 1: [f"sqrt({root})"], 3: [root, f"sqrt({root})"]}[int(4 * rest)]
+            power = "*".join([*([self._print(base**whole)] if whole else []), *roots])
+            single = not whole and len(roots) == 1
             if exponent > 0:
-                return power if whole == 0 else f"({power})"
-            return f"1/{power}" if whole == 0 else f"1/({power})"
+                return power if single else f"({power})"
+            return f"1/{power}" if single else f"1/({power})"
         if exponent.is_Integer and exponent < 0:
             return f"1/{self.parenthesize(base**-exponent, PRECEDENCE['Pow'])}"
         left = self.parenthesize(base, PRECEDENCE["Pow"], strict=False)

@@ -284,7 +284,7 @@ class StageKernels:
         smooth = Index(
             "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
         )
-        left = () if low.equations.varied is None else (Call("leave_path"),)
+        left = (Call("leave_path"),) if low.equations.looked_at else ()
         body = [*closing, *left, smooth, Call("check_stage_acceptance"), *following]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))

@@ -33,8 +33,10 @@ __all__ = [
     "STATE",
     "acceptance",
     "convergence",
+    "energy_stores",
     "increments",
     "lanes",
+    "legendre",
     "momentum_stores",
     "part_solvers",
     "unrolled_kernels",
@@ -63,7 +65,7 @@ def unrolled_kernels(low: Lowering) -> list[Kernel]:
     solvers = part_solvers(low)
     step = [*([_newton(low, solvers)] if increments(solvers) else []), _advance(low, solvers)]
     # what they need of the left node is known before them: it is kept from step to step
-    return [_start(low, solvers, low.hoisted_at(Level.STEP)), _legendre(low), *step]
+    return [_start(low, solvers, low.hoisted_at(Level.STEP)), legendre(low), *step]
 
 
 def part_solvers(low: Lowering) -> list[Solver]:
@@ -282,7 +284,23 @@ def _start(
     return Kernel("start", doc, lanes(low.statements(stores, STATE)))
 
 
-def _legendre(low: Lowering) -> Kernel:
+def energy_stores(low: Lowering) -> tuple[Store, ...]:
+    """Return H = v.(p - a)/2 + V, the first of the two alone, and v."""
+    point, section = low.start_point(), "energy"
+    v, _ = velocity(low, point, low.p, "velocity")
+    terms = [
+        v[i] * (low.p[i] - low.template.entry(point, section, "a", i)) / 2 for i in range(low.n)
+    ]
+    kinetic = low.graph.define("kinetic_value", sp.Add(*terms), section)
+    value = sp.Add(low.template.entry(point, section, "V"), kinetic)
+    return (
+        Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
+        Store(Row("KINETIC", 0), kinetic),
+        *(Store(Row("VELOCITY", a), v[a]) for a in range(low.n)),
+    )
+
+
+def legendre(low: Lowering) -> Kernel:
     """The momentum of a velocity."""
     start = low.start_point()
     point = Point(f"{start.suffix}_given", low.q, low.v, start.t, start.u)

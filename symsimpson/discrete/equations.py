@@ -96,6 +96,11 @@ class DiscreteEquations:
         return derive_jet(self.plain, more, tuple(halves))
 
     @property
+    def looked_at(self) -> bool:
+        """Whether something is asked of the path of a step that was taken."""
+        return self.varied is not None or self.system.retiming is not None
+
+    @property
     def unknowns(self) -> Unknowns:
         """What the equations are solved for, where nothing is reduced."""
         held = len(self.plain.constraints)
@@ -184,7 +189,7 @@ def discretise(
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
     if varied is not None:
-        _check_differentiable(scheme)
+        _check_differentiable(system, scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:
@@ -214,8 +219,16 @@ def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) ->
     return plain.graph.nodes[value[1]].symbols.isdisjoint(plain.numbers(symbols))
 
 
-def _check_differentiable(scheme: Scheme) -> None:
-    """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
+def _check_differentiable(system: MechanicalSystem, scheme: Scheme) -> None:
+    """Refuse derivatives of steps that are none of the equations of a scheme of the family.
+
+    Those of retimed steps are, too: their E0 and their rate follow from the start.
+    """
+    if system.retiming is not None:
+        raise SchemeError(
+            f"{system.name} is retimed: no derivatives are taken of its steps yet, whose E0 and "
+            "rate follow from the start.\nDifferentiate steps of the system itself."
+        )
     if isinstance(scheme, Composition):
         raise SchemeError(
             f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet."

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import sympy as sp
@@ -32,6 +32,9 @@ from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
 from symsimpson.progress import waiting
 from symsimpson.stopwatch import collecting, timed
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.retimed import RetimedSystem, Retiming
 
 __all__ = ["MechanicalSystem"]
 
@@ -330,6 +333,33 @@ class MechanicalSystem:
         """Whether T and V are too long to be shown."""
         plain = self.plain
         return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
+
+    @property
+    def retiming(self) -> Retiming | None:
+        """What a system in another time is made of; None for all others."""
+        return None
+
+    def retimed(self, rate: Any) -> RetimedSystem:
+        """Return the system in a time tau of its own, dt = g(q) dtau; see :class:`RetimedSystem`.
+
+        Steps that are fixed in tau are small in t where g is small, and stay symplectic.
+
+        Parameters
+        ----------
+        rate : SymPy expression, "encounters" or "kinetic"
+            g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
+            Its unit does not matter: at the start dt = dtau. "encounters" is U**(-3/2) for V = -U,
+            a sum of inverse distances; "kinetic" is (c_rest + T)**(-1/2), c_rest a new parameter.
+
+        Raises
+        ------
+        ModelError
+            If g is nowhere positive or contains something else, or the energy of the system is not
+            constant, or constraints hold it.
+        """
+        from symsimpson.mechanics.retimed import retimed
+
+        return retimed(self, rate)
 
     @property
     def lagrangian(self) -> sp.Expr:

@@ -64,7 +64,8 @@ class Evaluator:
         self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
         self._looked_at: set[tuple[Any, bytes]] = set()
         #: What is prepared for short runs, where states need not be looked at one by one.
-        free = header.real_everywhere and not header.constraints and not header.inputs
+        special = header.constraints or header.inputs or header.retimed
+        free = header.real_everywhere and not special
         self._prepared: list[Any] | None = [] if free and numbers is FLOAT64 else None
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "read_array",
     "read_count",
+    "read_end",
     "read_every",
     "read_failure",
     "read_given",
@@ -111,6 +112,25 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
             f"h={float(end - t0) / max(number, 1):.17g}, or steps={number}."
         )
     return h, number, t0
+
+
+def read_end(
+    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers
+) -> tuple[Any, int, Any, Any]:  # fmt: skip
+    """Read step, the most steps, start and end of a run whose steps are not those of t."""
+    h, t0, end = read_step(h, numbers), read_number("t0", t0, numbers), None
+    if steps is not None:
+        raise InputError(
+            "a run needs exactly one of t_end and steps, and has both.\n"
+            "Pass t_end=10.0 or steps=1000."
+        )
+    end = read_number("t_end", t_end, numbers)
+    if (end - t0) * h < 0:
+        raise InputError(
+            f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
+            "Use a negative h to run backwards."
+        )
+    return h, MOST_STEPS, t0, end
 
 
 def read_step(h: Any, numbers: Numbers) -> Any:

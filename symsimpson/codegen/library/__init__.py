@@ -18,7 +18,7 @@ __all__ = ["library_sources"]
 FILES = (
     "sincos", "path", "clear", "assemble", "solve", "mass", "close", "explicit_steps", "checks",
     "constraints", "rattle", "stage_iteration", "stage_loops", "collocation", "tangent",
-    "held_tangent", "adjoint", "held_adjoint",
+    "held_tangent", "adjoint", "held_adjoint", "clock",
 )  # fmt: skip
 
 

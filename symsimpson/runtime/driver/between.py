@@ -8,11 +8,13 @@ from numba import njit, types
 from symsimpson.interface import (
     ACTIVE,
     ADVANCE,
+    BEHIND,
     COUNT,
     DIMENSION,
     EXPLICIT,
     IN_DOUBT,
     ITERATE,
+    KEPT,
     MODE,
     MOMENTUM,
     POSITION,
@@ -37,7 +39,8 @@ TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2
 SIGNATURES |= {
     "between": types.void(
         SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
+        types.int64[::1], types.int64[::1], types.float64[::1], types.float64[::1], WORKSPACE,
+        WORKSPACE,
         types.boolean[::1], types.int64, INPUTS, INPUTS,
     ),
 }  # fmt: skip
@@ -53,6 +56,8 @@ def begin_again(kernels, h, t, W, at, q, p):
         W[at[POSITION] + a, 0] = q[a]
         W[at[MOMENTUM] + a, 0] = p[a]
     begin(kernels, 0, h, t, W, at)
+    if kernels[BEHIND] != 0:
+        W[at[KEPT], 0], W[at[KEPT] + 1, 0] = t, 0.0
 
 
 @njit(**DRIVER_OPTIONS)
@@ -75,6 +80,9 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
         call(kernels[ADVANCE], h, t + h * step, W)
         if not direct and (W[at[STATUS], 0] != 0.0 or W[at[IN_DOUBT], 0] != 0.0):
             return False
+        if kernels[BEHIND] != 0:
+            W[at[ACTIVE], 0] = 1.0
+            call(kernels[BEHIND], h, t + h * step, W)
     for a in range(n):
         q[a] = W[at[POSITION] + a, 0]
         p[a] = W[at[MOMENTUM] + a, 0]
@@ -83,7 +91,8 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
 
 @njit(**DRIVER_OPTIONS)
 def between(
-    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine, every, inputs, rests
+    kernels, h, t, W, at, q, p, start, whole, rest, t_out, q_out, p_out, fine, every, inputs,
+    rests,
 ):  # fmt: skip
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
@@ -91,25 +100,28 @@ def between(
     steps go up, no step is taken twice. ``every`` whole steps lie between stored states; they have
     ``inputs``, and those of size ``rest[i]`` have ``rests``. ``q_out`` and ``p_out`` have one row
     more than there are states to give: the state after the whole steps stands there. ``fine`` tells
-    of each whether its steps went well.
+    of each whether its steps went well. Where a kernel behind each step keeps another time, that
+    is given in ``t_out``.
     """
     n, last = at[DIMENSION], len(start)
-    stored, done, well = -1, 0, True
+    stored, done, well, now = -1, 0, True, 0.0
+    timed = kernels[BEHIND] != 0
     for i in range(last):
         if start[i] != stored or whole[i] < done:
             stored, done, well = start[i], 0, True
+            now = t[stored]
             for a in range(n):
                 q_out[last, a], p_out[last, a] = q[stored, a], p[stored, a]
-        now = t[stored] + h * done
         if whole[i] > done and well:
             well = take(
                 kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last], inputs,
                 stored * every + done,
             )  # fmt: skip
             done = whole[i]
-            now = t[stored] + h * done
+            now = W[at[KEPT], 0] if timed else t[stored] + h * done
         for a in range(n):
             q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
-        fine[i] = well
+        fine[i], t_out[i] = well, now
         if well and rest[i] != 0.0:
             fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i], rests, i)
+            t_out[i] = W[at[KEPT], 0] if timed else now + rest[i]

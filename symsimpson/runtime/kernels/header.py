@@ -69,6 +69,7 @@ class Header:
     constraints: tuple[str, ...]
     held_places: tuple[int, ...]
     varied_by: tuple[str, ...] | None
+    retimed: bool
     layout: Mapping[str, int]
     functions: tuple[str, ...]
 
@@ -129,6 +130,8 @@ class Header:
             "INPUT": 0, "INPUT_STRIDE": 0, "TANGENT": self.rows, "KEPT": self.rows, "RENEWED": 0,
             "RENEWAL": 1,
         }  # fmt: skip
+        if self.retimed:  # the time is stored beside states
+            more["KEPT"] = self.layout["TIME"]
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
 
     def told_to_renew(self, count: int, every: int) -> NDArray[np.int64]:
@@ -243,6 +246,7 @@ def read_header(text: str, where: str) -> Header:
         "HELD_BY": (),
         "HELD_PLACE": (),
         "VARIED_BY": None,
+        "RETIMED": False,
         **constants,
     }
     names = {
@@ -255,7 +259,7 @@ def read_header(text: str, where: str) -> Header:
         "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
         "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
         "constraints": "HELD_BY", "held_places": "HELD_PLACE",
-        "varied_by": "VARIED_BY",
+        "varied_by": "VARIED_BY", "retimed": "RETIMED",
     }  # fmt: skip
     blocks = {
         name: value

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.arrival import MOST_ITERATIONS, rate_at, resolution
 from symsimpson.runtime.runs.driving import at_places, places, since
 from symsimpson.runtime.runs.run import Run, workspace
 
@@ -64,6 +65,8 @@ class DenseOutput:
             whole = [np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
                      for x in (run.t, run.q, run.p, run._inputs)]  # fmt: skip
         self._t, self._q, self._p, self._inputs = whole
+        self._retimed = run._stepper._module.header.retimed
+        self._end = run.t[-1] if self._retimed else run.t[0] + run.h * run.steps
         self._sign = 1.0 if run.h > 0 else -1.0
         self._forward = self._sign * np.asarray(run.t, dtype=float)
         digits = getattr(numbers, "digits", None)
@@ -91,7 +94,7 @@ class DenseOutput:
         if times.ndim > 1:
             raise InputError(f"t has shape {times.shape}.\nPass a number, or a list of them.")
         asked = np.atleast_1d(numbers.result(times))
-        first, last = float(run.t[0]), float(run.t[0] + run.h * run.steps)
+        first, last = float(run.t[0]), float(self._end)
         low, high = min(first, last), max(first, last)
         slack = 1e-12 * max(abs(low), abs(high), abs(float(run.h)))
         rough = asked.astype(float)
@@ -118,6 +121,39 @@ class DenseOutput:
         self, start: NDArray[np.int64], later: Reals
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Return q, p and a status so much later than stored states, by their numbers."""
+        if self._retimed:
+            return self._after_in_time(start, later)
+        return self._stepped(start, later)[1:]
+
+    def _after_in_time(
+        self, start: NDArray[np.int64], later: Reals
+    ) -> tuple[Reals, Reals, NDArray[np.int64]]:
+        """Find by Newton's method how much later that is in the time of the steps."""
+        run, stepper = self._run, self._run._stepper
+        steps, tau = run.tau, run.tau
+        ahead = np.minimum(start + 1, len(tau) - 1)
+        back = np.maximum(ahead - 1, 0)
+        span, times = steps[ahead] - steps[back], run.t[ahead] - run.t[back]
+        part = later * span / np.where(times == 0, 1 + 0 * times, times)
+        wanted, work = run.t[start] + later, np.arange(start.size)
+        q, p = run.q[start].copy(), run.p[start].copy()
+        codes = np.zeros(start.size, dtype=np.int64)
+        smallest = resolution(stepper._module.numbers) * abs(run.h)
+        for _ in range(MOST_ITERATIONS):
+            t, q[work], p[work], codes[work] = self._stepped(start[work], part[work])
+            rate = rate_at(stepper, q[work], p[work], run._values)
+            change = (wanted[work] - t) / rate
+            going = (codes[work] == 0) & (abs(change) > smallest)
+            part[work[going]] += change[going]
+            work = work[going]
+            if not work.size:
+                break
+        return q, p, codes
+
+    def _stepped(
+        self, start: NDArray[np.int64], later: Reals
+    ) -> tuple[Reals, Reals, Reals, NDArray[np.int64]]:
+        """Return t, q, p and a status so much later in the time of the steps."""
         run, stepper = self._run, self._run._stepper
         numbers, header, kernels = (
             stepper._module.numbers,
@@ -137,23 +173,26 @@ class DenseOutput:
             at = (rest / step)[:, None] * places(stepper)
             rests = at_places(stepper, self._inputs, first + whole, at)
             found_q, found_p = numbers.zeros((2, len(order), header.n))
+            found_t, behind = numbers.zeros(len(order)), "clock" if self._retimed else ""
             fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
             at_once = max(1, AT_ONCE // (run.every or 1))
             for some in (order[i : i + at_once] for i in range(0, order.size, at_once)):
                 q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
-                well = np.zeros(some.size, dtype=np.bool_)
+                t_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
                 between(
-                    kernels.set(kernels.fallbacks[0]), step.item(), t, W, header.told, q, p,
-                    start[some], whole[some], rest[some], q_out, p_out, well, run.every or 1,
+                    kernels.set(kernels.fallbacks[0], behind), step.item(), t, W, header.told, q, p,
+                    start[some], whole[some], rest[some], t_out, q_out, p_out, well, run.every or 1,
                     self._inputs, rests[:, some],
                 )  # fmt: skip
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
+                found_t[some] = t_out
             codes = np.zeros(len(order), dtype=np.int64)
             for i in np.flatnonzero(~fine):
                 state, codes[i] = self._robustly(int(start[i]), int(whole[i]), rest[i])
-                found_q[i], found_p[i] = state
-            return numbers.result(found_q), numbers.result(found_p), codes
+                found_q[i], found_p[i], found_t[i] = state
+            found = (numbers.result(x) for x in (found_t, found_q, found_p))
+            return (*found, codes)  # type: ignore[return-value]
 
     def _robustly(self, start: int, whole: int, rest: Any) -> tuple[Any, Status]:
         """Take the steps with all that a run has against what goes wrong.
@@ -163,10 +202,10 @@ class DenseOutput:
         stepper = self._run._stepper
         h, first = stepper._module.numbers.read(self._run.h).item(), start * (self._run.every or 1)
         t, state = self._t[start], (self._q[start], self._p[start])
-        (q, p), status = self._run_on(t, state, h, whole, since(self._inputs, first))
+        (q, p, t), status = self._run_on(t, state, h, whole, since(self._inputs, first))
+        last = first + whole
         if status is not Status.SUCCESS or rest == 0:
-            return (q, p), status
-        t, last = t + whole * h, first + whole
+            return (q, p, t), status
         for parts in DIVISIONS:
             at = (np.arange(parts)[:, None] + places(stepper)) * (rest / h / parts)
             inputs = at_places(stepper, self._inputs, np.full(parts, last), at)
@@ -176,7 +215,7 @@ class DenseOutput:
         if abs(float(rest / h)) < LITTLE:  # near enough to the line to the next state
             ahead, status = self._run_on(t, (q, p), h, 1, since(self._inputs, last))
             part = rest / h
-            return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
+            return [a + part * (b - a) for a, b in zip((q, p, t), ahead, strict=True)], status
         return state, status
 
     def _run_on(
@@ -185,6 +224,7 @@ class DenseOutput:
         stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
         one = Run(stepper._module, values, h, t, 0, 1, inputs=inputs)
-        one.begin(*state, velocity=False)
+        one.begin(*state, velocity=False, onward=True)
         one.advance(steps)
-        return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status
+        q, p = (one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
+        return (q, p, one.value("TIME") if self._retimed else t + h * steps), one.status

@@ -31,7 +31,9 @@ class Quantities:
     @cached_property
     def v(self) -> NDArray[Any]:
         """Velocities, in the shape of q."""
-        return self._evaluated("start", "VELOCITY", self._stepper.n)
+        # that of a start is dq/dtau
+        kernel = "energy" if self._stepper._module.header.retimed else "start"
+        return self._evaluated(kernel, "VELOCITY", self._stepper.n)
 
     @cached_property
     def energy(self) -> NDArray[Any]:

@@ -30,6 +30,7 @@ class Status(IntEnum):
     SINGULAR_JACOBIAN = interface.SINGULAR_JACOBIAN
     FILE_ERROR = interface.FILE_ERROR
     SINGULAR_CONSTRAINTS = interface.SINGULAR_CONSTRAINTS
+    RATE_NOT_POSITIVE = interface.RATE_NOT_POSITIVE
 
     @property
     def message(self) -> str:
@@ -69,6 +70,10 @@ _MESSAGES = {
         "One of them follows from the others there, so that the forces that hold them are not "
         "determined, and a linkage may go on either way. What was computed before is kept: end "
         "there, or choose lengths at which it does not fold."
+    ),
+    Status.RATE_NOT_POSITIVE: (
+        "The rate dt/dtau is not a positive number there, so that time would not go on. Give a "
+        "rate that is positive wherever the motion comes, or take smaller steps if it jumped."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

@@ -67,6 +67,18 @@ class Trajectory(Energies, Differentiated):
     message: str
     _inputs: NDArray[Any] = field(repr=False)
     _tangents: NDArray[Any] | None = field(default=None, repr=False)
+    _tau: NDArray[Any] | None = field(default=None, repr=False)
+
+    @property
+    def tau(self) -> NDArray[Any]:
+        """The time of the steps, from 0 on, shape (N + 1,); of a retimed system not that of t."""
+        return self.t - self.t[0] if self._tau is None else self._tau
+
+    @property
+    def E0(self) -> Any:
+        """The energy at the start, which the orbits of a retimed system keep."""
+        values = self.parameters
+        return values["E0"] if self._stepper._module.header.retimed else self.energy[0]
 
     @property
     def success(self) -> bool:

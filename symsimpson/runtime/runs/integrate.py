@@ -26,6 +26,7 @@ from symsimpson.runtime.inputs import (
 from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.arrival import ROOM, Collected, last_part, with_end
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
@@ -63,26 +64,32 @@ def integrate(
     count = spec.steps
     with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
-        stride = spec.every or sampling_stride(stepper, count)
+        stride = spec.every or (sampling_stride(stepper, count) if spec.t_end is None else 0)
         stored = count // stride + 1 if stride else 1
+        if spec.t_end is not None:
+            stored = min(stored, ROOM + 1)
         if checkpoint is not None:
             stored = buffered(stride, stored, stepper.n)
         run = new_run(stepper, spec, stride, stored)
         begin_run(stepper, run, spec)
         if count:
             look_at_step(stepper, run, spec)
-        keeper = None
+        keeper: Checkpoint | Collected | None = None
+        if spec.t_end is not None:
+            keeper = Collected(run)
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)
             check_folder(checkpoint, "checkpoint")
             keeper = _checkpoint(checkpoint, checkpoint_every, asked(stepper, run, spec), run)
         problem = None
-        with run.watched(count, progress if count > BRIEF else bool(progress)):
+        shown = progress if count > BRIEF and spec.t_end is None else bool(progress)
+        with run.watched(count, shown):
             try:
                 (keeper or run).advance(count)
             except StorageError as error:
                 problem = error
         status = run.status if problem is None else Status.FILE_ERROR
+        count = run.step if run.arrived else count
         stored_states = keeper.states() if keeper is not None and run.every else run.stored()
         trajectory = trajectory_of(
             stepper, run, count, status, spec, stored_states, spec.every, keeper
@@ -205,10 +212,12 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         If M(q0) is not positive definite, or the energy has no value there.
     """
     numbers, q = stepper._module.numbers, spec.q0
-    run.begin(q, spec.other0, velocity=spec.velocities)
+    run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
     if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
-        run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True)
+        run.begin(
+            q, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end
+        )  # fmt: skip
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
@@ -231,7 +240,7 @@ def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     system, tools = stepper._module.declared, stepper._module.tools
     if system is not None and tools is not None:
         q, v = (run.rows(name, stepper.n) for name in ("POSITION", "VELOCITY"))
-        values = np.concatenate([spec.parameters, spec.inputs[0, 0, 0]])
+        values = np.concatenate([run.parameters, spec.inputs[0, 0, 0]])
         tools.check_step(stepper, system, q, v, values, run.h, run.t0)
 
 
@@ -241,36 +250,47 @@ def trajectory_of(
     count: int,
     status: Status,
     spec: RunSpec,
-    stored: tuple[Reals, Reals, NDArray[np.int64]],
+    stored: tuple[Reals, ...],
     every: int,
-    keeper: Checkpoint | None = None,
+    keeper: Checkpoint | Collected | None = None,
 ) -> Trajectory:
     """Return what a run of so many steps has come to: each so-many-th state, or the last for 0."""
-    done = run.step
-    q, p, iterations = stored
+    done, numbers = run.step, stepper._module.numbers
+    q, p, iterations, *more = stored
     if every:
-        t = run.t0 + stepper._module.numbers.counted(0, done + 1, every) * run.h
+        tau = numbers.counted(0, done + 1, every) * run.h
     else:
-        t = np.array([run.t0 + run.h * done], dtype=run.q.dtype)
+        tau = np.array([run.h * done], dtype=run.q.dtype)
         q, p = run.end()
         iterations = np.array([iterations.sum() + run.last_iterations], dtype=np.int64)
+    t = run.t0 + tau
+    if run.header.retimed:
+        t = more[0][:, 0] if every else run.rows("TIME", 1).copy()
+        if run.arrived:
+            part, *end, status = last_part(stepper, run, spec.t_end)
+            if status is Status.SUCCESS:
+                tau_end = run.h * done + part
+                t, tau, q, p, iterations = with_end(
+                    (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
+                )
     tangents = tangents_of(stepper, run, spec, len(t) if every else 0)
     message = status.message
     if status is not Status.SUCCESS:
-        time, h = float(run.t0 + run.h * done), float(run.h)
+        time, h = float(t[-1] if run.header.retimed else run.t0 + run.h * done), float(run.h)
         message = (
             f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
             f"h={h:g} was not taken. {message}"
         )
-        if keeper is not None and status is Status.INTERRUPTED:
+        if isinstance(keeper, Checkpoint) and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
     result = stepper._module.numbers.result
-    t, q, p, values = result(t), result(q), result(p), result(spec.parameters)
+    t, q, p, values = result(t), result(q), result(p), result(run.parameters)
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=stepper._module.numbers.single(run.h),
         steps=done,
         every=every or None, status=status, message=message,
         _stepper=stepper, _values=values, _inputs=result(spec.inputs), _tangents=tangents,
+        _tau=result(tau) if run.header.retimed else None,
     )  # fmt: skip
 
 
@@ -302,7 +322,7 @@ def raise_failure(run: Run, ended: Trajectory, result: Trajectory | Events) -> N
         f"{ended.message} {detail}The states before are in this error's .trajectory.",
         trajectory=result,
         step=ended.steps,
-        time=float(run.t0 + run.h * ended.steps),
+        time=float(ended.t[-1] if run.header.retimed else run.t0 + run.h * ended.steps),
         residual=residual,
         status=ended.status,
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.progress import Watcher
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
@@ -21,10 +22,15 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.loaded import Loaded
 
-__all__ = ["NOTHING_KEPT", "Kept", "Run", "workspace"]
+__all__ = ["NOTHING_KEPT", "Kept", "Run", "Stored", "workspace"]
+
+#: q, p, iterations and what is kept beside, of stored states.
+Stored = tuple[NDArray[Any], NDArray[Any], NDArray[np.int64], NDArray[Any]]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
+#: Failures that no other kernels would help.
+HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
 #: them.
 FALLBACK_STRETCH = 64
@@ -63,6 +69,10 @@ class Kept:
 
 
 NOTHING_KEPT = Kept()
+#: The time of the user, where it is not that of the steps.
+TIME_KEPT = Kept("clock", rows=1)
+#: What stops a run behind a step that is not taken then.
+BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
 
 class Run:
@@ -84,6 +94,8 @@ class Run:
         kept: Kept = NOTHING_KEPT,
     ) -> None:
         header, kernels, numbers = module.header, module.kernels, module.numbers
+        if header.retimed and kept is NOTHING_KEPT:
+            kept = TIME_KEPT
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._parameters, self._inputs = parameters, inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
@@ -107,9 +119,14 @@ class Run:
         self._set, self._set_until = 0, -1
 
     def begin(
-        self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False
-    ) -> None:
-        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed."""
+        self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False,
+        t_end: Any = None, onward: bool = False,
+    ) -> None:  # fmt: skip
+        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed.
+
+        A retimed run ends before ``t_end``; where it is ``onward`` from another, it has the E0 and
+        the first rate of that one.
+        """
         if any_angle:
             self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
@@ -117,6 +134,13 @@ class Run:
             self._kernels(), legendre, self.h, self.t0, self.W, self.told, self._parameters, q,
             other,
         )  # fmt: skip
+        if self.header.retimed:
+            if not onward:
+                self.apply("retime")
+                self._driver("begin")(self._kernels(), 0, self.h, self.t0, self.W, self.told)
+            self.rows("TIME", 1)[:] = self.t0
+            self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
+            self.kept[0, 0, 0] = self.t0
         if self.every:
             self.store(0)
 
@@ -171,10 +195,11 @@ class Run:
         n = self.header.n
         return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
 
-    def stored(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.int64]]:
-        """Return q, p and iterations of the states that were stored."""
+    def stored(self) -> Stored:
+        """Return q, p and iterations of the states that were stored, and what is kept beside."""
         kept = self._progress.item(0) // self.every + 1 if self.every else 0
-        return self.q[:kept, :, 0], self.p[:kept, :, 0], self.iterations[:kept, 0]
+        q, p, iterations, rows = (x[:kept] for x in (self.q, self.p, self.iterations, self.kept))
+        return q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0]
 
     @property
     def step(self) -> int:
@@ -186,7 +211,7 @@ class Run:
         """The state of the run."""
         if self._interrupted:
             return Status.INTERRUPTED
-        if self.alive:
+        if self.alive or self.arrived:
             return Status.SUCCESS
         status = Status(int(self._column[self._status]))
         if status is Status.NOT_CONVERGED and self._diverged():
@@ -227,6 +252,16 @@ class Run:
         """Whether no step has failed."""
         return bool(self._column[self._status] == 0)
 
+    @property
+    def arrived(self) -> bool:
+        """Whether the next step would go beyond the end."""
+        return bool(self._column[self._status] == ARRIVED)
+
+    @property
+    def parameters(self) -> NDArray[Any]:
+        """Values of the parameters, with those that follow from the start."""
+        return self.rows("PARAMETER", self._parameters.size).copy()
+
     def advance(self, stop: int) -> None:
         """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
         while self.step < stop and self.alive:
@@ -241,7 +276,7 @@ class Run:
                 self._watcher(self.step - before)
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            hopeful = not self.alive and self.status is not Status.COORDINATE_SINGULARITY
+            hopeful = not (self.alive or self.arrived) and self.status not in HOPELESS
             if hopeful and self._set + 1 < len(self._fallbacks):
                 self._set_until = self.step + FALLBACK_STRETCH
                 self._change_to(self._set + 1)
@@ -279,11 +314,20 @@ class Run:
             )  # fmt: skip
             event = self._progress.item(1)
             if event == 0:
+                if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
+                    self._step_back()
                 return
             self._driver("recover")(kernels, self.h, self._time(), W, at, event)
             if not self.alive:
                 self._progress[1] = 0
                 return
+
+    def _step_back(self) -> None:
+        """Return to before the last step, the time too."""
+        for block, before, size in (("POSITION", "PREVIOUS", 4 * self.header.n), ("TIME", "", 2)):
+            rows = self.rows(before, size) if before else self.rows(block, 4)[2:]
+            self.rows(block, size)[:] = rows
+        self._progress[0] -= 1
 
     def forget(self) -> int:
         """Keep only the last stored state in the arrays; returns the number of those forgotten."""
@@ -291,7 +335,8 @@ class Run:
         if kept:
             self.first += kept * self.every
             self._progress[0] -= kept * self.every
-            self.q[0], self.p[0] = self.q[kept], self.p[kept]
+            for stored in (self.q, self.p, self.kept):
+                stored[0] = stored[kept]
         return kept
 
     def position(self) -> list[int]:

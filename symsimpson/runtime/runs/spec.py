@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.runtime.inputs import read_every, read_given, read_steps, read_vector
+from symsimpson.runtime.inputs import read_end, read_every, read_given, read_steps, read_vector
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
 from symsimpson.runtime.runs.variations import read_tangents
@@ -42,6 +42,8 @@ class RunSpec:
         By member, step, node and input; an axis of one entry stands for all.
     tangents : ndarray, shape (2 n, k), or None
         Variations of the initial state; those of parameters begin by themselves.
+    t_end : number or None
+        Where a run of unknown length ends; ``steps`` are then the most.
     """
 
     q0: Reals
@@ -54,6 +56,7 @@ class RunSpec:
     every: int
     inputs: Reals
     tangents: Reals | None = field(default=None, kw_only=True)
+    t_end: Any = field(default=None, kw_only=True)
 
     @property
     def velocities(self) -> bool:
@@ -108,7 +111,11 @@ def read_run(
     numbers, names = stepper._module.numbers, stepper.coordinates
     with numbers.working():
         values = stepper._values(parameters)
-        h, steps, t0 = read_steps(*times, numbers)
+        end = None
+        if stepper._module.header.retimed and times[1] is not None:
+            h, steps, t0, end = read_end(*times, numbers)
+        else:
+            h, steps, t0 = read_steps(*times, numbers)
         stride = read_every(every)
         q0, v0, p0 = start
         how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
@@ -119,5 +126,5 @@ def read_run(
         return RunSpec(
             q, second, given, values, h, t0, steps, stride,
             read_driving(stepper, inputs, h, steps),
-            tangents=None if tangents is None else read_tangents(stepper, tangents),
+            tangents=None if tangents is None else read_tangents(stepper, tangents), t_end=end,
         )  # fmt: skip

@@ -1,0 +1,49 @@
+"""The time of the user, of systems whose steps are fixed in a time of their own.
+
+TIME holds t and what rounding has taken from it, then both as they were before the step.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+compiled: Callable[[Any], Any]
+real: Callable[[Any], Any]
+
+TIME: int
+TIME_END: int
+RATE: int
+PASSED: int
+STATUS: int
+WEIGHTS: Any
+
+
+@compiled
+def begin_time(W, lane):
+    """Keep the time before the step."""
+    W[TIME + 2, lane] = W[TIME, lane]
+    W[TIME + 3, lane] = W[TIME + 1, lane]
+    W[PASSED, lane] = real(0)
+
+
+@compiled
+def pass_time(W, h, node, lane):
+    """Add what a node contributes, dt = g dtau; where g is not positive, time ends."""
+    rate = W[RATE, lane]
+    W[PASSED, lane] += h * WEIGHTS[node] * rate
+    if not rate > 0:
+        W[STATUS, lane] = 12.0
+
+
+@compiled
+def close_time(W, h, lane):
+    """Add the time of the step, by an exact sum of two numbers; the run may have arrived."""
+    before = W[TIME, lane]
+    step = W[PASSED, lane] + W[TIME + 1, lane]
+    after = before + step
+    taken = after - before
+    rest = after - taken
+    W[TIME, lane] = after
+    W[TIME + 1, lane] = (before - rest) + (step - taken)
+    over = W[TIME_END, lane] != 0 and h * (after - W[TIME_END + 1, lane]) >= 0
+    if over and W[STATUS, lane] == 0:
+        W[STATUS, lane] = 11.0

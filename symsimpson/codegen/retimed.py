@@ -1,0 +1,107 @@
+"""Kernels of systems in a time of their own: the user's time, and energies there.
+
+t_1 = t_0 + h sum_i b_i g(Q_i) is the momentum of E0 taken as a coordinate, and so has the order of
+the scheme. The energy, velocities and momenta of velocities are those of the user's time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import sympy as sp
+
+from symsimpson.codegen.ir import Call, Function, Kernel, Row, Store, When
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.looped import LoopKernels
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.template import JetTemplate, Point
+from symsimpson.codegen.unrolled import STATE, energy_stores, lanes, legendre
+from symsimpson.discrete.retiming import derive_energies, derive_rate
+from symsimpson.mechanics.retimed import OWN
+
+__all__ = ["keeping_time", "sizes"]
+
+
+def sizes(low: Lowering) -> dict[str, int]:
+    """Return the sizes of what belongs to the user's time in the workspace."""
+    if low.equations.system.retiming is None:
+        return {}
+    return {"TIME": 4, "TIME_END": 2, "RATE": 1, "PASSED": 1}
+
+
+def keeping_time(
+    low: Lowering, loops: LoopKernels, kernels: Sequence[Kernel]
+) -> tuple[list[Function], list[Kernel]]:
+    """Return functions and kernels, of which some become those of the user's time."""
+    retiming = low.equations.system.retiming
+    if retiming is None:
+        return [], list(kernels)
+    made = _Retimed(low, loops)
+    own = {kernel.name: kernel for kernel in (made.legendre(), made.energy())}
+    others = [own.get(kernel.name, kernel) for kernel in kernels]
+    return [made.rate_function()], [*others, made.retime(), made.clock()]
+
+
+class _Retimed:
+    def __init__(self, low: Lowering, loops: LoopKernels) -> None:
+        retiming = low.equations.system.retiming
+        assert retiming is not None
+        self._low, self._loops = low, loops
+        self._users = low.of_all(derive_energies(retiming))
+        self._rate = derive_rate(low.equations.plain, retiming)
+        *_, self._first = low.names.parameters
+        self._places = [list(low.equations.system.parameters).index(symbol) for symbol in OWN]
+
+    def _at(self, point: Point, energy: sp.Expr | None = None) -> sp.Expr:
+        """Return g at a point, as the user gave it, for an energy of its own."""
+        low = self._low
+        parameters = dict(low.parameters)
+        if energy is not None:
+            parameters[low.equations.plain.parameters[self._places[0]]] = energy
+        names, graph = low.names.coordinates, low.graph
+        template = JetTemplate(self._rate, graph, names, parameters, momenta=low.p)
+        return template.entry(point, "rate", "rate")
+
+    def _divided(self, rate: sp.Expr) -> sp.Expr:
+        first = self._low.equations.plain.parameters[self._places[1]]
+        return rate / self._low.parameters[first]
+
+    def rate_function(self) -> Function:
+        """dt/dtau at a node."""
+        low = self._low
+        point = Point("i", low.node_q)
+        store = Store(Row("RATE", 0), self._divided(self._at(point)))
+        doc = "dt/dtau at a node."
+        return Function("time_rate", doc, low.statements([store], (Level.ITERATION,)))
+
+    def legendre(self) -> Kernel:
+        """P = dL/dv for v = dq/dt."""
+        return legendre(self._users)
+
+    def energy(self) -> Kernel:
+        """H, its kinetic part and v = dq/dt, and the rate."""
+        rate = self._at(Point("state", self._low.q))
+        stores = [*energy_stores(self._users), Store(Row("RATE", 0), self._divided(rate))]
+        doc = "The Hamiltonian at (q, p), its kinetic part, dq/dt, and dt/dtau."
+        return Kernel("energy", doc, lanes(self._low.statements(stores, STATE)))
+
+    def retime(self) -> Kernel:
+        """E0 and the rate at the start, which are parameters from then on."""
+        first = energy_stores(self._users)[0].value
+        rate = self._at(Point("begin", self._low.q), first)
+        values = zip(self._places, (first, rate), strict=True)
+        stores = [Store(Row("PARAMETER", place), value) for place, value in values]
+        doc = "E0 and the rate at (q, p), where a run begins."
+        return Kernel("retime", doc, lanes(self._low.statements(stores, STATE)))
+
+    def clock(self) -> Kernel:
+        """The time that a step took."""
+        nodes = self._loops.nodes("range(NODES)", Call("time_rate"), Call("pass_time", _NODE))
+        body = (
+            Call("begin_time"), Call("exchange_steps"), nodes, Call("exchange_steps"),
+            Call("close_time", ("W", "h", "lane")),
+        )  # fmt: skip
+        return Kernel("clock", "Add the time that the step took.", lanes((When(body),)))
+
+
+_NODE = ("W", "h", "node", "lane")

@@ -1,0 +1,206 @@
+"""Systems in a time of their own: dt = g(q) dtau, with fixed steps in tau.
+
+K = g (H - E0) has on K = 0 the orbits of H, at the rate t' = g, and is quadratic in the momenta as
+H is: L~ = T(q, q')/g + a.q' - g (V - E0) is a system of the same kind, with the same momenta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.graph.nodes import Graph, Value
+from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["RetimedSystem", "Retiming", "energy", "retimed"]
+
+#: E0, the energy of the run, in rates and among the parameters of a retimed system.
+energy = sp.Symbol("E0", real=True)
+#: g at the start of the run: rates are divided by it.
+first_rate = sp.Symbol("g_start", positive=True)
+#: Keeps the rate finite at rest.
+rest = sp.Symbol("c_rest", positive=True)
+OWN = (energy, first_rate)
+
+
+@dataclass(frozen=True)
+class Retiming:
+    """What a retimed system is made of.
+
+    Attributes
+    ----------
+    plain : Plain
+        The system in the user's time.
+    graph : Graph
+    rate : Value
+        dt/dtau in this graph, as the user gave it.
+    """
+
+    plain: Plain
+    graph: Graph
+    rate: Value
+
+    def depends(self, symbol: sp.Symbol) -> bool:
+        """Return whether a plain symbol stands in the rate."""
+        return not self.graph.nodes[self.rate[1]].symbols.isdisjoint(
+            self.graph.numbers([symbol.name])
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class RetimedSystem(MechanicalSystem):
+    """A system whose steps are fixed in tau, dt = g(q) dtau; made by ``system.retimed(g)``.
+
+    Two more parameters follow from the start of a run: E0, the energy, and the rate there, by which
+    g is divided. Runs tell states over t, with the momenta, velocities and energy of the user's
+    system; ``run.tau`` is the time of the steps.
+
+    Attributes
+    ----------
+    original : MechanicalSystem
+    rate : SymPy expression
+        g, as it was given.
+
+    Notes
+    -----
+    K = g (H - E0) is a Hamiltonian with the same orbits and momenta as H [1]_, and its scheme is
+    symplectic. H - E0 = K/g is not small where g is; K does not drift.
+
+    References
+    ----------
+    .. [1] E. Hairer, Variable time step integration with symplectic methods, Appl. Numer. Math. 25
+       (1997), 219-227.
+
+    Examples
+    --------
+    >>> import sympy as sp, symsimpson as ss
+    >>> x, y = ss.coordinates("x y")
+    >>> kepler = ss.MechanicalSystem(
+    ...     "kepler_plane", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2,
+    ...     potential=-1/sp.sqrt(x**2 + y**2))
+    >>> stepper = ss.compile(kepler.retimed("encounters"), "gauss8")
+    >>> run = stepper.integrate([1.99, 0.0], v0=[0.0, 0.05], h=0.25, t_end=20.0)
+    >>> run.t[-1], bool(abs(run.energy_error[-1]) < 1e-9)
+    (20.0, True)
+    """
+
+    original: MechanicalSystem = field(kw_only=True)
+    rate: sp.Expr = field(kw_only=True)
+
+    @cached_property
+    def retiming(self) -> Retiming:
+        """What it is made of."""
+        own = Symbols(self.coordinates, self.parameters)
+        value = _read_rate(self.original.name, self.rate, own)
+        return Retiming(self.original.plain, own.graph, value)
+
+
+def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
+    """Return the system in another time; see :meth:`MechanicalSystem.retimed`."""
+    name = system.name
+    _check(system)
+    parameters = dict(system.parameters)
+    if isinstance(rate, str):
+        g, more = _named(system, rate)
+        parameters |= more
+    else:
+        g = sp.sympify(rate)
+    for symbol in OWN:
+        if str(symbol) in map(str, parameters):
+            raise fail(
+                name,
+                f"its parameter {symbol} has the name of one that retiming adds.",
+                "E0 is the energy of a run, symsimpson.energy. Call your parameter otherwise.",
+            )
+    parameters |= {energy: 0.0, first_rate: 1.0}
+    _read_rate(name, g, Symbols(system.coordinates, parameters))
+    pace = g / first_rate
+    velocities = {q.diff(): q.diff() / pace for q in system.coordinates}
+    invariants = {
+        key: sp.sympify(value).xreplace(velocities)
+        for key, value in (system.invariants or {}).items()
+    }
+    return RetimedSystem(
+        f"{name[:56]}_retimed",
+        coordinates=system.coordinates,
+        kinetic=system.kinetic / pace,
+        potential=pace * (system.potential - energy),
+        gyroscopic=system.gyroscopic,
+        parameters=parameters,
+        positions=system.positions or None,
+        invariants=invariants or None,
+        original=system,
+        rate=g,
+    )
+
+
+def _check(system: MechanicalSystem) -> None:
+    """Refuse systems whose energy is not constant, or that constraints hold."""
+    plain = system.plain
+    why = ""
+    if isinstance(system, RetimedSystem):
+        why = "it is retimed already"
+    elif plain.constraints:
+        why = "constraints hold it, whose steps in another time are not proved to be right"
+    elif plain.forces:
+        why = "forces act on it, so that its energy is not constant"
+    elif not plain.autonomous:
+        why = "it depends on the time, so that its energy is not constant"
+    if why:
+        raise fail(
+            system.name, f"it cannot be retimed: {why}.",
+            "Integrate it with a fixed step in t, small enough for what is fastest.",
+        )  # fmt: skip
+
+
+def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
+    """Read g: an expression of positions, parameters and E0."""
+    value = read_expression(name, "rate dt/dtau", rate, own, own.known, (*own.q, *own.a))
+    if not value[0] or own.signs(value)[0] < 0:
+        raise fail(
+            name, f"the rate dt/dtau is {spell(rate)}, which is nowhere positive.",
+            "Time must go on: give a positive g, as r**(3/2) for bodies that attract each other.",
+        )  # fmt: skip
+    return value
+
+
+def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Symbol, float]]:
+    """Return the rate of a name, and the parameters that it adds."""
+    V = system.potential
+    if rate == "encounters":
+        if not _attracts(system, V):
+            raise fail(
+                system.name,
+                f"V = {spell(V)} is not a sum of -(positive number)/distance, as "
+                'retimed("encounters") takes it.',
+                "Give g as an expression: positive, and small where the motion is fast.",
+            )
+        return (-V) ** sp.Rational(-3, 2), {}
+    if rate == "kinetic":
+        return 1 / sp.sqrt(rest + energy - V), {rest: 1.0}
+    raise fail(
+        system.name, f"there is no rate named {rate!r}.",
+        'Give an expression of positions, or "encounters" or "kinetic".',
+    )  # fmt: skip
+
+
+def _attracts(system: MechanicalSystem, potential: sp.Expr) -> bool:
+    """Return whether a potential is a sum of negative multiples of inverse distances."""
+    coordinates = set(system.coordinates)
+    for term in sp.Add.make_args(potential):
+        constant, moving = term.as_independent(*coordinates)
+        base, exponent = moving.as_base_exp()
+        squares = sp.Add.make_args(base)
+        one = moving.is_Pow and (exponent == -sp.S.Half or exponent == -1)
+        if not one or constant.is_nonnegative:
+            return False
+        if exponent == -sp.S.Half and any(x.is_negative for x in squares):
+            return False
+    return True

@@ -1,0 +1,120 @@
+"""Runs in a time of their own, whose number of steps is not known before: states and the end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.evaluator import evaluate
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.run import Run, Stored
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.kernels.numbers import Numbers
+
+__all__ = ["ROOM", "Collected", "last_part", "rate_at", "resolution", "with_end"]
+
+Reals = NDArray[Any]
+#: So many states are stored before they are put away.
+ROOM = 4096
+#: Iterations for a time within a step; four to six are usual, from a straight line.
+MOST_ITERATIONS = 40
+
+
+class Collected:
+    """What a run stores, however much that will be.
+
+    Parameters
+    ----------
+    run : Run
+        With room for ROOM states and one.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._parts: list[Any] = []
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop``, failure or arrival."""
+        run = self._run
+        while run.alive and run.step < stop:
+            full = run.first + ROOM * run.every if run.every else stop
+            run.advance(min(stop, full))
+            if run.every and run.alive:
+                self._parts.append(tuple(x[:-1].copy() for x in run.stored()))
+                run.forget()
+
+    def states(self) -> Stored:
+        """Return all stored states."""
+        q, p, iterations, kept = map(
+            np.concatenate, zip(*self._parts, self._run.stored(), strict=True)
+        )
+        return q, p, iterations, kept
+
+
+def last_part(
+    stepper: Evaluator, run: Run, t_end: Any
+) -> tuple[Any, Reals, Reals, Status]:  # fmt: skip
+    """Take the part of a step from where a run has arrived to its end.
+
+    Returns
+    -------
+    part : number
+        Of tau.
+    q, p : ndarray, shape (1, n)
+    status : Status
+    """
+    numbers, values = stepper._module.numbers, run.parameters
+    (q, p), t = run.end(), run.value("TIME")
+    if t == t_end:
+        return 0 * run.h, q, p, Status.SUCCESS
+    part = (t_end - t) / rate_at(stepper, q, p, values)[0]
+    part = min(part, run.h) if run.h > 0 else max(part, run.h)
+    smallest = resolution(numbers) * abs(run.h)
+    found_q, found_p = q, p
+    for _ in range(MOST_ITERATIONS):
+        one = Run(stepper._module, values, part, t, 0, 1)
+        one.begin(q[0], p[0], velocity=False, onward=True)
+        one.advance(1)
+        if one.status is not Status.SUCCESS:
+            return part, found_q, found_p, one.status
+        (found_q, found_p), later = one.end(), one.value("TIME")
+        change = (t_end - later) / rate_at(stepper, found_q, found_p, values)[0]
+        if abs(change) <= smallest:
+            break
+        part = part + change
+    return part, found_q, found_p, Status.SUCCESS
+
+
+def with_end(
+    states: tuple[Reals, ...], end: tuple[Any, ...], every: bool
+) -> tuple[Reals, ...]:  # fmt: skip
+    """Return times, tau, positions, momenta and iterations with the end of the run behind them.
+
+    It takes the place of the state before it where that alone is kept.
+    """
+    t, tau, q, p, iterations = states
+    t_end, tau_end, q_end, p_end = end
+    if not every:
+        return np.append(t[:0], t_end), np.append(tau[:0], tau_end), q_end, p_end, iterations
+    if t_end == t[-1]:
+        return states
+    return (
+        np.append(t, t_end), np.append(tau, tau_end), np.vstack([q, q_end]),
+        np.vstack([p, p_end]), np.append(iterations, 0),
+    )  # fmt: skip
+
+
+def rate_at(stepper: Evaluator, q: Reals, p: Reals, values: Reals) -> Reals:
+    """Return dt/dtau at states, shape (len(q),)."""
+    times = stepper._module.numbers.zeros((len(q),))
+    return evaluate(stepper, "energy", "RATE", 1, times, q, p, values)[:, 0]
+
+
+def resolution(numbers: Numbers) -> float:
+    """Return the fraction of a step that is below rounding."""
+    digits = getattr(numbers, "digits", None)
+    return 4e-16 if digits is None else 10.0 ** (1 - digits)
