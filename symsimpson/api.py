@@ -269,9 +269,12 @@ def resume(
     """
     asked = read_asked(read_path("the checkpoint", path))
     stepper = read_stepper(asked["source"], os.fspath(path), TOOLS)
-    parameters = dict(zip(stepper.parameters, asked["parameters"], strict=True))
+    values = dict(zip(stepper.parameters, asked["parameters"], strict=True))
+    own = stepper._module.header.from_start
+    parameters = {name: value for name, value in values.items() if name not in own}
+    end = {"t_end": asked["t_end"]} if "t_end" in asked else {"steps": asked["steps"]}
     return stepper.integrate(
-        asked["q0"], p0=asked["p0"], h=asked["h"], steps=asked["steps"], t0=asked["t0"],
+        asked["q0"], p0=asked["p0"], h=asked["h"], **end, t0=asked["t0"],
         parameters=parameters, inputs=inputs, every=asked["every"] or None, checkpoint=path,
         checkpoint_every=checkpoint_every, progress=progress, on_failure=on_failure,
     )  # fmt: skip

@@ -204,11 +204,30 @@ class Evaluator:
         """
         return evaluate_energy(self, q, p, parameters, t)
 
+    def _fixed_steps_of_t(self, what: str) -> None:
+        """Refuse what is not there yet for steps that are fixed in another time.
+
+        Raises
+        ------
+        InputError
+        """
+        if self._module.header.retimed:
+            raise InputError(
+                f"{self.system} is retimed, and {what} of retimed systems are not there yet.\n"
+                "Take single runs, stepper.integrate, or the system as it was."
+            )
+
     def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
 
     def _values(self, given: Parameters | None) -> Reals:
         header = self._module.header
+        if given and not header.from_start.isdisjoint(map(str, given)):
+            own = ", ".join(sorted(header.from_start))
+            raise InputError(
+                f"parameters give {own}, or one of them, which follow from the start of a run.\n"
+                "Leave them out: E0 is the energy there."
+            )
         return read_parameters(
             self.parameters,
             self._aliases,

@@ -78,6 +78,11 @@ class Header:
         """Number of coordinates."""
         return len(self.coordinates)
 
+    @cached_property
+    def from_start(self) -> frozenset[str]:
+        """Names of parameters that follow from the start of a run: E0 and the rate there."""
+        return frozenset(self.parameters[-2:] if self.retimed else ())
+
     @property
     def nodes(self) -> int:
         """Number of nodes of a step."""

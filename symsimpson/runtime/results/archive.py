@@ -144,7 +144,8 @@ def _digest(run: Trajectory) -> str:
     """Return a digest of all that a trajectory is made of."""
     about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
     content = hashlib.sha256(repr(about).encode())
-    for array in (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs):
+    tau = () if run._tau is None else (run._tau,)
+    for array in (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs, *tau):
         content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()
 
@@ -158,14 +159,24 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
     iterations = np.asarray(found["newton_iterations"], dtype=np.int64)
     h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
     stored = steps // every + 1 if every > 0 else 1
+    tau, retimed = t - t[0], stepper._module.header.retimed
+    if retimed:
+        tau = np.asarray(found["tau"], dtype=np.float64)
+        stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
     wanted = ((stored,), (stored, stepper.n), (stored, stepper.n), (stored,),
               (len(stepper.parameters),))  # fmt: skip
     if shapes != wanted or not np.isfinite(h) or h == 0:
         raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
-    exact = t[0] + h * every * np.arange(stored)
-    if not np.abs(t - exact).max() <= 16 * np.finfo(float).eps * np.abs(exact).max():
+    whole = steps // every + 1 if every > 0 else 0
+    exact = t[0] * (not retimed) + h * every * np.arange(whole)
+    own = (tau if retimed else t)[:whole]
+    if not np.abs(own - exact).max(initial=0) <= 16 * np.finfo(float).eps * np.abs(exact).max(
+        initial=0
+    ):
         raise ValueError("times are not steps apart")
+    if retimed and not (np.diff(t) * h > 0).all():
+        raise ValueError("times do not go on")
     inputs = NO_INPUTS
     if stepper.inputs:
         inputs = np.ascontiguousarray(found["inputs"], dtype=np.float64)[None]
@@ -176,5 +187,5 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
         status=Status[str(about["status"])], message=str(about["message"]), _stepper=stepper,
-        _values=values, _inputs=inputs,
+        _values=values, _inputs=inputs, _tau=tau if retimed else None,
     )  # fmt: skip

@@ -185,7 +185,7 @@ def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Float
 def _with_end(run: Trajectory, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
     """Return the stored states, and the last one of the run where that was not stored."""
     times, positions, momenta = run.t, run.q, run.p
-    if run.every and run.steps % run.every:
+    if run.every and run.steps % run.every and run._tau is None:
         end = np.array([run.t[0] + run.h * run.steps])
         q, p, codes = dense.after(np.array([len(times) - 1]), end - times[-1])
         if not codes.any():

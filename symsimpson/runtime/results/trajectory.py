@@ -233,7 +233,10 @@ class Trajectory(Energies, Differentiated):
         save(self, path)
 
     def _further(self) -> dict[str, Any]:
-        return {"newton_iterations": (("time",), self.newton_iterations)}
+        further = {"newton_iterations": (("time",), self.newton_iterations)}
+        if self._tau is not None:
+            further["tau"] = (("time",), self._tau)
+        return further
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | {

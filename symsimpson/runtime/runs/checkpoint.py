@@ -27,7 +27,7 @@ from symsimpson.runtime.signals import undisturbed
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
-    from symsimpson.runtime.runs.run import Run
+    from symsimpson.runtime.runs.run import Run, Stored
     from symsimpson.runtime.runs.spec import RunSpec
 
 __all__ = ["Checkpoint", "asked", "buffered", "read_asked"]
@@ -45,7 +45,7 @@ Content = TypeVar("Content")
 
 def buffered(every: int, stored: int, n: int) -> int:
     """Return the number of states that a run keeps in memory."""
-    return min(stored, max(2, BUFFER // (8 * (2 * n + 1)))) if every else 1
+    return min(stored, max(2, BUFFER // (8 * (2 * n + 2)))) if every else 1
 
 
 def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
@@ -54,6 +54,7 @@ def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
         "source": stepper.source, "parameters": spec.parameters.tolist(), **spec.said(),
         "q0": run.rows("POSITION", stepper.n).tolist(),
         "p0": run.rows("MOMENTUM", stepper.n).tolist(),
+        **({"kept": run.kept.shape[1]} if run.kept.shape[1] else {}),
     }  # fmt: skip
 
 
@@ -119,15 +120,16 @@ class Checkpoint:
             self._keep()
             raise
 
-    def states(self) -> tuple[Floats, Floats, NDArray[np.int64]]:
-        """Return q, p and iterations of the stored states, which stay on disk."""
+    def states(self) -> Stored:
+        """Return what is stored, which stays on disk."""
         n = self._run.header.n
-        shape = (self._rows, 2 * n + 1)
+        shape = (self._rows, 2 * n + 1 + self._run.kept.shape[1])
         rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
         unwritten = self._since()
         if len(unwritten):
             rows = np.vstack([rows, unwritten])
-        return rows[:, :n], rows[:, n : 2 * n], rows[:, 2 * n].astype(np.int64)
+        iterations = rows[:, 2 * n].astype(np.int64)
+        return rows[:, :n], rows[:, n : 2 * n], iterations, rows[:, 2 * n + 1 :]
 
     def _beside(self, suffix: str) -> Path:
         return self.path.with_name(f"{self.path.name}.{suffix}")
@@ -151,8 +153,9 @@ class Checkpoint:
         return self._rows_of(slice(1, last + 1))
 
     def _rows_of(self, places: slice) -> Floats:
-        q, p, iterations = self._run.q, self._run.p, self._run.iterations
-        rows: Floats = np.column_stack([q[places, :, 0], p[places, :, 0], iterations[places, 0]])
+        run = self._run
+        parts = [x[places, :, 0] for x in (run.q, run.p, run.iterations[:, None], run.kept)]
+        rows: Floats = np.column_stack(parts)
         return rows
 
     def _append(self, rows: Floats) -> None:
@@ -209,6 +212,7 @@ class Checkpoint:
         if run.every:
             n = run.header.n
             run.q[0, :, 0], run.p[0, :, 0] = record.last[:n], record.last[n : 2 * n]
+            run.kept[0, :, 0] = record.last[2 * n + 1 :]
 
 
 def exists(path: Path) -> bool:
@@ -289,7 +293,7 @@ def _read(path: Path, states: Path) -> Record:
     """Read one file and the states that it counts."""
     said = _said(path, states)
     workspace = np.frombuffer(base64.b64decode(said["workspace"]), dtype="<f8")
-    width = 8 * (2 * len(said["asked"]["q0"]) + 1)
+    width = 8 * (2 * len(said["asked"]["q0"]) + 1 + said["asked"].get("kept", 0))
     size = said["stored"] * width
     with open(states, "rb") as file:
         found = _digest_of(file, size)

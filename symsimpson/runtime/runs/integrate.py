@@ -75,7 +75,7 @@ def integrate(
         if count:
             look_at_step(stepper, run, spec)
         keeper: Checkpoint | Collected | None = None
-        if spec.t_end is not None:
+        if spec.t_end is not None and checkpoint is None:
             keeper = Collected(run)
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)

@@ -71,6 +71,7 @@ class RunSpec:
     def said(self) -> dict[str, Any]:
         """Return the numbers that are the same for all members, for files."""
         said = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+        said |= {} if self.t_end is None else {"t_end": self.t_end}
         return said | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
 
     @property
