@@ -39,6 +39,7 @@ _CHECKS = (
     "check_acceptance",
     "check_stage_convergence",
     "check_stage_acceptance",
+    "check_turns",
 )
 
 
@@ -101,6 +102,7 @@ def plain_arithmetic(
         }
     return {
         "pi": math.pi,
+        "FRESH": real(2) ** 60,  # sines and cosines are not turned: that is exact in doubles alone
         **checking,
         **named,
         "real": real,

@@ -14,6 +14,7 @@ from symsimpson.codegen.heading import banner, docstring, folded
 from symsimpson.codegen.ir import (
     Assign,
     Call,
+    Either,
     Function,
     Index,
     Kernel,
@@ -24,6 +25,7 @@ from symsimpson.codegen.ir import (
     SinCos,
     Statement,
     Store,
+    Turn,
     When,
 )
 from symsimpson.codegen.library import library_sources
@@ -69,6 +71,10 @@ MANY = 10  # after more iterations what nodes have is extrapolated with care
 LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
 ROUNDING = 2.0**-132  # corrections below this are made of rounding
 """
+_TURN_THRESHOLDS = """\
+FRESH = 2  # iterations that compute sines and cosines; later ones turn them by what angles change
+TURN = 2.0**-14  # by so much, squared, they are turned exactly
+"""
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
@@ -105,6 +111,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
             thresholds += _HELD_THRESHOLDS
         if "STRIDE" in module.tables:
             thresholds += _STAGE_THRESHOLDS
+        if "STAGE_TURNED" in module.layout:
+            thresholds += _TURN_THRESHOLDS
         constants = f"{constants}\n{thresholds}" if constants else thresholds
     elif module.names.constraints:
         constants += _DRIFT_THRESHOLDS
@@ -344,6 +352,8 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return folded(f"{pad}{target} = ", write(value), pad + "    ", parentheses=True)
         case SinCos(sine, cosine, angle):
             return [f"{pad}{sine}, {cosine} = sincos({write(angle)})"]
+        case Turn(sine, cosine, old_sine, old_cosine, change):
+            return [f"{pad}{sine}, {cosine} = turned({old_sine}, {old_cosine}, {change})"]
         case Store(row, value, None, add):
             return folded(
                 f"{pad}{row} {'+=' if add else '='} ", write(value), pad + "    ", parentheses=True
@@ -359,6 +369,11 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return [f"{pad}{target} = {source}"]
         case Loop(index, over, body):
             return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
+        case Either(condition, first, second):
+            return [
+                f"{pad}if {condition}:", *_statements(first, printer, depth + 1),
+                f"{pad}else:", *_statements(second, printer, depth + 1),
+            ]  # fmt: skip
         case When(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 

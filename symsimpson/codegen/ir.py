@@ -89,6 +89,17 @@ class SinCos:
 
 
 @dataclass(frozen=True)
+class Turn:
+    """``sin, cos = turned(old_sin, old_cos, change)`` of an angle."""
+
+    sin: sp.Symbol
+    cos: sp.Symbol
+    old_sin: sp.Symbol
+    old_cos: sp.Symbol
+    change: sp.Symbol
+
+
+@dataclass(frozen=True)
 class Call:
     """A call of a function on one lane of the workspace, of which ``result`` takes the value."""
 
@@ -121,7 +132,16 @@ class When:
     body: tuple[Statement, ...]
 
 
-Statement = Load | Store | Index | Assign | SinCos | Call | Section | Loop | When
+@dataclass(frozen=True)
+class Either:
+    """Statements where a condition holds, and others where it does not."""
+
+    condition: str
+    first: tuple[Statement, ...]
+    second: tuple[Statement, ...]
+
+
+Statement = Load | Store | Index | Assign | SinCos | Turn | Call | Section | Loop | When | Either
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,8 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "DRIFTS",
         "STRIDE",
         "MANY",
+        "FRESH",
+        "TURN",
         "LOST",
         "ROUNDING",
         "smooth",

@@ -17,12 +17,24 @@ from collections.abc import Iterable, Sequence
 import sympy as sp
 
 from symsimpson.codegen.coupled import end_of
-from symsimpson.codegen.ir import Call, Index, Kernel, Load, Loop, Row, Section, Statement, Store
+from symsimpson.codegen.ir import (
+    Call,
+    Either,
+    Index,
+    Kernel,
+    Load,
+    Loop,
+    Row,
+    Section,
+    Statement,
+    Store,
+)
 from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.template import Point
+from symsimpson.codegen.turning import Turning
 from symsimpson.codegen.unrolled import STATE, lanes, velocity
 
 __all__ = ["StageKernels"]
@@ -49,6 +61,8 @@ class StageKernels:
         self._low, self._nodes = low, scheme.stages
         self.stride = node_stride(scheme)
         self.held = 0
+        #: Pairs of sine and cosine at a node.
+        self.angles = 0
         fresh, names = low.names.fresh, low.names.coordinates
         declare = low.graph.declare
 
@@ -108,7 +122,16 @@ class StageKernels:
             **({} if self._low.equations.plain.autonomous else {"STAGE_PLACE": self.stride}),
             "STAGE_EXPECTED": 1,
             "STAGE_COUNT": 1,
+            **self._turning_sizes(),
         }
+
+    def _turning_sizes(self) -> dict[str, int]:
+        """Return the sizes of what belongs to angles."""
+        if not self.angles:
+            return {}
+        rows = self.angles * self.stride
+        every = {f"STAGE_{name}": rows for name in ("ANGLE", "SINE", "COSINE")}
+        return {**every, "STAGE_TURN": self.stride, "STAGE_TURNED": 1}
 
     def _place(self, a: int) -> str:
         return f"{a * self.stride} + node" if a else "node"
@@ -188,16 +211,29 @@ class StageKernels:
         for symbol in held:
             del low.rows[symbol]
         body = [
-            *self._over_nodes(opening),
-            *self._over_nodes(ending),
-            Call("check_stage_convergence"),
-        ]
+            *self._opening(opening), *self._over_nodes(ending), Call("check_stage_convergence"),
+            *((Call("check_turns"),) if self.angles else ()),
+        ]  # fmt: skip
         operations = sum(
             count_operations(low.graph.definitions[s].value)
             for s in low.reached([*kicks, *closing])
         )
         doc = "One iteration for the velocities and forces at all nodes, which are the lanes."
         return Kernel("iterate", doc, lanes(body)), operations
+
+    def _opening(self, body: Sequence[Statement]) -> list[Statement]:
+        """Go over the nodes; after a while sines and cosines are turned by what angles change."""
+        turning = Turning(self._low, self.stride)
+        fresh, turned = turning.kept(body), turning.turned(body)
+        self.angles = turning.count
+        if not self.angles:
+            return self._over_nodes(body)
+        condition = "W[STAGE_COUNT, lane] < W[STAGE_TURNED, lane]"
+        return [Either(condition, *(tuple(self._over_nodes(x)) for x in (fresh, turned)))]
+
+    def _afresh(self) -> list[Statement]:
+        """Begin the next step with sines and cosines of its own."""
+        return [Index("W[STAGE_TURNED, lane]", "FRESH")] if self.angles else []
 
     def _held(self, k: int) -> Row:
         return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
@@ -243,7 +279,8 @@ class StageKernels:
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
             same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
-        body = (*low.statements(stores, STATE), Loop("node", "range(STRIDE)", tuple(same)))
+        loop = Loop("node", "range(STRIDE)", tuple(same))
+        body = (*low.statements(stores, STATE), *self._afresh(), loop)
         doc = "Begin at (q, p): the same velocity at all nodes."
         return Kernel("start_stages", doc, lanes(body))
 
@@ -285,7 +322,8 @@ class StageKernels:
             "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
-        body = [*closing, *left, smooth, Call("check_stage_acceptance"), *following]
+        accepted = (Call("check_stage_acceptance"), *self._afresh())
+        body = [*closing, *left, smooth, *accepted, *following]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))
 

@@ -24,6 +24,10 @@ STAGE_CORRECTION: int
 STAGE_SIZE: int
 STAGE_EXPECTED: int
 STAGE_COUNT: int
+STAGE_TURN: int
+STAGE_TURNED: int
+MANY: int
+TURN: float
 DIMENSION: int
 DEGREE: int
 NODES: int
@@ -103,6 +107,27 @@ def check_stage_convergence(W, lane):
     W[CONTRACTION, lane] = factor
     W[RELATIVE, lane] = now
     W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
+
+
+@compiled
+def turned(sine, cosine, change):
+    """Sine and cosine of an angle that changed by so little, to rounding for up to 2^-7."""
+    z = change * change
+    along = change * (1 - z * (0.16666666666666666 - z * 0.008333333333333333))
+    back = z * (0.5 - z * (0.041666666666666664 - z * 0.001388888888888889))
+    return sine + (cosine * along - sine * back), cosine - (sine * along + cosine * back)
+
+
+@compiled
+def check_turns(W, lane):
+    """Go on with sines and cosines that are computed, where they were turned too far."""
+    late = W[ACTIVE, lane] == 0 or W[STAGE_COUNT, lane] > MANY
+    if late and W[STAGE_COUNT, lane] > W[STAGE_TURNED, lane]:
+        farthest = over_nodes(W, STAGE_TURN, lane)
+        if not farthest <= TURN:
+            W[STAGE_TURNED, lane] = INFINITE
+            if W[ACTIVE, lane] == 0:
+                W[ACTIVE, lane] = 1.0
 
 
 @compiled
