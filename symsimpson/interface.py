@@ -132,7 +132,10 @@ OPTIONAL = (
 ADJACENT = (
     ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED"),
     ("ENERGY", "KINETIC"),
+    ("TIME", "TIME_END", "RATE"),
 )
+#: From TIME to RATE.
+RATE_BEHIND = 6
 
 #: What the driver is told of a module, in this order: rows of blocks, the row behind the
 #: unknowns, the number of coordinates, how many of the unknowns are measured, how many steps an

@@ -18,6 +18,7 @@ from symsimpson.interface import (
     MODE,
     MOMENTUM,
     POSITION,
+    RATE_BEHIND,
     STATUS,
 )
 from symsimpson.runtime.driver.begin import begin
@@ -34,9 +35,16 @@ from symsimpson.runtime.driver.steps import (
     solve,
 )
 
+#: Newton's method for a time within a step takes four to six iterations.
+MOST_PARTS = 40
 #: Stored states may be on disk, or belong to somebody else: they are only read.
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 SIGNATURES |= {
+    "states_at": types.void(
+        SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
+        types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE, types.float64[::1],
+        types.boolean[::1], types.int64, INPUTS, types.float64,
+    ),
     "between": types.void(
         SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
         types.int64[::1], types.int64[::1], types.float64[::1], types.float64[::1], WORKSPACE,
@@ -125,3 +133,50 @@ def between(
         if well and rest[i] != 0.0:
             fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i], rests, i)
             t_out[i] = W[at[KEPT], 0] if timed else now + rest[i]
+
+
+@njit(**DRIVER_OPTIONS)
+def states_at(
+    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs,
+    smallest,
+):  # fmt: skip
+    """Return the states at given times of a run that keeps a time of its own, behind some starts.
+
+    ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
+    one to the next. ``part`` takes how far each state is into its step: found by Newton's method, to
+    ``smallest``, with the rate that the energy's kernel tells. ``q_out`` and ``p_out`` have one row
+    more, for what is tried.
+    """
+    n, last, time = at[DIMENSION], len(start), at[KEPT]
+    for i in range(last):
+        k, now, ahead, well, more = start[i], t[start[i]], t[start[i]], True, True
+        for a in range(n):
+            q_out[i, a], p_out[i, a] = q[k, a], p[k, a]
+        part[i] = 0.0
+        for _ in range(every):
+            if more and well and now != asked[i]:
+                for a in range(n):
+                    q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
+                well = take(kernels, h, now, W, at, 1, q_out[last], p_out[last], inputs, 0)
+                ahead = W[time, 0]
+                more = well and (asked[i] - ahead) * h >= 0.0
+                if more:
+                    now = ahead
+                    for a in range(n):
+                        q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
+        if now != asked[i]:
+            change = h * (asked[i] - now) / (ahead - now) if ahead != now else h
+            tries = 0
+            while well and tries < MOST_PARTS and abs(change) > smallest:
+                part[i] += change
+                for a in range(n):
+                    q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
+                well = take(kernels, part[i], now, W, at, 1, q_out[last], p_out[last], inputs, 0)
+                later = W[time, 0]
+                call(energy, part[i], later, W)
+                change = (asked[i] - later) / W[time + RATE_BEHIND, 0]
+                tries += 1
+            well = well and abs(change) <= smallest
+            for a in range(n):
+                q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
+        fine[i] = well

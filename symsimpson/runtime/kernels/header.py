@@ -21,6 +21,7 @@ from symsimpson.interface import (
     BLOCKS,
     INTERFACE,
     KEPT,
+    OPTIONAL,
     PIVOTED,
     RENEWAL,
     RENEWED,
@@ -283,6 +284,8 @@ def _check_layout(layout: Mapping[str, int], where: str) -> None:
     """Check that blocks that the driver moves as one stand behind one another."""
     order = sorted((block for block in BLOCKS if block in layout), key=layout.__getitem__)
     for blocks in ADJACENT:
+        if blocks[0] in OPTIONAL and blocks[0] not in order:
+            continue
         first = order.index(blocks[0]) if blocks[0] in order else 0
         if tuple(order[first : first + len(blocks)]) != blocks:
             raise StaleKernelError(

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.runs.arrival import MOST_ITERATIONS, rate_at, resolution
+from symsimpson.runtime.runs.arrival import MOST_ITERATIONS, rate_at, resolution, states_at
 from symsimpson.runtime.runs.driving import at_places, places, since
 from symsimpson.runtime.runs.run import Run, workspace
 
@@ -130,25 +130,29 @@ class DenseOutput:
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Find by Newton's method how much later that is in the time of the steps."""
         run, stepper = self._run, self._run._stepper
-        steps, tau = run.tau, run.tau
-        ahead = np.minimum(start + 1, len(tau) - 1)
-        back = np.maximum(ahead - 1, 0)
-        span, times = steps[ahead] - steps[back], run.t[ahead] - run.t[back]
-        part = later * span / np.where(times == 0, 1 + 0 * times, times)
-        wanted, work = run.t[start] + later, np.arange(start.size)
-        q, p = run.q[start].copy(), run.p[start].copy()
+        numbers = stepper._module.numbers
+        with numbers.working():
+            values, h = numbers.read(run._values), numbers.read(run.h).item()
+            asked, states = self._t[start] + numbers.read(later), (self._t, self._q, self._p)
+            _, q, p, fine = states_at(stepper, values, h, states, start, asked, run.every or 1)
+            q, p = numbers.result(q).copy(), numbers.result(p).copy()
         codes = np.zeros(start.size, dtype=np.int64)
-        smallest = resolution(stepper._module.numbers) * abs(run.h)
-        for _ in range(MOST_ITERATIONS):
-            t, q[work], p[work], codes[work] = self._stepped(start[work], part[work])
-            rate = rate_at(stepper, q[work], p[work], run._values)
-            change = (wanted[work] - t) / rate
-            going = (codes[work] == 0) & (abs(change) > smallest)
-            part[work[going]] += change[going]
-            work = work[going]
-            if not work.size:
-                break
+        for i in np.flatnonzero(~fine):
+            q[i], p[i], codes[i] = self._slowly(int(start[i]), later[i])
         return q, p, codes
+
+    def _slowly(self, start: int, later: Any) -> tuple[Reals, Reals, int]:
+        """Do so with all that a run has against what goes wrong."""
+        run, stepper = self._run, self._run._stepper
+        smallest = resolution(stepper._module.numbers) * abs(run.h)
+        part, one = np.array([run.h * (run.every or 1) / 2]), np.array([start])
+        for _ in range(MOST_ITERATIONS):
+            t, q, p, codes = self._stepped(one, part)
+            change = (run.t[start] + later - t) / rate_at(stepper, q, p, run._values)
+            if codes[0] or abs(change[0]) <= smallest:
+                break
+            part = part + change
+        return q[0], p[0], int(codes[0])
 
     def _stepped(
         self, start: NDArray[np.int64], later: Reals

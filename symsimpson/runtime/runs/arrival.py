@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from symsimpson.runtime.evaluator import evaluate
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.runs.run import Run, Stored
+from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.runtime.runs.run import Run, Stored, workspace
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
 
-__all__ = ["ROOM", "Collected", "last_part", "rate_at", "resolution", "with_end"]
+__all__ = ["ROOM", "Collected", "last_part", "rate_at", "resolution", "states_at", "with_end"]
 
 Reals = NDArray[Any]
 #: So many states are stored before they are put away.
@@ -67,26 +68,43 @@ def last_part(
     q, p : ndarray, shape (1, n)
     status : Status
     """
-    numbers, values = stepper._module.numbers, run.parameters
-    (q, p), t = run.end(), run.value("TIME")
-    if t == t_end:
-        return 0 * run.h, q, p, Status.SUCCESS
-    part = (t_end - t) / rate_at(stepper, q, p, values)[0]
-    part = min(part, run.h) if run.h > 0 else max(part, run.h)
-    smallest = resolution(numbers) * abs(run.h)
-    found_q, found_p = q, p
-    for _ in range(MOST_ITERATIONS):
-        one = Run(stepper._module, values, part, t, 0, 1)
-        one.begin(q[0], p[0], velocity=False, onward=True)
-        one.advance(1)
-        if one.status is not Status.SUCCESS:
-            return part, found_q, found_p, one.status
-        (found_q, found_p), later = one.end(), one.value("TIME")
-        change = (t_end - later) / rate_at(stepper, found_q, found_p, values)[0]
-        if abs(change) <= smallest:
-            break
-        part = part + change
-    return part, found_q, found_p, Status.SUCCESS
+    q, p = run.end()
+    start = np.zeros(1, dtype=np.int64)
+    part, q, p, fine = states_at(
+        stepper, run.parameters, run.h, (run.rows("TIME", 1).copy(), q, p), start,
+        np.full(1, t_end), 1,
+    )  # fmt: skip
+    return part[0], q, p, Status.SUCCESS if fine[0] else Status.NOT_CONVERGED
+
+
+def states_at(
+    stepper: Evaluator, values: Reals, h: Any, states: tuple[Reals, Reals, Reals],
+    start: NDArray[np.int64], asked: Reals, every: int,
+) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:  # fmt: skip
+    """Find states at times behind some of the stored ones, t, q and p.
+
+    Returns
+    -------
+    part : ndarray, shape (m,)
+        How far each is into its step, in tau.
+    q, p : ndarray, shape (m, n)
+    fine : ndarray of bool, shape (m,)
+        Whether its steps could be taken as usual.
+    """
+    numbers, header, kernels = (
+        stepper._module.numbers, stepper._module.header, stepper._module.kernels,
+    )  # fmt: skip
+    many = start.size
+    q_out, p_out = numbers.zeros((2, many + 1, header.n))
+    part, fine = numbers.zeros(many), np.zeros(many, dtype=np.bool_)
+    W = workspace(header, numbers, values)
+    smallest = resolution(numbers) * abs(h)
+    numbers.driver("states_at")(
+        kernels.set(kernels.fallbacks[0], "clock"), kernels.address("energy"), h, states[0], W,
+        header.told, *states[1:], start, asked, q_out, p_out, part, fine, every, NO_INPUTS,
+        smallest,
+    )  # fmt: skip
+    return part, q_out[:-1], p_out[:-1], fine
 
 
 def with_end(

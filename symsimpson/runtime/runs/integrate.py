@@ -276,10 +276,11 @@ def trajectory_of(
     tangents = tangents_of(stepper, run, spec, len(t) if every else 0)
     message = status.message
     if status is not Status.SUCCESS:
+        of = f" of {count}" if spec.t_end is None else ""
         time, h = float(t[-1] if run.header.retimed else run.t0 + run.h * done), float(run.h)
         message = (
-            f"{stepper.system}, {stepper.scheme}: step {done} of {count} at t={time:g} with "
-            f"h={h:g} was not taken. {message}"
+            f"{stepper.system}, {stepper.scheme}: step {done}{of} at t={time:g} with h={h:g} was "
+            f"not taken. {message}"
         )
         if isinstance(keeper, Checkpoint) and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
