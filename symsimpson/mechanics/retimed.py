@@ -197,10 +197,8 @@ def _attracts(system: MechanicalSystem, potential: sp.Expr) -> bool:
     for term in sp.Add.make_args(potential):
         constant, moving = term.as_independent(*coordinates)
         base, exponent = moving.as_base_exp()
-        squares = sp.Add.make_args(base)
-        one = moving.is_Pow and (exponent == -sp.S.Half or exponent == -1)
-        if not one or constant.is_nonnegative:
-            return False
-        if exponent == -sp.S.Half and any(x.is_negative for x in squares):
+        distance = exponent == -1 and base in coordinates
+        distance |= exponent == -sp.S.Half and not base.could_extract_minus_sign()
+        if not distance or constant.is_nonnegative:
             return False
     return True

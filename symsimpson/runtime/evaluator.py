@@ -222,7 +222,8 @@ class Evaluator:
 
     def _values(self, given: Parameters | None) -> Reals:
         header = self._module.header
-        if given and not header.from_start.isdisjoint(map(str, given)):
+        named = set(map(str, given)) if isinstance(given, Mapping) else set()
+        if not header.from_start.isdisjoint(named):
             own = ", ".join(sorted(header.from_start))
             raise InputError(
                 f"parameters give {own}, or one of them, which follow from the start of a run.\n"

@@ -143,9 +143,9 @@ def states_at(
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
-    one to the next. ``part`` takes how far each state is into its step: found by Newton's method, to
-    ``smallest``, with the rate that the energy's kernel tells. ``q_out`` and ``p_out`` have one row
-    more, for what is tried.
+    one to the next. ``part`` takes how far each state is into its step: found by Newton's method,
+    to ``smallest``, with the rate that the energy's kernel tells. ``q_out`` and ``p_out`` have one
+    row more, for what is tried.
     """
     n, last, time = at[DIMENSION], len(start), at[KEPT]
     for i in range(last):

@@ -224,6 +224,11 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+    if run.header.retimed and not run.parameters[-1] > 0:
+        raise InputError(
+            f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
+            f"q0={q.tolist()}.\nTime must go on: begin where it is positive, or give another rate."
+        )
     position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
     check_start(stepper, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:

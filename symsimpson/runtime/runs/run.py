@@ -29,6 +29,8 @@ Stored = tuple[NDArray[Any], NDArray[Any], NDArray[np.int64], NDArray[Any]]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
 PATIENCE = 0.02
+#: After so many steps in which it does not change at all, the time of a retimed run stands still.
+STANDSTILL = 1024
 #: Failures that no other kernels would help.
 HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
 #: After a step that only slower and more robust kernels could take, so many more are taken with
@@ -268,10 +270,12 @@ class Run:
             until = min(stop, self.step + self._stretch)
             if self._set:
                 until = min(until, self._set_until)
-            before, start = self.step, time.perf_counter()
+            before, start, passed = self.step, time.perf_counter(), self._passed()
             with self._undisturbed():
                 self.take(until)
             spent = time.perf_counter() - start
+            if self.step - before >= STANDSTILL and passed is not None and passed == self._passed():
+                self._column[self._status] = RATE_NOT_POSITIVE
             if self._watcher is not None:
                 self._watcher(self.step - before)
             if self.step > before and spent > PATIENCE / 8:
@@ -282,6 +286,10 @@ class Run:
                 self._change_to(self._set + 1)
             elif self._set and self.step == self._set_until:
                 self._change_to(0)
+
+    def _passed(self) -> Any:
+        """Return the time of the user, if it is not that of the steps."""
+        return self.value("TIME") if self.header.retimed else None
 
     def _kernels(self) -> Any:
         return self.kernels.set(self._fallbacks[self._set], self._behind)
@@ -335,7 +343,7 @@ class Run:
         if kept:
             self.first += kept * self.every
             self._progress[0] -= kept * self.every
-            for stored in (self.q, self.p, self.kept):
+            for stored in (self.q, self.p, self.kept, self.iterations):
                 stored[0] = stored[kept]
         return kept
 

@@ -1,0 +1,89 @@
+"""What may be retimed, by which rates."""
+
+import pickle
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+x, y = ss.coordinates("x y")
+m, k = sp.symbols("m k", positive=True)
+
+
+ATTRACTS = -k / sp.sqrt(x**2 + y**2)
+
+
+def system(potential=ATTRACTS, **more):
+    return ss.MechanicalSystem(
+        "plane", coordinates=(x, y), kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=potential, parameters={m: 2.0, k: 3.0}, **more,
+    )  # fmt: skip
+
+
+def test_the_lagrangian_in_tau():
+    r = sp.sqrt(x**2 + y**2)
+    found = system(gyroscopic=x * y.diff()).retimed(r)
+    first = next(a for a in found.parameters if str(a) == "g_start")
+    assert sp.simplify(found.kinetic - found.original.kinetic * first / r) == 0
+    assert sp.simplify(found.potential - r / first * (found.original.potential - ss.energy)) == 0
+    assert found.gyroscopic == found.original.gyroscopic
+    assert isinstance(found, ss.RetimedSystem)
+    assert found.digest != system(gyroscopic=x * y.diff()).retimed(r**2).digest
+    assert pickle.loads(pickle.dumps(found)) == found
+
+
+def test_rates_by_name():
+    assert system().retimed("encounters").rate == (k / sp.sqrt(x**2 + y**2)) ** sp.Rational(-3, 2)
+    kinetic = system(potential=k * x**2 / 2 + y**4).retimed("kinetic")
+    assert {str(a) for a in kinetic.parameters} == {"m", "k", "c_rest", "E0", "g_start"}
+
+
+WRONG = [
+    ("close", "no rate named 'close'"),
+    (-(x**2), "nowhere positive"),
+    (sp.S.Zero, "nowhere positive"),
+    (x.diff(), "velocity"),
+    (ss.time, "symbol t"),
+    (sp.Symbol("b"), "unknown symbol b"),
+]
+
+
+@pytest.mark.parametrize(("rate", "told"), WRONG)
+def test_rates_that_make_no_sense(rate, told):
+    with pytest.raises(ss.ModelError, match=told):
+        system().retimed(rate)
+
+
+def test_systems_whose_energy_is_not_constant():
+    for other, told in (
+        (system(forces={x: -x.diff()}), "forces act on it"),
+        (system(potential=x * sp.cos(ss.time)), "depends on the time"),
+        (system(constraints={"rod": x**2 + y**2 - 1}), "constraints hold it"),
+        (system().retimed("encounters"), "retimed already"),
+    ):
+        with pytest.raises(ss.ModelError, match=told):
+            other.retimed(1 + x**2)
+
+
+@pytest.mark.parametrize("potential", [k * x**2, k / sp.sqrt(x**2 + y**2), -k / (x**2 + y**2)])
+def test_encounters_are_those_of_inverse_distances(potential):
+    with pytest.raises(ss.ModelError, match="not a sum of"):
+        system(potential=potential).retimed("encounters")
+
+
+def test_names_that_retiming_takes():
+    own = sp.Symbol("E0", positive=True)
+    other = ss.MechanicalSystem(
+        "plane", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=own * x**2,
+        parameters={own: 1.0},
+    )  # fmt: skip
+    with pytest.raises(ss.ModelError, match="name of one that retiming adds"):
+        other.retimed(1 + x**2)
+
+
+def test_quarter_powers_are_square_roots():
+    text = ss.compile(system().retimed("encounters"), "simpson").source
+    body = text[text.index("def newton(") :]
+    assert "sqrt(sqrt(" in text
+    assert "**(" not in body

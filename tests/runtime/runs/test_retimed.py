@@ -1,0 +1,171 @@
+"""Runs in a time of their own: where they end, what is stored, what is refused."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.runtime.runs.integrate import begin_run, new_run
+from symsimpson.runtime.runs.spec import read_run
+
+START = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.3}
+
+
+def kepler():
+    x, y = ss.coordinates("x y")
+    return ss.MechanicalSystem(
+        "kepler_plane", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2), positions={"body": (x, y)},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(kepler().retimed("encounters"), "simpson")
+
+
+@pytest.fixture(scope="module")
+def run(stepper):
+    return stepper.integrate(**START, t_end=7.0)
+
+
+def same(one, other):
+    assert all(np.array_equal(getattr(one, name), getattr(other, name))
+               for name in ("t", "tau", "q", "p", "newton_iterations"))  # fmt: skip
+    assert (one.steps, one.status, one.E0) == (other.steps, other.status, other.E0)
+
+
+def test_states_of_the_user(run):
+    assert run.q.shape == (len(run.t), 2)
+    assert (run.t[0], run.t[-1]) == (0.0, 7.0)
+    assert np.all(np.diff(run.t) > 0)
+    assert np.allclose(np.diff(run.tau)[:-1], 0.3, atol=1e-13)
+    assert run.t[1] == pytest.approx(0.3, rel=0.05)  # the first step in t
+    assert run.v[0].tolist() == [0.0, 0.2]
+    assert run.p[0].tolist() == [0.0, 0.2]
+    assert run.E0 == run.energy[0] == pytest.approx(0.02 - 1 / 1.9, abs=1e-15)
+
+
+def test_backwards_and_from_another_time(stepper):
+    run = stepper.integrate(**START | {"h": -0.3}, t0=2.0, t_end=-1.0)
+    assert run.t[-1] == -1.0
+    assert np.all(np.diff(run.t) < 0)
+    with pytest.raises(ss.InputError, match="negative h"):
+        stepper.integrate(**START, t_end=-1.0)
+    with pytest.raises(ss.InputError, match="exactly one of"):
+        stepper.integrate(**START, t_end=1.0, steps=3)
+
+
+@pytest.mark.parametrize("every", [1, 5, None])
+def test_what_is_stored(stepper, run, every):
+    some = stepper.integrate(**START, t_end=7.0, every=every)
+    assert some.steps == run.steps
+    assert some.t[-1] == 7.0
+    assert np.array_equal(some.q[-1], run.q[-1])
+    stride = slice(None, run.steps + 1, every) if every else slice(0, 0)
+    assert np.array_equal(some.t[:-1], run.t[:-1][stride] if every else [])
+
+
+def test_more_states_than_there_is_room_for(monkeypatch, stepper, run):
+    monkeypatch.setattr("symsimpson.runtime.runs.arrival.ROOM", 16)
+    monkeypatch.setattr("symsimpson.runtime.runs.integrate.ROOM", 16)
+    same(stepper.integrate(**START, t_end=7.0), run)
+
+
+def test_steps_may_be_counted(stepper, run):
+    counted = stepper.integrate(**START, steps=run.steps)
+    assert np.array_equal(counted.t, run.t[:-1])
+    assert np.array_equal(counted.q, run.q[:-1])
+
+
+def test_states_between_steps(stepper, run):
+    assert np.array_equal(run.sol(run.t), run.y)
+    times = np.linspace(0, 7, 57)
+    sparse = stepper.integrate(**START, t_end=7.0, every=4)
+    assert np.abs(sparse.sol(times) - run.sol(times)).max() < 1e-9
+    crossings = run.events("y", direction=-1)
+    assert np.abs(crossings.q[:, 1]).max() < 1e-14
+    with pytest.raises(ss.InputError, match="outside of the run"):
+        run.at([7.1])
+    assert run.animate(fps=5) is not None
+
+
+def test_checkpoints_and_files(stepper, run, tmp_path):
+    file = tmp_path / "run.ckpt"
+    same(stepper.integrate(**START, t_end=7.0, checkpoint=file, checkpoint_every=9), run)
+    again = ss.resume(file)
+    same(again, run)
+    for name in ("run.nc", "run.zarr"):
+        run.save(tmp_path / name)
+        same(ss.open_trajectory(tmp_path / name), run)
+
+
+def test_a_file_of_a_module_keeps_its_time(stepper, run, tmp_path):
+    path = tmp_path / "kepler.py"
+    path.write_text(stepper.source)
+    same(ss.load(path).integrate(**START, t_end=7.0), run)
+
+
+def test_a_checkpoint_of_another_end_is_another_run(stepper, tmp_path):
+    file = tmp_path / "run.ckpt"
+    stepper.integrate(**START, t_end=7.0, checkpoint=file)
+    with pytest.raises(ss.InputError, match="another run"):
+        stepper.integrate(**START, t_end=8.0, checkpoint=file)
+
+
+def begun(stepper, t0=0.0):
+    spec = read_run(stepper, (START["q0"], START["v0"], None), (0.3, 7.0, None, t0), None, None)
+    run = new_run(stepper, spec, 0, 1)
+    begin_run(stepper, run, spec)
+    return run
+
+
+def test_time_that_does_not_go_on_is_a_failure(stepper):
+    run = begun(stepper)
+    run.advance(3)
+    q, p = run.end()
+    run.rows("PARAMETER", len(stepper.parameters))[-1] *= -1
+    run.advance(9)
+    assert (run.status, run.step) == (ss.Status.RATE_NOT_POSITIVE, 3)
+    assert np.array_equal(run.end(), (q, p))
+
+
+def test_time_that_stands_still_is_a_failure(monkeypatch, stepper):
+    monkeypatch.setattr("symsimpson.runtime.runs.run.STANDSTILL", 2)
+    run = begun(stepper, 1.0)
+    run.rows("PARAMETER", len(stepper.parameters))[-1] = 1e300
+    run.advance(5000)
+    assert run.status is ss.Status.RATE_NOT_POSITIVE
+
+
+def test_a_rate_is_positive_where_a_run_begins():
+    x, _ = kepler().coordinates
+    stepper = ss.compile(kepler().retimed(x), "simpson")
+    with pytest.raises(ss.InputError, match=r"the rate dt/dtau is -1\.9"):
+        stepper.integrate([-1.9, 0.0], v0=[0.0, 0.2], h=0.1, t_end=1.0)
+
+
+@pytest.mark.parametrize("name", ["E0", "g_start", ss.energy])
+def test_what_follows_from_the_start_is_not_given(stepper, name):
+    with pytest.raises(ss.InputError, match="follow from the start"):
+        stepper.integrate(**START, steps=3, parameters={name: -0.5})
+
+
+def test_what_is_not_there_yet_is_refused(stepper, run):
+    start = {"q0": [1.9, 0.0], "v0": [0.0, 0.2]}
+    for call in (
+        lambda: stepper.ensemble([start["q0"]], v0=[start["v0"]], h=0.3, steps=3),
+        lambda: stepper.poincare("y", **start, h=0.3, steps=20),
+        lambda: stepper.start(**start, h=0.3),
+        lambda: stepper.certify(),
+        lambda: ss.choose(kepler().retimed("encounters"), **start, t_end=5.0, error=1e-6),
+    ):
+        with pytest.raises(ss.InputError, match="not there yet"):
+            call()
+    for call in (
+        lambda: stepper.integrate(**start, h=0.3, steps=3, tangents=2),
+        lambda: stepper.lyapunov(**start, h=0.3, steps=300),
+        lambda: ss.compile(kepler().retimed("encounters"), ss.composition("kahan_li8")),
+    ):
+        with pytest.raises(ss.SchemeError):
+            call()
