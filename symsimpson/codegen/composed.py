@@ -11,6 +11,7 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Composed
+from symsimpson.mechanics.levels import level as of_potential
 
 __all__ = ["ComposedSolver"]
 
@@ -20,13 +21,24 @@ class ComposedSolver(Explicit):
 
     A shear by a function of the exact value is symplectic, rounded or not. The force at the last
     kick is that at the first one of the next step.
+
+    In a time of its own, dt = g(V) dtau, kicks are those of V with g(V), and drifts those of T with
+    g(E0 - T): both parts of K = f(E0 - V) - f(T), f' = g, solved exactly.
     """
 
     def __init__(self, low: Lowering, part: Composed) -> None:
         self._low, self._part, self.coordinates = low, part, part.coordinates
         self._kicks = self._shares("KICKS", part.kicks)
         self._drifts = self._shares("DRIFTS", part.drifts)
-        plain = low.equations.plain
+        plain, retiming = low.equations.plain, low.equations.system.retiming
+        #: dt/dtau as a function of V, which a step in another time takes of E0 - T, too.
+        self._rate: sp.Expr | None = None
+        if retiming is not None and retiming.of_potential is not None:
+            *_, energy, first = (low.parameters[a] for a in plain.parameters)
+            self._rate, self._energy = (
+                retiming.of_potential.xreplace(low.parameters) / first,
+                energy,
+            )
         damped = {
             a: plain.written(rate).xreplace(low.parameters)
             for a, rate in enumerate(plain.rates) if rate[0]
@@ -46,7 +58,7 @@ class ComposedSolver(Explicit):
         low, names, define = self._low, self._low.names.coordinates, self._low.graph.define
         moved: dict[int, sp.Expr] = {a: low.q_low[a] for a in self.coordinates}
         impulse: dict[int, sp.Expr] = {a: low.p_low[a] for a in self._forced}
-        point = low.start_point()
+        point, passed = low.start_point(), []
         for k, (kick, drift) in enumerate(zip(self._kicks[:-1], self._drifts, strict=True)):
             section = f"kick and drift {k}"
             if k > 0:
@@ -59,6 +71,11 @@ class ComposedSolver(Explicit):
             impulse = self._kicked(impulse, kick, point, section, f"dp_{{}}_{k + 1}")
             momentum = [low.p[a] + impulse.get(a, low.p_low[a]) for a in self.coordinates]
             velocity = constant_mass_velocity(low, self.coordinates, momentum, "v", section)
+            if self._rate is not None:
+                pairs = zip(momentum, velocity, strict=True)
+                kinetic = define("kinetic", sp.Add(*(p * v for p, v in pairs)) / 2, section)
+                drift = define("drift", drift * self._rate_at(self._energy - kinetic), section)
+                passed.append(drift)
             for a, v in zip(self.coordinates, velocity, strict=True):
                 value = moved[a] + drift * v
                 moved[a] = define(f"dq_{names[a]}_{k + 1}", value, section)
@@ -66,7 +83,14 @@ class ComposedSolver(Explicit):
         dq = {a: value - low.q_low[a] for a, value in moved.items()}
         end = end_point(low, dq)
         impulse = self._kicked(impulse, self._kicks[-1], end, "last kick", "dp_{}_end")
-        return Closing(dq, {a: value - low.p_low[a] for a, value in impulse.items()})
+        dp = {a: value - low.p_low[a] for a, value in impulse.items()}
+        time = define("passed", sp.Add(*passed), "time") if passed else None
+        return Closing(dq, dp, passed=time)
+
+    def _rate_at(self, level: sp.Expr) -> sp.Expr:
+        """Return dt/dtau where V has a value."""
+        assert self._rate is not None
+        return self._rate.xreplace({of_potential: level})
 
     def _kicked(
         self, impulse: Mapping[int, sp.Expr], share: sp.Expr, point: Point, section: str, hint: str
@@ -76,6 +100,9 @@ class ComposedSolver(Explicit):
         Friction of the rate G makes of p in a kick exp(-G share) p + (1 - exp(-G share))/G F.
         """
         low, added = self._low, {}
+        if self._rate is not None:
+            V = low.template.entry(point, section, "V")
+            share = low.graph.define("kick", share * self._rate_at(V), section)
         for a in self._forced:
             force = low.template.entry(point, section, "F", a)
             if a in self._damped:

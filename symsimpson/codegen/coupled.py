@@ -66,11 +66,14 @@ class Closing:
         p1 - p0 where it is not zero.
     checks : mapping
         Sizes by which a solution is accepted or not, by the block that holds the sum over parts.
+    passed : sympy.Expr, optional
+        The user's time that the step takes, if that is another one.
     """
 
     dq: Mapping[int, sp.Expr]
     dp: Mapping[int, sp.Expr]
     checks: Mapping[str, sp.Expr] = field(default_factory=dict)
+    passed: sp.Expr | None = None
 
 
 class Solver(Protocol):

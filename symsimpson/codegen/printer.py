@@ -87,7 +87,8 @@ class Printer(StrPrinter):
             whole, rest = divmod(abs(exponent), 1)
             root = f"sqrt(real({argument}))" if base.is_Integer else f"sqrt({argument})"
             roots = {2: [root], 1: [f"sqrt({root})"], 3: [root, f"sqrt({root})"]}[int(4 * rest)]
-            power = "*".join([*([self._print(base**whole)] if whole else []), *roots])
+            factor = self.parenthesize(base**whole, PRECEDENCE["Mul"])
+            power = "*".join([*([factor] if whole else []), *roots])
             single = not whole and len(roots) == 1
             if exponent > 0:
                 return power if single else f"({power})"

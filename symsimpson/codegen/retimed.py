@@ -10,16 +10,19 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Call, Function, Kernel, Row, Store, When
+from symsimpson.codegen.ir import Call, Function, Kernel, Row, Statement, Store, When
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.unrolled import STATE, energy_stores, lanes, legendre
+from symsimpson.discrete.reductions import Composed
 from symsimpson.discrete.retiming import derive_energies, derive_rate
 from symsimpson.mechanics.retimed import OWN
 
 __all__ = ["keeping_time", "sizes"]
+
+_NODE = ("W", "h", "node", "lane")
 
 
 def sizes(low: Lowering) -> dict[str, int]:
@@ -96,12 +99,10 @@ class _Retimed:
 
     def clock(self) -> Kernel:
         """The time that a step took."""
-        nodes = self._loops.nodes("range(NODES)", Call("time_rate"), Call("pass_time", _NODE))
-        body = (
-            Call("begin_time"), Call("exchange_steps"), nodes, Call("exchange_steps"),
-            Call("close_time", ("W", "h", "lane")),
-        )  # fmt: skip
+        composed = any(isinstance(part, Composed) for part in self._low.equations.parts)
+        summed: tuple[Statement, ...] = ()
+        if not composed:  # else the step has added it up itself
+            nodes = self._loops.nodes("range(NODES)", Call("time_rate"), Call("pass_time", _NODE))
+            summed = (Call("begin_time"), Call("exchange_steps"), nodes, Call("exchange_steps"))
+        body = (Call("keep_time"), *summed, Call("close_time", ("W", "h", "lane")))
         return Kernel("clock", "Add the time that the step took.", lanes((When(body),)))
-
-
-_NODE = ("W", "h", "node", "lane")

@@ -178,6 +178,11 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     end = end_of(low, [q[a][0] for a in range(low.n)])
     momentum = tuple(p[a][0] if a in p else low.p[a] for a in range(low.n))
     stores, masses = _predicted(low, solvers, end, momentum) if iterated else ([], {})
+    stores += [
+        Store(Row("PASSED", 0), closing.passed)
+        for closing in closings
+        if closing.passed is not None
+    ]
     checks: dict[str, list[sp.Expr]] = {}
     for closing in closings if iterated else ():
         for block, size in closing.checks.items():

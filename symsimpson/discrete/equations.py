@@ -40,8 +40,10 @@ from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.graph.read import Reader
+from symsimpson.mechanics.checks import spell
 from symsimpson.mechanics.damping import damping_rates, undamped
 from symsimpson.mechanics.plain import Plain
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
@@ -185,6 +187,8 @@ def discretise(
         If the scheme is explicit, but no step of the system is.
     """
     wanted = read_exploit(exploit)
+    if isinstance(scheme, Composition) and isinstance(system, RetimedSystem):
+        return _composed_in_time(system, scheme, wanted, varied)
     structure = system.structure
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
@@ -210,6 +214,39 @@ def discretise(
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied, cost)
+
+
+def _composed_in_time(
+    system: RetimedSystem, scheme: Composition, exploit: frozenset[str],
+    varied: tuple[sp.Symbol, ...] | None,
+) -> DiscreteEquations:  # fmt: skip
+    """Return kicks of f(c - V) and drifts of f(T + c - E0), f' = g: both are solved exactly.
+
+    Raises
+    ------
+    SchemeError
+        If g is no function of V, M is not constant, or the order rests on a quadratic T.
+    """
+    original, every = system.original, tuple(range(system.n))
+    if varied is not None:
+        _check_differentiable(system, scheme)
+    _check_explicit(original, scheme)
+    if system.retiming.of_potential is None:
+        raise SchemeError(
+            f"{system.name}: kicks and drifts in another time take a rate that is a function of V, "
+            f"and {spell(system.rate)} is none.\nGive one, as (-V)**(-3/2), which is "
+            "'encounters', or choose a scheme of the family, as 'gauss8'."
+        )
+    if not scheme.of_verlet:
+        raise SchemeError(
+            f"the order {scheme.order} of {scheme.name} rests on a kinetic energy that is quadratic"
+            ", which f(T) is not.\nChoose a composition of steps of Verlet, as 'kahan_li8', or a "
+            "scheme of the family, as 'gauss8'."
+        )
+    plain = replace(original.plain, parameters=system.plain.parameters)
+    part = Composed(every, scheme.kicks, scheme.drifts)
+    h = sp.Symbol("h", positive=True)
+    return DiscreteEquations(system, scheme, exploit, plain, h, (), (), (part,))
 
 
 def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) -> bool:

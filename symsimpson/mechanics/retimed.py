@@ -16,6 +16,7 @@ import sympy as sp
 from symsimpson.graph.nodes import Graph, Value
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.levels import function_of_level, level
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -41,11 +42,14 @@ class Retiming:
     graph : Graph
     rate : Value
         dt/dtau in this graph, as the user gave it.
+    of_potential : sympy.Expr or None
+        The same as a function of :data:`level` in place of V, in plain symbols, if it is one.
     """
 
     plain: Plain
     graph: Graph
     rate: Value
+    of_potential: sp.Expr | None
 
     def depends(self, symbol: sp.Symbol) -> bool:
         """Return whether a plain symbol stands in the rate."""
@@ -66,7 +70,9 @@ class RetimedSystem(MechanicalSystem):
     ----------
     original : MechanicalSystem
     rate : SymPy expression
-        g, as it was given.
+        g, as it was given, but for a constant factor.
+    of_level : SymPy expression or None
+        g as a function of V, with the symbol ``level`` in its place, if it is one.
 
     Notes
     -----
@@ -93,25 +99,32 @@ class RetimedSystem(MechanicalSystem):
 
     original: MechanicalSystem = field(kw_only=True)
     rate: sp.Expr = field(kw_only=True)
+    of_level: sp.Expr | None = field(kw_only=True)
 
     @cached_property
     def retiming(self) -> Retiming:
         """What it is made of."""
         own = Symbols(self.coordinates, self.parameters)
         value = _read_rate(self.original.name, self.rate, own)
-        return Retiming(self.original.plain, own.graph, value)
+        known = None if self.of_level is None else self.of_level.xreplace(dict(own.replace))
+        return Retiming(self.original.plain, own.graph, value, known)
 
 
 def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     """Return the system in another time; see :meth:`MechanicalSystem.retimed`."""
     name = system.name
     _check(system)
-    parameters = dict(system.parameters)
+    parameters, V = dict(system.parameters), system.potential
+    of_level: sp.Expr | None
     if isinstance(rate, str):
-        g, more = _named(system, rate)
+        of_level, more = _named(system, rate)
+        g = of_level.subs(level, V)
         parameters |= more
     else:
         g = sp.sympify(rate)
+        of_level = function_of_level(system, g) if isinstance(g, sp.Expr) else None
+        if of_level is not None:
+            g = of_level.subs(level, V)
     for symbol in OWN:
         if str(symbol) in map(str, parameters):
             raise fail(
@@ -138,6 +151,7 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
         invariants=invariants or None,
         original=system,
         rate=g,
+        of_level=of_level,
     )
 
 
@@ -172,7 +186,7 @@ def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
 
 
 def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Symbol, float]]:
-    """Return the rate of a name, and the parameters that it adds."""
+    """Return the rate of a name as a function of V, and the parameters that it adds."""
     V = system.potential
     if rate == "encounters":
         if not _attracts(system, V):
@@ -182,9 +196,9 @@ def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Sym
                 'retimed("encounters") takes it.',
                 "Give g as an expression: positive, and small where the motion is fast.",
             )
-        return (-V) ** sp.Rational(-3, 2), {}
+        return (-level) ** sp.Rational(-3, 2), {}
     if rate == "kinetic":
-        return 1 / sp.sqrt(rest + energy - V), {rest: 1.0}
+        return 1 / sp.sqrt(rest + energy - level), {rest: 1.0}
     raise fail(
         system.name, f"there is no rate named {rate!r}.",
         'Give an expression of positions, or "encounters" or "kinetic".',

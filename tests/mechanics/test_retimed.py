@@ -6,6 +6,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
+from symsimpson.mechanics.levels import level
 
 x, y = ss.coordinates("x y")
 m, k = sp.symbols("m k", positive=True)
@@ -35,8 +36,21 @@ def test_the_lagrangian_in_tau():
 
 def test_rates_by_name():
     assert system().retimed("encounters").rate == (k / sp.sqrt(x**2 + y**2)) ** sp.Rational(-3, 2)
+    assert system().retimed("encounters").of_level == (-level) ** sp.Rational(-3, 2)
     kinetic = system(potential=k * x**2 / 2 + y**4).retimed("kinetic")
     assert {str(a) for a in kinetic.parameters} == {"m", "k", "c_rest", "E0", "g_start"}
+
+
+def test_functions_of_the_potential_are_known():
+    r = sp.sqrt(x**2 + y**2)
+    for rate, power in ((r, -1), (5 * r ** sp.Rational(3, 2), sp.Rational(-3, 2)), (k / r, 1)):
+        found = system().retimed(rate)
+        assert found.of_level == (-level) ** power
+        assert sp.simplify(found.rate / rate).free_symbols <= {k}
+    own = system(potential=-k * sp.exp(-(x**2)) - y**2)
+    assert own.retimed(1 / (2 - own.potential)).of_level == 1 / (2 - level)
+    for rate in (1 + x**2, x**2, r + r**2):
+        assert system().retimed(rate).of_level is None
 
 
 WRONG = [

@@ -13,9 +13,12 @@ import sympy as sp
 from workspace import sweep
 
 import symsimpson as ss
+from symsimpson.schemes.composition import Composition
+from symsimpson.schemes.quadrature import Quadrature
 
 DATA = Path(__file__).parents[1] / "data" / "golden_retimed.json"
-CASES = [case for case in json.loads(DATA.read_text())["cases"] if "g" in case]
+EVERY = json.loads(DATA.read_text())["cases"]
+CASES, COMPOSED = ([x for x in EVERY if kind in x] for kind in ("g", "composition"))
 #: Coarse at its pericentre, where rounding is amplified.
 AMPLIFIED = {"kepler_r_gauss8": 1e-9}
 KINDS = {("lobatto", 3): "simpson", ("gauss", 4): "gauss8", ("gauss", 1): "midpoint"}
@@ -81,6 +84,52 @@ def test_many_digits(case):
         check(case, run_of(case, mp.mpf, precision=45), mp.mpf, 1e-30)
 
 
+def verlet():
+    half = sp.S.Half
+    times = Quadrature("composition", (sp.S.Zero, sp.S.One), (half, half), 2)
+    return Composition("verlet", times, 1, (sp.S.One,), "Stoermer and Verlet")
+
+
+def composed_run(case, number, **options):
+    """Run a case of kicks and drifts with f' = 1/x, that is g = -1/V."""
+    q = ss.coordinates(" ".join(f"q{i}" for i in range(case["n"])))
+    values = {sp.Symbol(a, positive=True): sp.Rational(x) for a, x in case["parameters"].items()}
+    names = {x.func.__name__: x for x in q} | {a.name: a for a in values}
+    V = sp.sympify(case["V"], locals=names)
+    masses = [next((a for a in values if a.name == f"m{i // 2 + 1}"), 1) for i in range(len(q))]
+    T = sum(m * x.diff() ** 2 for m, x in zip(masses, q, strict=True)) / 2
+    system = ss.MechanicalSystem(
+        "case", coordinates=q, kinetic=T, potential=V,
+        parameters={a: float(x) for a, x in values.items()},
+    )  # fmt: skip
+    name = case["composition"]
+    stepper = ss.compile(
+        system.retimed(-1 / V), verlet() if name == "verlet" else ss.composition(name), **options
+    )
+    start = values | dict(zip(q, map(sp.Rational, case["q0"]), strict=True))
+    step = sp.Float(str(case["dtau"]), 40) * (-1 / V).subs(start).evalf(40)
+    read = np.frompyfunc(number, 1, 1)
+    return stepper.integrate(
+        read(case["q0"]), p0=read(case["p0"]), h=number(str(step)), steps=case["steps"]
+    )
+
+
+@pytest.mark.parametrize("case", COMPOSED, ids=lambda case: case["name"])
+@pytest.mark.parametrize("digits", [pytest.param(15, marks=pytest.mark.slow), 45])
+def test_kicks_and_drifts(case, digits):
+    number, most = (float, 1e-13) if digits == 15 else (mp.mpf, 1e-32)
+    with mp.workdps(45):
+        run = composed_run(case, number, **({} if digits == 15 else {"precision": digits}))
+        golden = case["results"]
+        for found, wanted in (
+            (run.q[1], golden["first_step"]["q1"]), (run.p[1], golden["first_step"]["p1"]),
+            (run.t[1:2], golden["first_step"]["t1"]), (run.q[-1], golden["q"]),
+            (run.p[-1], golden["p"]), (run.t[-1:], golden["t"]),
+            (np.array([run.E0]), golden["E0"]),
+        ):  # fmt: skip
+            assert off(found, wanted, number) < most
+
+
 def kepler(**more):
     x, y = ss.coordinates("x y")
     return ss.MechanicalSystem(
@@ -117,6 +166,19 @@ ORDERS = [("simpson", 4, 40), ("gauss8", 8, 12), ("midpoint", 2, 80), ("gauss4",
 @pytest.mark.parametrize(("scheme", "order", "steps"), sweep(ORDERS, 1))
 def test_orders_of_positions_momenta_and_time(scheme, order, steps, reference):
     stepper = ss.compile(kepler().retimed("encounters"), scheme, precision=40)
+    errors = [abs(states(stepper, k * steps) - reference) for k in (1, 2)]
+    parts = [[max(x[some]) for x in errors] for some in (slice(2), slice(2, 4), slice(4, 5))]
+    found = [float(mp.log(coarse / fine, 2)) for coarse, fine in parts]
+    assert found == pytest.approx([order] * 3, abs=0.1 if order < 8 else 0.25)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order", "steps"),
+    sweep([("suzuki4", 4, 80), ("kahan_li6", 6, 60), ("kahan_li8", 8, 40)], 1),
+)
+def test_orders_of_kicks_and_drifts(scheme, order, steps, reference):
+    system = kepler().retimed("encounters")
+    stepper = ss.compile(system, ss.composition(scheme), precision=40)
     errors = [abs(states(stepper, k * steps) - reference) for k in (1, 2)]
     parts = [[max(x[some]) for x in errors] for some in (slice(2), slice(2, 4), slice(4, 5))]
     found = [float(mp.log(coarse / fine, 2)) for coarse, fine in parts]

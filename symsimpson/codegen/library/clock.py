@@ -18,16 +18,21 @@ WEIGHTS: Any
 
 
 @compiled
-def begin_time(W, lane):
+def keep_time(W, lane):
     """Keep the time before the step."""
     W[TIME + 2, lane] = W[TIME, lane]
     W[TIME + 3, lane] = W[TIME + 1, lane]
+
+
+@compiled
+def begin_time(W, lane):
+    """Begin to add up the time of the step."""
     W[PASSED, lane] = real(0)
 
 
 @compiled
 def pass_time(W, h, node, lane):
-    """Add what a node contributes, dt = g dtau; where g is not positive, time ends."""
+    """Add what a node contributes, dt = g dtau, if time goes on there."""
     rate = W[RATE, lane]
     W[PASSED, lane] += h * WEIGHTS[node] * rate
     if not rate > 0:
@@ -44,6 +49,8 @@ def close_time(W, h, lane):
     rest = after - taken
     W[TIME, lane] = after
     W[TIME + 1, lane] = (before - rest) + (step - taken)
+    if not h * W[PASSED, lane] > 0:
+        W[STATUS, lane] = 12.0
     over = W[TIME_END, lane] != 0 and h * (after - W[TIME_END + 1, lane]) >= 0
     if over and W[STATUS, lane] == 0:
         W[STATUS, lane] = 11.0
