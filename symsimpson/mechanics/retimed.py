@@ -115,16 +115,12 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     name = system.name
     _check(system)
     parameters, V = dict(system.parameters), system.potential
-    of_level: sp.Expr | None
+    of_level: sp.Expr | None = None
+    g = rate
     if isinstance(rate, str):
         of_level, more = _named(system, rate)
         g = of_level.subs(level, V)
         parameters |= more
-    else:
-        g = sp.sympify(rate)
-        of_level = function_of_level(system, g) if isinstance(g, sp.Expr) else None
-        if of_level is not None:
-            g = of_level.subs(level, V)
     for symbol in OWN:
         if str(symbol) in map(str, parameters):
             raise fail(
@@ -134,6 +130,9 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
             )
     parameters |= {energy: 0.0, first_rate: 1.0}
     _read_rate(name, g, Symbols(system.coordinates, parameters))
+    g = sp.sympify(g)
+    of_level = of_level or function_of_level(system, g)
+    g = g if of_level is None else of_level.subs(level, V)
     pace = g / first_rate
     velocities = {q.diff(): q.diff() / pace for q in system.coordinates}
     invariants = {

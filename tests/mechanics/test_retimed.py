@@ -23,7 +23,7 @@ def system(potential=ATTRACTS, **more):
 
 
 def test_the_lagrangian_in_tau():
-    r = sp.sqrt(x**2 + y**2)
+    r = 1 + x**2
     found = system(gyroscopic=x * y.diff()).retimed(r)
     first = next(a for a in found.parameters if str(a) == "g_start")
     assert sp.simplify(found.kinetic - found.original.kinetic * first / r) == 0

@@ -141,7 +141,7 @@ def test_time_that_stands_still_is_a_failure(monkeypatch, stepper):
 def test_kicks_and_drifts_end_at_a_time():
     x, y = kepler().coordinates
     system = kepler().retimed(sp.sqrt(x**2 + y**2))
-    run = ss.compile(system, ss.composition("kahan_li8")).integrate(**START, t_end=7.0)
+    run = ss.compile(system, ss.composition("kahan_li8")).integrate(**START | {"h": 0.1}, t_end=7.0)
     wanted = ss.compile(system, "gauss12").integrate(**START, t_end=7.0)
     assert run.t[-1] == 7.0
     assert np.abs(run.q[-1] - wanted.q[-1]).max() < 1e-9
