@@ -39,11 +39,11 @@ def test_eight_lanes_are_packed(scheme):
 
 @pytest.mark.parametrize(
     ("name", "scheme", "least"),
-    sweep([("double_pendulum", "gauss16", 80), ("double_pendulum", "gauss8", 80),
-           ("lagrange_top", "gauss16", 80), ("henon_heiles", "gauss12", 40)]),
+    sweep([("double_pendulum", "gauss16", 150), ("double_pendulum", "gauss8", 150),
+           ("lagrange_top", "gauss16", 120), ("henon_heiles", "gauss12", 40)]),
 )  # fmt: skip
 def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
-    """Both loops over nodes, although the second one is short: compilers like to unroll it."""
+    """All loops over nodes, although the last one is short: compilers like to unroll it."""
 
     def build(module):
         return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
@@ -53,7 +53,7 @@ def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     packed = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)pd\b", assembly))
     single = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)sd\b", assembly))
     assert packed > least
-    assert single <= 30  # the judgement of an iteration
+    assert single <= 36  # the judgement of an iteration, and of how far angles were turned
 
 
 @pytest.mark.slow
