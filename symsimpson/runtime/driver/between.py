@@ -47,8 +47,7 @@ SIGNATURES |= {
     ),
     "between": types.void(
         SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64[::1], types.int64[::1], types.float64[::1], types.float64[::1], WORKSPACE,
-        WORKSPACE,
+        types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
         types.boolean[::1], types.int64, INPUTS, INPUTS,
     ),
 }  # fmt: skip
@@ -99,8 +98,7 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
 
 @njit(**DRIVER_OPTIONS)
 def between(
-    kernels, h, t, W, at, q, p, start, whole, rest, t_out, q_out, p_out, fine, every, inputs,
-    rests,
+    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine, every, inputs, rests
 ):  # fmt: skip
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
@@ -108,44 +106,40 @@ def between(
     steps go up, no step is taken twice. ``every`` whole steps lie between stored states; they have
     ``inputs``, and those of size ``rest[i]`` have ``rests``. ``q_out`` and ``p_out`` have one row
     more than there are states to give: the state after the whole steps stands there. ``fine`` tells
-    of each whether its steps went well. Where a kernel behind each step keeps another time, that
-    is given in ``t_out``.
+    of each whether its steps went well.
     """
     n, last = at[DIMENSION], len(start)
-    stored, done, well, now = -1, 0, True, 0.0
-    timed = kernels[BEHIND] != 0
+    stored, done, well = -1, 0, True
     for i in range(last):
         if start[i] != stored or whole[i] < done:
             stored, done, well = start[i], 0, True
-            now = t[stored]
             for a in range(n):
                 q_out[last, a], p_out[last, a] = q[stored, a], p[stored, a]
+        now = t[stored] + h * done
         if whole[i] > done and well:
             well = take(
                 kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last], inputs,
                 stored * every + done,
             )  # fmt: skip
             done = whole[i]
-            now = W[at[KEPT], 0] if timed else t[stored] + h * done
+            now = t[stored] + h * done
         for a in range(n):
             q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
-        fine[i], t_out[i] = well, now
+        fine[i] = well
         if well and rest[i] != 0.0:
             fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i], rests, i)
-            t_out[i] = W[at[KEPT], 0] if timed else now + rest[i]
 
 
 @njit(**DRIVER_OPTIONS)
 def states_at(
-    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs,
-    smallest,
+    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs, near
 ):  # fmt: skip
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
     one to the next. ``part`` takes how far each state is into its step: found by Newton's method,
-    to ``smallest``, with the rate that the energy's kernel tells. ``q_out`` and ``p_out`` have one
-    row more, for what is tried.
+    ``near`` as rounding is, with the rate that the energy's kernel tells. ``q_out`` and ``p_out``
+    have one row more, for what is tried.
     """
     n, last, time = at[DIMENSION], len(start), at[KEPT]
     for i in range(last):
@@ -166,17 +160,19 @@ def states_at(
                         q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         if now != asked[i]:
             change = h * (asked[i] - now) / (ahead - now) if ahead != now else h
-            tries = 0
-            while well and tries < MOST_PARTS and abs(change) > smallest:
+            tries, there = 0, False
+            while well and tries < MOST_PARTS and not there:
                 part[i] += change
                 for a in range(n):
                     q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
                 well = take(kernels, part[i], now, W, at, 1, q_out[last], p_out[last], inputs, 0)
                 later = W[time, 0]
                 call(energy, part[i], later, W)
-                change = (asked[i] - later) / W[time + RATE_BEHIND, 0]
+                left = asked[i] - later
+                change = left / W[time + RATE_BEHIND, 0]
+                there = abs(change) <= abs(h) * near or abs(left) <= abs(asked[i]) * near
                 tries += 1
-            well = well and abs(change) <= smallest
+            well = well and there
             for a in range(n):
                 q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         fine[i] = well

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.runs.arrival import MOST_ITERATIONS, rate_at, resolution, states_at
+from symsimpson.runtime.runs.arrival import states_at
 from symsimpson.runtime.runs.driving import at_places, places, since
 from symsimpson.runtime.runs.run import Run, workspace
 
@@ -123,41 +123,6 @@ class DenseOutput:
         """Return q, p and a status so much later than stored states, by their numbers."""
         if self._retimed:
             return self._after_in_time(start, later)
-        return self._stepped(start, later)[1:]
-
-    def _after_in_time(
-        self, start: NDArray[np.int64], later: Reals
-    ) -> tuple[Reals, Reals, NDArray[np.int64]]:
-        """Find by Newton's method how much later that is in the time of the steps."""
-        run, stepper = self._run, self._run._stepper
-        numbers = stepper._module.numbers
-        with numbers.working():
-            values, h = numbers.read(run._values), numbers.read(run.h).item()
-            asked, states = self._t[start] + numbers.read(later), (self._t, self._q, self._p)
-            _, q, p, fine = states_at(stepper, values, h, states, start, asked, run.every or 1)
-            q, p = numbers.result(q).copy(), numbers.result(p).copy()
-        codes = np.zeros(start.size, dtype=np.int64)
-        for i in np.flatnonzero(~fine):
-            q[i], p[i], codes[i] = self._slowly(int(start[i]), later[i])
-        return q, p, codes
-
-    def _slowly(self, start: int, later: Any) -> tuple[Reals, Reals, int]:
-        """Do so with all that a run has against what goes wrong."""
-        run, stepper = self._run, self._run._stepper
-        smallest = resolution(stepper._module.numbers) * abs(run.h)
-        part, one = np.array([run.h * (run.every or 1) / 2]), np.array([start])
-        for _ in range(MOST_ITERATIONS):
-            t, q, p, codes = self._stepped(one, part)
-            change = (run.t[start] + later - t) / rate_at(stepper, q, p, run._values)
-            if codes[0] or abs(change[0]) <= smallest:
-                break
-            part = part + change
-        return q[0], p[0], int(codes[0])
-
-    def _stepped(
-        self, start: NDArray[np.int64], later: Reals
-    ) -> tuple[Reals, Reals, Reals, NDArray[np.int64]]:
-        """Return t, q, p and a status so much later in the time of the steps."""
         run, stepper = self._run, self._run._stepper
         numbers, header, kernels = (
             stepper._module.numbers,
@@ -177,26 +142,36 @@ class DenseOutput:
             at = (rest / step)[:, None] * places(stepper)
             rests = at_places(stepper, self._inputs, first + whole, at)
             found_q, found_p = numbers.zeros((2, len(order), header.n))
-            found_t, behind = numbers.zeros(len(order)), "clock" if self._retimed else ""
             fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
             at_once = max(1, AT_ONCE // (run.every or 1))
             for some in (order[i : i + at_once] for i in range(0, order.size, at_once)):
                 q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
-                t_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
+                well = np.zeros(some.size, dtype=np.bool_)
                 between(
-                    kernels.set(kernels.fallbacks[0], behind), step.item(), t, W, header.told, q, p,
-                    start[some], whole[some], rest[some], t_out, q_out, p_out, well, run.every or 1,
+                    kernels.set(kernels.fallbacks[0]), step.item(), t, W, header.told, q, p,
+                    start[some], whole[some], rest[some], q_out, p_out, well, run.every or 1,
                     self._inputs, rests[:, some],
                 )  # fmt: skip
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
-                found_t[some] = t_out
             codes = np.zeros(len(order), dtype=np.int64)
             for i in np.flatnonzero(~fine):
                 state, codes[i] = self._robustly(int(start[i]), int(whole[i]), rest[i])
-                found_q[i], found_p[i], found_t[i] = state
-            found = (numbers.result(x) for x in (found_t, found_q, found_p))
-            return (*found, codes)  # type: ignore[return-value]
+                found_q[i], found_p[i] = state
+            return numbers.result(found_q), numbers.result(found_p), codes
+
+    def _after_in_time(
+        self, start: NDArray[np.int64], later: Reals
+    ) -> tuple[Reals, Reals, NDArray[np.int64]]:
+        """Do so where steps are fixed in another time."""
+        run, stepper = self._run, self._run._stepper
+        numbers = stepper._module.numbers
+        with numbers.working():
+            values, h = numbers.read(run._values), numbers.read(run.h).item()
+            asked, states = self._t[start] + numbers.read(later), (self._t, self._q, self._p)
+            _, q, p, fine = states_at(stepper, values, h, states, start, asked, run.every or 1)
+            codes = np.where(fine, Status.SUCCESS, Status.NOT_CONVERGED).astype(np.int64)
+            return numbers.result(q), numbers.result(p), codes
 
     def _robustly(self, start: int, whole: int, rest: Any) -> tuple[Any, Status]:
         """Take the steps with all that a run has against what goes wrong.
@@ -206,10 +181,10 @@ class DenseOutput:
         stepper = self._run._stepper
         h, first = stepper._module.numbers.read(self._run.h).item(), start * (self._run.every or 1)
         t, state = self._t[start], (self._q[start], self._p[start])
-        (q, p, t), status = self._run_on(t, state, h, whole, since(self._inputs, first))
-        last = first + whole
+        (q, p), status = self._run_on(t, state, h, whole, since(self._inputs, first))
         if status is not Status.SUCCESS or rest == 0:
-            return (q, p, t), status
+            return (q, p), status
+        t, last = t + whole * h, first + whole
         for parts in DIVISIONS:
             at = (np.arange(parts)[:, None] + places(stepper)) * (rest / h / parts)
             inputs = at_places(stepper, self._inputs, np.full(parts, last), at)
@@ -219,7 +194,7 @@ class DenseOutput:
         if abs(float(rest / h)) < LITTLE:  # near enough to the line to the next state
             ahead, status = self._run_on(t, (q, p), h, 1, since(self._inputs, last))
             part = rest / h
-            return [a + part * (b - a) for a, b in zip((q, p, t), ahead, strict=True)], status
+            return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 
     def _run_on(
@@ -228,7 +203,6 @@ class DenseOutput:
         stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
         one = Run(stepper._module, values, h, t, 0, 1, inputs=inputs)
-        one.begin(*state, velocity=False, onward=True)
+        one.begin(*state, velocity=False)
         one.advance(steps)
-        q, p = (one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM"))
-        return (q, p, one.value("TIME") if self._retimed else t + h * steps), one.status
+        return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

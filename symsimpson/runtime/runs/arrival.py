@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.evaluator import evaluate
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import Run, Stored, workspace
@@ -16,13 +15,11 @@ if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
 
-__all__ = ["ROOM", "Collected", "last_part", "rate_at", "resolution", "states_at", "with_end"]
+__all__ = ["ROOM", "Collected", "last_part", "states_at", "with_end"]
 
 Reals = NDArray[Any]
 #: So many states are stored before they are put away.
 ROOM = 4096
-#: Iterations for a time within a step; four to six are usual, from a straight line.
-MOST_ITERATIONS = 40
 
 
 class Collected:
@@ -94,17 +91,22 @@ def states_at(
     numbers, header, kernels = (
         stepper._module.numbers, stepper._module.header, stepper._module.kernels,
     )  # fmt: skip
-    many = start.size
-    q_out, p_out = numbers.zeros((2, many + 1, header.n))
-    part, fine = numbers.zeros(many), np.zeros(many, dtype=np.bool_)
-    W = workspace(header, numbers, values)
-    smallest = resolution(numbers) * abs(h)
-    numbers.driver("states_at")(
-        kernels.set(kernels.fallbacks[0], "clock"), kernels.address("energy"), h, states[0], W,
-        header.told, *states[1:], start, asked, q_out, p_out, part, fine, every, NO_INPUTS,
-        smallest,
-    )  # fmt: skip
-    return part, q_out[:-1], p_out[:-1], fine
+    many, near = start.size, _resolution(numbers)
+    part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
+    fine = np.zeros(many, dtype=np.bool_)
+    for name in kernels.fallbacks:  # each where the one before fails
+        some = np.flatnonzero(~fine)
+        if not some.size:
+            break
+        q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
+        part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
+        numbers.driver("states_at")(
+            kernels.set(name, "clock"), kernels.address("energy"), h, states[0],
+            workspace(header, numbers, values), header.told, *states[1:], start[some], asked[some],
+            q_out, p_out, part_out, well, every, NO_INPUTS, near,
+        )  # fmt: skip
+        part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
+    return part, q, p, fine
 
 
 def with_end(
@@ -126,13 +128,7 @@ def with_end(
     )  # fmt: skip
 
 
-def rate_at(stepper: Evaluator, q: Reals, p: Reals, values: Reals) -> Reals:
-    """Return dt/dtau at states, shape (len(q),)."""
-    times = stepper._module.numbers.zeros((len(q),))
-    return evaluate(stepper, "energy", "RATE", 1, times, q, p, values)[:, 0]
-
-
-def resolution(numbers: Numbers) -> float:
-    """Return the fraction of a step that is below rounding."""
+def _resolution(numbers: Numbers) -> float:
+    """Return the relative size of what rounding makes of a time."""
     digits = getattr(numbers, "digits", None)
     return 4e-16 if digits is None else 10.0 ** (1 - digits)
