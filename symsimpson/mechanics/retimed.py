@@ -93,7 +93,7 @@ class RetimedSystem(MechanicalSystem):
     ...     potential=-1/sp.sqrt(x**2 + y**2))
     >>> stepper = ss.compile(kepler.retimed("encounters"), "gauss8")
     >>> run = stepper.integrate([1.99, 0.0], v0=[0.0, 0.05], h=0.25, t_end=20.0)
-    >>> run.t[-1], bool(abs(run.energy_error[-1]) < 1e-9)
+    >>> float(run.t[-1]), bool(abs(run.energy_error[-1]) < 1e-9)
     (20.0, True)
     """
 
