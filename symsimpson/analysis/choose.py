@@ -36,6 +36,8 @@ MOST_STEPS = 2_000_000
 #: Errors closer to rounding than this cannot be told from it.
 FLOOR = 3e-14
 ROUNDS, REPEATS = 8, 3
+#: A smaller gain in steps is not worth another run.
+FEWER = 0.85
 #: Fewer steps that take this many times as long fell back on another solver. Smaller differences
 #: are those of a busy machine: iterations are counted instead.
 SLOWER = 2.0
@@ -211,9 +213,11 @@ class _Problem:
             steps += steps % 2  # the middle of the run is looked at, too
             measured = self._measure(stepper, steps) if steps <= MOST_STEPS else None
             if measured is None:
-                if best is not None or steps > MOST_STEPS:
+                if steps > MOST_STEPS:
                     return best
-                steps *= 2
+                steps = 2 * steps if best is None else math.ceil(math.sqrt(steps * best.steps))
+                if best and steps > FEWER * best.steps:
+                    return best
                 continue
             error, growth, work, seconds = measured
             wanted = self._wanted(growth)
@@ -223,7 +227,7 @@ class _Problem:
                     return best  # fewer steps that are solved with more effort
                 best = _Found(stepper, steps, error, growth, work, seconds)
                 fewer = max(least, math.ceil(steps * max(1.05 * change, 0.5)))
-                if fewer > 0.85 * steps:
+                if fewer > FEWER * steps:
                     return best
                 steps = fewer
             elif best is not None or wanted < FLOOR:
