@@ -55,7 +55,7 @@ def show_config(mode: str = "stdout") -> Config | None:
     # only who asks waits for the compiler
     import llvmlite.binding as llvm
 
-    from symsimpson.runtime.ensembles.blocks import available_threads, lanes_of_machine
+    from symsimpson.runtime.ensembles.task import available_threads, lanes_of_machine
     from symsimpson.runtime.kernels.cache import cache_folder
     from symsimpson.runtime.kernels.vectors import vector_bits
 

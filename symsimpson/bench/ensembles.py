@@ -17,8 +17,9 @@ from symsimpson.bench.contender import Contender
 from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
 from symsimpson.reference import canonical
-from symsimpson.runtime.ensembles.blocks import available_threads, lanes_of_machine, run_blocks
+from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.members import read_task
+from symsimpson.runtime.ensembles.task import available_threads, lanes_of_machine
 
 __all__ = ["report"]
 

@@ -236,7 +236,6 @@ class Differentiating(Stepping):
         InputError
             If that cannot be stored, or both are asked for.
         """
-        self._fixed_steps_of_t("ensembles")
         telling = any(one.of_variations for one in read_reductions(self, reduce))
         carrying = tangents is not None or sensitivities is not None
         if carrying and (telling or store is not None):

@@ -14,7 +14,7 @@ from symsimpson.errors import InputError
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_array, read_parameters
 from symsimpson.runtime.kernels.compiled import Kernels
-from symsimpson.runtime.kernels.header import read_header
+from symsimpson.runtime.kernels.header import Header, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.loaded import Loaded, Tools
@@ -220,15 +220,23 @@ class Evaluator:
     def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
 
+    def _check_given(self, given: Parameters | None) -> None:
+        """Refuse values of parameters that follow from the start of a run.
+
+        Raises
+        ------
+        InputError
+        """
+        own = self._module.header.from_start
+        if isinstance(given, Mapping) and not own.isdisjoint(map(str, given)):
+            raise InputError(
+                f"parameters give {', '.join(sorted(own))}, or one of them, which follow from the "
+                "start of a run.\nLeave them out: E0 is the energy there."
+            )
+
     def _values(self, given: Parameters | None) -> Reals:
         header = self._module.header
-        named = set(map(str, given)) if isinstance(given, Mapping) else set()
-        if not header.from_start.isdisjoint(named):
-            own = ", ".join(sorted(header.from_start))
-            raise InputError(
-                f"parameters give {own}, or one of them, which follow from the start of a run.\n"
-                "Leave them out: E0 is the energy there."
-            )
+        self._check_given(given)
         return read_parameters(
             self.parameters,
             self._aliases,
@@ -252,6 +260,11 @@ def evaluate(
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
         return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs, before=before)
+
+
+def velocities_by(header: Header) -> str:
+    """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
+    return "energy" if header.retimed else "start"
 
 
 def evaluate_members(

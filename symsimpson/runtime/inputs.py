@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 __all__ = [
     "read_array",
     "read_count",
-    "read_end",
     "read_every",
     "read_failure",
     "read_given",
@@ -25,6 +24,7 @@ __all__ = [
     "read_parameters",
     "read_step",
     "read_steps",
+    "read_times",
     "read_vector",
     "refused_start",
     "whole_number",
@@ -114,10 +114,15 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
     return h, number, t0
 
 
-def read_end(
-    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers
-) -> tuple[Any, int, Any, Any]:  # fmt: skip
-    """Read step, the most steps, start and end of a run whose steps are not those of t."""
+def read_times(
+    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers, *, retimed: bool
+) -> tuple[Any, int, Any, Any]:
+    """Read step, number of steps and start time; and the end of a run of unknown length.
+
+    That is one whose steps are fixed in another time: the number of steps is then the most.
+    """
+    if not retimed or t_end is None:
+        return *read_steps(h, t_end, steps, t0, numbers), None
     h, t0, end = read_step(h, numbers), read_number("t0", t0, numbers), None
     if steps is not None:
         raise InputError(

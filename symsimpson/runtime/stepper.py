@@ -339,7 +339,6 @@ class Stepper(Differentiating):
         >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
         (True, True)
         """
-        self._fixed_steps_of_t("sections")
         from symsimpson.runtime.runs.section import poincare
 
         spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)

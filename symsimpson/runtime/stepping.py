@@ -151,7 +151,6 @@ class Stepping(Evaluator):
         """
         from symsimpson.runtime.runs.loop import ControlLoop
 
-        self._fixed_steps_of_t("control loops")
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
         spec = read_run(
             self, (q0, v0, p0), (h, None, 1, t0), parameters, None, of_a_step(self, zeros)

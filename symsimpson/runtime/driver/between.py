@@ -17,6 +17,7 @@ from symsimpson.interface import (
     KEPT,
     MODE,
     MOMENTUM,
+    PARAMETER,
     POSITION,
     RATE_BEHIND,
     STATUS,
@@ -35,15 +36,16 @@ from symsimpson.runtime.driver.steps import (
     solve,
 )
 
-#: Newton's method for a time within a step takes four to six iterations.
-MOST_PARTS = 40
+#: Newton's method for a time within a step takes four to six iterations, and halving, where it
+#: leads out of the step, as many as there are digits.
+MOST_PARTS = 200
 #: Stored states may be on disk, or belong to somebody else: they are only read.
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 SIGNATURES |= {
     "states_at": types.void(
         SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
         types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE, types.float64[::1],
-        types.boolean[::1], types.int64, INPUTS, types.float64,
+        types.boolean[::1], types.int64, INPUTS, types.float64, GIVEN,
     ),
     "between": types.void(
         SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
@@ -132,18 +134,22 @@ def between(
 
 @njit(**DRIVER_OPTIONS)
 def states_at(
-    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs, near
+    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs, near,
+    parameters,
 ):  # fmt: skip
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
     one to the next. ``part`` takes how far each state is into its step: found by Newton's method,
-    ``near`` as rounding is, with the rate that the energy's kernel tells. ``q_out`` and ``p_out``
-    have one row more, for what is tried.
+    ``near`` as rounding is, with the rate that the energy's kernel tells; between a time before and
+    one behind it. ``q_out`` and ``p_out`` have one row more, for what is tried. ``parameters`` have
+    a row for each state, or one for all.
     """
     n, last, time = at[DIMENSION], len(start), at[KEPT]
     for i in range(last):
         k, now, ahead, well, more = start[i], t[start[i]], t[start[i]], True, True
+        for row in range(parameters.shape[1]):
+            W[at[PARAMETER] + row, 0] = parameters[min(i, parameters.shape[0] - 1), row]
         for a in range(n):
             q_out[i, a], p_out[i, a] = q[k, a], p[k, a]
         part[i] = 0.0
@@ -160,16 +166,24 @@ def states_at(
                         q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         if now != asked[i]:
             change = h * (asked[i] - now) / (ahead - now) if ahead != now else h
-            tries, there = 0, False
+            tries, there, low, high, left = 0, False, part[i], h, asked[i] - now
             while well and tries < MOST_PARTS and not there:
+                if not (part[i] + change - low) * (high - part[i] - change) > 0.0:
+                    change = (low + high) / 2 - part[i]
                 part[i] += change
                 for a in range(n):
                     q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
                 well = take(kernels, part[i], now, W, at, 1, q_out[last], p_out[last], inputs, 0)
                 later = W[time, 0]
                 call(energy, part[i], later, W)
-                left = asked[i] - later
+                before, left = left, asked[i] - later
+                if left * h > 0.0:
+                    low = part[i]
+                else:
+                    high = part[i]
                 change = left / W[time + RATE_BEHIND, 0]
+                if abs(left) > abs(before) / 2:  # the rate is not that of the steps
+                    change = (low + high) / 2 - part[i]
                 there = abs(change) <= abs(h) * near or abs(left) <= abs(asked[i]) * near
                 tries += 1
             well = well and there

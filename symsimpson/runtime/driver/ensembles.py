@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.interface import (
+    ARRIVED,
     BAD_INPUT,
     BEHIND,
     DIMENSION,
@@ -19,6 +20,8 @@ from symsimpson.interface import (
     MOMENTUM,
     PARAMETER,
     POSITION,
+    PREVIOUS,
+    RATE_NOT_POSITIVE,
     RENEWAL,
     ROWS,
     STATUS,
@@ -43,6 +46,8 @@ from symsimpson.runtime.driver.steps import (
 
 #: Where in the cursor what stands.
 BLOCK, STEP, BEGUN = 0, 1, 2
+#: After so many steps in which it does not change at all, the time of a member stands still.
+STANDSTILL = 1024
 #: How observed values are reduced.
 LEAST, LARGEST, MEAN, FIRST, LYAPUNOV, MEGNO, SALI = 0, 1, 2, 3, 4, 5, 6
 
@@ -74,9 +79,39 @@ def load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters):
         for k in range(parameters.shape[1]):
             W[at[PARAMETER] + k, lane] = parameters[member, k]
     begin(kernels, more[0], h, t0, W, at)
+    retime = more[4]
+    if retime != 0:
+        call(retime, h, t0, W)
+        begin(kernels, 0, h, t0, W, at)
+    last = at[PARAMETER] + parameters.shape[1] - 1
     for lane in range(LANES):
-        if not (W[at[MASS_PIVOT], lane] >= 0.0 and finite(W, at[VELOCITY], at[VELOCITY] + n, lane)):
+        member = min(block * LANES + lane, members - 1)
+        fine = W[at[MASS_PIVOT], lane] >= 0.0 and finite(W, at[VELOCITY], at[VELOCITY] + n, lane)
+        if retime != 0:
+            fine = fine and W[last, lane] > 0.0  # the rate where it begins
+            for k in range(parameters.shape[1]):
+                parameters[member, k] = W[at[PARAMETER] + k, lane]
+            W[at[KEPT], lane], W[at[KEPT] + 1, lane] = t0, 0.0
+            W[at[KEPT] + 2, lane], W[at[KEPT] + 3, lane] = t0, 0.0
+        if not fine:
             W[at[STATUS], lane] = BAD_INPUT
+
+
+@njit(**DRIVER_OPTIONS)
+def look_at_time(W, at, still):
+    """Undo the steps of members that have arrived with them, or whose time does not go on."""
+    n, time = at[DIMENSION], at[KEPT]
+    for lane in range(LANES):
+        if W[at[STATUS], lane] == 0.0:
+            still[lane] = still[lane] + 1 if W[time, lane] == W[time + 2, lane] else 0
+            if still[lane] == STANDSTILL:
+                W[at[STATUS], lane] = RATE_NOT_POSITIVE
+        status = W[at[STATUS], lane]
+        if status in (ARRIVED, RATE_NOT_POSITIVE) and still[lane] >= 0:
+            for row in range(4 * n):
+                W[at[POSITION] + row, lane] = W[at[PREVIOUS] + row, lane]
+            W[time, lane], W[time + 1, lane] = W[time + 2, lane], W[time + 3, lane]
+            still[lane] = -1
 
 
 @njit(**DRIVER_OPTIONS)
@@ -112,7 +147,13 @@ def observe(more, h, t, W, at, kinds, seen, block, members, step):
             elif kind == FIRST:
                 last = seen[member, 2 * k + 1]
                 if np.isnan(before) and value > 0.0:
-                    seen[member, 2 * k] = t if step == 0 else t - h * value / (value - last)
+                    now, passed = t, h
+                    if more[4] != 0:
+                        now = W[at[KEPT], lane]
+                        passed = now - W[at[KEPT] + 2, lane]
+                    seen[member, 2 * k] = (
+                        now if step == 0 else now - passed * value / (value - last)
+                    )
                 seen[member, 2 * k + 1] = value
             elif step == 0 or (value < before if kind == LEAST else value > before):
                 seen[member, 2 * k] = value
@@ -177,14 +218,17 @@ def advance_blocks(
 
     The stored states of a block under way stay in the buffers, and what is kept beside them.
     ``more`` holds addresses: legendre (0 if momenta are given), observe (0 if nothing is), energy
-    (0 if not wanted), what parameters change of momenta (0 if nothing). Observed values stand
+    (0 if not wanted), what parameters change of momenta (0 if nothing), and what sets the energy
+    and the rate of a member that keeps a time of its own (0 if none does). Observed values stand
     behind the rows of the module. ``codes_out`` takes status, steps and iterations of each member;
-    ``seen`` two numbers for each reduction. Where a kernel is called behind each step, variations
-    begin as these ``columns``, and ``kept_out`` takes what is kept of them.
+    ``seen`` two numbers for each reduction; ``lost`` has two for each lane: the steps of one that
+    has ended, else -1, and those in which its time stood still. Where a kernel is called behind
+    each step, variations begin as these ``columns``, and ``kept_out`` takes what is kept of them.
     """
     progress = np.zeros(3, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
-    followed = kernels[BEHIND] != 0
+    timed = more[4] != 0
+    followed = kernels[BEHIND] != 0 and not timed
     watched = more[1] != 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
@@ -197,6 +241,7 @@ def advance_blocks(
                 begin_variations(more[3], h, t0, W, at, columns)
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
+                lost[LANES + lane] = 0
                 if every != 0:
                     for a in range(n):
                         buffer_q[0, a, lane] = W[at[POSITION] + a, lane]
@@ -211,7 +256,7 @@ def advance_blocks(
         alive = True
         while progress[0] < steps and budget > 0 and alive:
             step = progress[0]
-            until = min(steps, step + 1 if watched else step + budget)
+            until = min(steps, step + 1 if watched or timed else step + budget)
             if kernels[MODE] == EXPLICIT:
                 take_explicit_steps(
                     kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, kept,
@@ -225,6 +270,8 @@ def advance_blocks(
                     # the step is taken and not yet counted: take_steps does that first
                     take_steps(kernels, h, t0, W, at, progress, progress[0] + 1, every,
                         buffer_q, buffer_p, kept, counted, own)  # fmt: skip
+            if timed:
+                look_at_time(W, at, lost[LANES:])
             alive = False
             for lane in range(LANES):
                 if W[at[STATUS], lane] == 0.0:

@@ -17,9 +17,10 @@ import numpy as np
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.extras import library
 from symsimpson.progress import Progress
-from symsimpson.runtime.ensembles.blocks import Task, lanes_for, run_blocks
+from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import names_in_dataset
 from symsimpson.runtime.ensembles.store import Store, members_of, said, write_chunk
+from symsimpson.runtime.ensembles.task import Task, lanes_for
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.kernels.syntax import read_stepper

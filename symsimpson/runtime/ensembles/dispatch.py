@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
 from symsimpson.progress import Progress
-from symsimpson.runtime.ensembles.blocks import Task, run_blocks
+from symsimpson.runtime.ensembles.arrivals import with_ends
+from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.cluster import check_client, run_on_cluster
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.store import open_store, run_missing
+from symsimpson.runtime.ensembles.task import Task
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -19,6 +23,11 @@ __all__ = ["run_ensemble"]
 
 def run_ensemble(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
     """Run an ensemble; tells whether Ctrl-C stopped it."""
+    if store is not None and task.retimed:
+        raise InputError(
+            f"{stepper.system} is retimed: its members have times of their own, and a store has "
+            "one row of times for all.\nLeave store out, and store few states of each."
+        )
     if client is not None:
         check_client(client, store)
         if task.inputs.size:
@@ -28,7 +37,26 @@ def run_ensemble(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple
             )
     if store is None:
         with Progress(task.members, task.progress) as progress:
+            if task.t_end is not None and task.every:
+                return _run_to_ends(stepper, task, progress.add)
             return run_blocks(stepper, task, progress.add)
     opened = open_store(store, stepper, task)
     interrupted = run_missing(opened) if client is None else run_on_cluster(opened, client)
     return opened.ensemble(), interrupted
+
+
+def _run_to_ends(
+    stepper: Stepper, task: Task, count: Callable[[int], None]
+) -> tuple[Ensemble, bool]:
+    """Store states on the way to ends that come after numbers of steps not known before.
+
+    They are known when all members have run once.
+    """
+    ends, stopped = run_blocks(stepper, replace(task, every=0), count)
+    if stopped:
+        return ends, stopped
+    steps = int(ends.steps.max()) + 1  # of the last one a part is taken
+    found, stopped = run_blocks(
+        stepper, replace(task, steps=steps, reductions=()), lambda done: None
+    )
+    return with_ends(found, ends, task.every), stopped

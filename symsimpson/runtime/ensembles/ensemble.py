@@ -41,7 +41,8 @@ class Ensemble(Quantities, Differentiated):
     Attributes
     ----------
     t : ndarray, shape (stored,)
-        Times of the stored states.
+        Times of the stored states; of a retimed system those of each member, shape (K, stored), or
+        (K,) where only the last states are stored.
     q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
         NaN behind the last state of a member that failed. Arrays on disk (of Zarr) that give
         arrays of numpy when sliced, if the ensemble went to a store.
@@ -54,6 +55,8 @@ class Ensemble(Quantities, Differentiated):
     initial : mapping from str to ndarray, shape (K, n)
         The states that members began with: q0, and v0 or p0.
     store : path of the store, or None
+    tau : ndarray in the shape of t, or None
+        The time of the steps, if the system is retimed.
 
     Examples
     --------
@@ -78,6 +81,7 @@ class Ensemble(Quantities, Differentiated):
     _stepper: Stepper = field(repr=False)
     store: str | None = None
     _tangents: NDArray[Any] | None = field(default=None, repr=False)
+    tau: Floats | None = None
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -104,11 +108,19 @@ class Ensemble(Quantities, Differentiated):
         if not -len(self) <= member < len(self):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         n = self._stepper.n
-        q, p = (np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
-        return States(t=self.t, q=q, p=p, _stepper=self._stepper, _values=self._values[member])
+        t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
+        if self.tau is not None:  # times of its own, up to its end
+            t = self.t[member].reshape(-1)
+            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+        return States(t=t, q=q, p=p, _stepper=self._stepper, _values=self._values[member])
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states of a member, as far as it came."""
+        return int(self.q.shape[1]) if self.q.ndim == 3 else 1
 
     @property
     def _values(self) -> Floats:
@@ -118,7 +130,8 @@ class Ensemble(Quantities, Differentiated):
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         q, p = np.asarray(self.q), np.asarray(self.p)
-        return evaluate_members(self._stepper, kernel, block, count, self.t, q, p, self._values)
+        t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
+        return evaluate_members(self._stepper, kernel, block, count, t, q, p, self._values)
 
     def _own(self, key: str) -> Any:
         return self.reduced.get(key, self.parameters.get(key))
@@ -167,7 +180,9 @@ class Ensemble(Quantities, Differentiated):
             variables[reduced[name]] = (("member",), values)
         named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
         named |= {"coord": list(self._stepper.coordinates), "member": np.arange(len(self))}
-        if self.q.ndim == 3:
+        if self.tau is not None:
+            named |= {"t": (dims[:-1], self.t), "tau": (dims[:-1], self.tau)}
+        elif self.q.ndim == 3:
             named["time"] = self.t
         return xarray.Dataset(variables, named, self._about())
 
@@ -177,7 +192,7 @@ class Ensemble(Quantities, Differentiated):
         return {
             "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
             "digest": stepper._module.header.digest, "outcome": self.message,
-            "t_end": float(self.t[-1]),
+            "t_end": float(np.nanmax(self.t)),
         }  # fmt: skip
 
     def __len__(self) -> int:
@@ -192,7 +207,7 @@ class Ensemble(Quantities, Differentiated):
         stepper = self._stepper
         return (
             f"Ensemble({stepper.system}, {stepper.scheme}: {len(self)} members, "
-            f"{self.t.size} states of each stored; {self.message})"
+            f"{self.stored} states of each stored; {self.message})"
         )
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.ensembles.blocks import Task, available_threads, lanes_for
+from symsimpson.runtime.ensembles.task import Task, available_threads, lanes_for
 from symsimpson.runtime.inputs import (
     read_array,
     read_every,
     read_given,
     read_parameters,
-    read_steps,
+    read_times,
     whole_number,
 )
 from symsimpson.runtime.kernels.numbers import FLOAT64
@@ -60,7 +60,8 @@ def read_task(
             "an ensemble runs in double precision, and this stepper has another precision.\n"
             "Compile one without precision."
         )
-    h, count, t0 = read_steps(*times, FLOAT64)
+    retimed = stepper._module.header.retimed
+    h, count, t0, end = read_times(*times, FLOAT64, retimed=retimed)
     how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
     second, other0 = read_given("an ensemble", how, v0, p0)
     names = ("q0", second)
@@ -81,9 +82,14 @@ def read_task(
                 "Give each argument one row for each member, or one for all."
             )
     stride, reductions = read_every(every), read_reductions(stepper, reduce)
+    if retimed and any(one.kind == "mean" for one in reductions):
+        raise InputError(
+            f"{stepper.system} is retimed: the mean over its steps is no mean over the time.\n"
+            "Store states, every=..., and take the mean of them."
+        )
     workers = _threads(threads)
     lanes = lanes_for(stepper._module.header)
-    stored = count // stride + 1 if stride else 1
+    stored = count // stride + 1 if stride and end is None else 1
     try:
         values = np.empty((members, len(stepper.parameters)))
         shape = (members, stepper.n)
@@ -101,7 +107,8 @@ def read_task(
     q, other = allowed(stepper, q, other, second, values, t0)
     return Task(
         q, other, second, values, h, t0, count, stride, driving, reductions, workers, progress,
-        lanes, tangents=None if tangents is None else _columns(stepper, tangents),
+        lanes, retimed, tangents=None if tangents is None else _columns(stepper, tangents),
+        t_end=end,
     )  # fmt: skip
 
 
@@ -134,6 +141,7 @@ def _parameters(
     stepper: Stepper, given: Mapping[Any, Any] | None
 ) -> dict[str, NDArray[np.float64]]:
     """Read parameter values, one or K of each."""
+    stepper._check_given(given)
     names, aliases = stepper.parameters, stepper._aliases
     found = dict(zip(names, (np.asarray(x) for x in stepper._defaults), strict=True))
     if given is not None and not isinstance(given, Mapping):

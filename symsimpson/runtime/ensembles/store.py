@@ -23,8 +23,9 @@ from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.extras import library
 from symsimpson.files import check_folder, read_path
 from symsimpson.progress import Progress
-from symsimpson.runtime.ensembles.blocks import Results, Task, ensemble_of, run_blocks
+from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, names_in_dataset
+from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.results.status import Status
 

@@ -226,8 +226,9 @@ class _Reader:
 def observing_kernel(header: Header, found: Sequence[Observed], first: int | None = None) -> str:
     """Write a kernel that puts the quantities into rows from ``first`` on.
 
-    Those are behind the rows of the module unless it is said.
+    Those are behind the rows of the module unless it is said, for the workspace of a run.
     """
+    running = first is not None
     first = header.rows if first is None else int(first)
     lines = [
         "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
@@ -243,6 +244,8 @@ def observing_kernel(header: Header, found: Sequence[Observed], first: int | Non
     rows += [(f"v_{i}", f"VELOCITY + {i}") for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows.append(("energy", "ENERGY"))
+    if header.retimed and running:
+        rows.append(("t", "TIME"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
     lines += [f"        W[{first + k}, lane] = {one.text}" for k, one in enumerate(found)]
     return "\n".join(lines) + "\n"

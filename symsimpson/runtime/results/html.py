@@ -102,7 +102,7 @@ def ensemble(found: Ensemble) -> str:
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{found._stepper.scheme}, order {found._stepper.order}"),
         ("members", len(found)),
-        ("to t", f"{float(found.t[-1]):g}, {found.t.size} states of each stored"),
+        ("to t", f"{np.nanmax(found.t):g}, {found.stored} states of each stored"),
         ("status", verdict(found.message, good)),
     ]
     if found.store is not None:

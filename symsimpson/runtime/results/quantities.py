@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.evaluator import velocities_by
 from symsimpson.runtime.kernels.header import slopes_of
 
 if TYPE_CHECKING:
@@ -31,8 +32,7 @@ class Quantities:
     @cached_property
     def v(self) -> NDArray[Any]:
         """Velocities, in the shape of q."""
-        # that of a start is dq/dtau
-        kernel = "energy" if self._stepper._module.header.retimed else "start"
+        kernel = velocities_by(self._stepper._module.header)
         return self._evaluated(kernel, "VELOCITY", self._stepper.n)
 
     @cached_property

@@ -20,6 +20,9 @@ __all__ = ["ROOM", "Collected", "last_part", "states_at", "with_end"]
 Reals = NDArray[Any]
 #: So many states are stored before they are put away.
 ROOM = 4096
+#: Where no states are asked for, each so-many-th step is stored, and of those put away each
+#: so-many-th is kept to look at.
+STRIDE, KEPT = 16, 64
 
 
 class Collected:
@@ -29,10 +32,12 @@ class Collected:
     ----------
     run : Run
         With room for ROOM states and one.
+    asked : bool
+        Whether all states are asked for, or some kept to look at.
     """
 
-    def __init__(self, run: Run) -> None:
-        self._run = run
+    def __init__(self, run: Run, *, asked: bool) -> None:
+        self._run, self._stride = run, 1 if asked else KEPT
         self._parts: list[Any] = []
 
     def advance(self, stop: int) -> None:
@@ -42,7 +47,10 @@ class Collected:
             full = run.first + ROOM * run.every if run.every else stop
             run.advance(min(stop, full))
             if run.every and run.alive:
-                self._parts.append(tuple(x[:-1].copy() for x in run.stored()))
+                q, p, iterations, kept = (x[:-1] for x in run.stored())
+                counted = np.add.reduceat(iterations, np.arange(0, len(iterations), self._stride))
+                self._parts.append((*(x[:: self._stride].copy() for x in (q, p)), counted,
+                                    kept[:: self._stride].copy()))  # fmt: skip
                 run.forget()
 
     def states(self) -> Stored:
@@ -80,6 +88,8 @@ def states_at(
 ) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:  # fmt: skip
     """Find states at times behind some of the stored ones, t, q and p.
 
+    ``values`` are parameters, a row of them for each state or one for all.
+
     Returns
     -------
     part : ndarray, shape (m,)
@@ -91,7 +101,7 @@ def states_at(
     numbers, header, kernels = (
         stepper._module.numbers, stepper._module.header, stepper._module.kernels,
     )  # fmt: skip
-    many, near = start.size, _resolution(numbers)
+    many, near, rows = start.size, _resolution(numbers), np.atleast_2d(values)
     part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
     fine = np.zeros(many, dtype=np.bool_)
     for name in kernels.fallbacks:  # each where the one before fails
@@ -102,8 +112,9 @@ def states_at(
         part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
         numbers.driver("states_at")(
             kernels.set(name, "clock"), kernels.address("energy"), h, states[0],
-            workspace(header, numbers, values), header.told, *states[1:], start[some], asked[some],
+            workspace(header, numbers, rows[0]), header.told, *states[1:], start[some], asked[some],
             q_out, p_out, part_out, well, every, NO_INPUTS, near,
+            rows if len(rows) == 1 else rows[some],
         )  # fmt: skip
         part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
     return part, q, p, fine

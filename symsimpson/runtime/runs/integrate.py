@@ -26,11 +26,11 @@ from symsimpson.runtime.inputs import (
 from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.arrival import ROOM, Collected, last_part, with_end
+from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
-from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
+from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run, Stored
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
 
@@ -64,7 +64,9 @@ def integrate(
     count = spec.steps
     with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
-        stride = spec.every or (sampling_stride(stepper, count) if spec.t_end is None else 0)
+        stride = spec.every or (
+            sampling_stride(stepper, count) if spec.t_end is None else STRIDE
+        )  # fmt: skip
         stored = count // stride + 1 if stride else 1
         if spec.t_end is not None:
             stored = min(stored, ROOM + 1)
@@ -76,7 +78,7 @@ def integrate(
             look_at_step(stepper, run, spec)
         keeper: Checkpoint | Collected | None = None
         if spec.t_end is not None and checkpoint is None:
-            keeper = Collected(run)
+            keeper = Collected(run, asked=bool(spec.every))
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)
             check_folder(checkpoint, "checkpoint")
@@ -95,7 +97,7 @@ def integrate(
             stepper, run, count, status, spec, stored_states, spec.every, keeper
         )
         if count and status is not Status.INTERRUPTED and problem is None:
-            trajectory = looked_at(stepper, run, trajectory, *stored_states[:2])
+            trajectory = looked_at(stepper, run, trajectory, stored_states)
             trajectory = look_at_folds(stepper, run, trajectory, *stored_states[:2])
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
@@ -106,14 +108,15 @@ def integrate(
 
 
 def looked_at(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
-) -> Trajectory:
-    """Look at the energy of a run; ``q`` and ``p`` are states on its way.
+    stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored
+) -> Trajectory:  # fmt: skip
+    """Look at the energy of a run, at states stored on its way.
 
     Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
     """
     if not trajectory.success and stepper._module.header.real_everywhere:
         return trajectory
+    q, p, _, kept = stored
     if (
         trajectory.every is None and not stepper._module.header.real_everywhere
     ):  # the last state, too
@@ -150,7 +153,7 @@ def looked_at(
     if left is None or not trajectory.success:
         return trajectory
     place, off = left
-    since = float(run.t0 + run.h * (place * run.every))
+    since = float(kept[place, 0] if run.header.retimed else run.t0 + run.h * (place * run.every))
     message = (
         f"{stepper.system}, {stepper.scheme}: from about t={since:g} on the energy is off by "
         f"{off:.0%} of the kinetic energy and does not come back. Something was not resolved with "

@@ -95,7 +95,9 @@ class ControlLoop:
     @property
     def t(self) -> Any:
         """The time after the last step."""
-        return self._stepper._module.numbers.single(self._run.t0 + self._run.h * self._run.step)
+        run = self._run
+        t = run.value("TIME") if run.header.retimed else run.t0 + run.h * run.step
+        return self._stepper._module.numbers.single(t)
 
     @property
     def q(self) -> Reals:
@@ -110,15 +112,15 @@ class ControlLoop:
     @property
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
-        from symsimpson.runtime.evaluator import evaluate
+        from symsimpson.runtime.evaluator import evaluate, velocities_by
 
         stepper, run = self._stepper, self._run
         numbers = stepper._module.numbers
         with numbers.working():
             t = numbers.read([run.t0 + run.h * run.step])
             q, p = (run.rows(name, stepper.n)[None] for name in ("POSITION", "MOMENTUM"))
-            values = self._spec.parameters
-            return evaluate(stepper, "start", "VELOCITY", stepper.n, t, q, p, values)[0]
+            kernel = velocities_by(run.header)
+            return evaluate(stepper, kernel, "VELOCITY", stepper.n, t, q, p, run.parameters)[0]
 
     def _state(self, block: str) -> Reals:
         return self._stepper._module.numbers.result(self._run.rows(block, self._stepper.n).copy())

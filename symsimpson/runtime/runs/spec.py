@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.runtime.inputs import read_end, read_every, read_given, read_steps, read_vector
+from symsimpson.runtime.inputs import read_every, read_given, read_times, read_vector
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
 from symsimpson.runtime.runs.variations import read_tangents
@@ -112,11 +112,8 @@ def read_run(
     numbers, names = stepper._module.numbers, stepper.coordinates
     with numbers.working():
         values = stepper._values(parameters)
-        end = None
-        if stepper._module.header.retimed and times[1] is not None:
-            h, steps, t0, end = read_end(*times, numbers)
-        else:
-            h, steps, t0 = read_steps(*times, numbers)
+        retimed = stepper._module.header.retimed
+        h, steps, t0, end = read_times(*times, numbers, retimed=retimed)
         stride = read_every(every)
         q0, v0, p0 = start
         how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."

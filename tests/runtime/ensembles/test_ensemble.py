@@ -12,7 +12,7 @@ from workspace import sweep
 import symsimpson as ss
 from symsimpson.runtime.ensembles import blocks as module
 from symsimpson.runtime.ensembles import members
-from symsimpson.runtime.ensembles.blocks import lanes_for
+from symsimpson.runtime.ensembles.task import lanes_for
 
 PENDULUM = ss.systems.double_pendulum()
 RNG = np.random.default_rng(7)

@@ -12,8 +12,8 @@ import pytest
 import symsimpson as ss
 from symsimpson.runtime.ensembles import cluster as cluster_module
 from symsimpson.runtime.ensembles import store as module
-from symsimpson.runtime.ensembles.blocks import lanes_of_machine
 from symsimpson.runtime.ensembles.members import read_task
+from symsimpson.runtime.ensembles.task import lanes_of_machine
 
 xarray = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")

@@ -166,20 +166,44 @@ def test_what_follows_from_the_start_is_not_given(stepper, name):
         stepper.integrate(**START, steps=3, parameters={name: -0.5})
 
 
-def test_what_is_not_there_yet_is_refused(stepper, run):
-    start = {"q0": [1.9, 0.0], "v0": [0.0, 0.2]}
-    for call in (
-        lambda: stepper.ensemble([start["q0"]], v0=[start["v0"]], h=0.3, steps=3),
-        lambda: stepper.poincare("y", **start, h=0.3, steps=20),
-        lambda: stepper.start(**start, h=0.3),
-        lambda: stepper.certify(),
-        lambda: ss.choose(kepler().retimed("encounters"), **start, t_end=5.0, error=1e-6),
-    ):
-        with pytest.raises(ss.InputError, match="not there yet"):
-            call()
-    for call in (
-        lambda: stepper.integrate(**start, h=0.3, steps=3, tangents=2),
-        lambda: stepper.lyapunov(**start, h=0.3, steps=300),
-    ):
-        with pytest.raises(ss.SchemeError):
-            call()
+def test_sections_are_events(stepper):
+    start = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.1}
+    run = stepper.integrate(**start, t_end=60.0)
+    for length in ({"t_end": 60.0}, {"steps": run.steps}):
+        section, events = stepper.poincare("y", **start, **length), run.events("y")
+        assert len(section) > 15
+        for name in ("t", "q", "p", "direction"):
+            np.testing.assert_allclose(getattr(section, name), getattr(events, name), atol=1e-11)
+    last = events.t[3]  # in the part of a step at the end
+    assert len(stepper.poincare("y", **start, t_end=last + 1e-3)) == 4
+    assert len(stepper.poincare("y", **start, t_end=last - 1e-3)) == 3
+
+
+def test_a_loop_takes_the_steps_of_a_run(stepper):
+    run, loop = stepper.integrate(**START, steps=9), stepper.start(**START)
+    for _ in range(9):
+        loop.step()
+    assert loop.t == run.t[-1]
+    assert np.array_equal(loop.q, run.q[-1])
+    assert np.array_equal(loop.v, run.v[-1])
+
+
+@pytest.mark.parametrize(("every", "t_end"), [(1, 10.0), (None, 10.0), (40, 150.0)])
+def test_unresolved_motion_is_told_with_its_time(every, t_end):
+    """The first encounter, at t = 3, is lost: in the first block of a long run."""
+    system = kepler()
+    slow = system.retimed((-system.potential) ** sp.Rational(-1, 2))
+    with pytest.warns(ss.ResolutionWarning, match="about t="):
+        run = ss.compile(slow, "suzuki4").integrate(
+            [1.9, 0.0], v0=[0.0, 0.05], h=0.1, t_end=t_end, every=every
+        )
+    since = float(run.message.split("about t=")[1].split()[0])
+    assert since == (0.0 if t_end > 100.0 else pytest.approx(3.0, abs=1.0))
+    assert run.t[-1] == t_end
+
+
+def test_an_error_of_the_energy_that_comes_back_is_no_other_motion(recwarn):
+    stepper = ss.compile(kepler().retimed("encounters"), "simpson")
+    run = stepper.integrate([1.99, 0.0], v0=[0.0, 0.005], h=0.8, t_end=60.0)
+    assert abs(run.energy_error).max() > 0.4  # near the centre, K / g
+    assert not recwarn

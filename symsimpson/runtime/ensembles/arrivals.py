@@ -1,0 +1,54 @@
+"""Members of ensembles that keep a time of their own: each has its end after steps of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.interface import ARRIVED
+from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.ensembles.task import Results, Task
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.arrival import states_at
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["take_last_parts", "with_ends"]
+
+
+def take_last_parts(stepper: Stepper, task: Task, results: Results) -> None:
+    """Take the parts of a step from where members have arrived to their end.
+
+    Where states on the way are stored, their end is not.
+    """
+    arrived = np.flatnonzero(results.codes[:, 0] == ARRIVED)
+    results.codes[arrived, 0] = Status.SUCCESS
+    if task.every or not arrived.size:
+        return
+    states = tuple(np.ascontiguousarray(x[arrived, 0]) for x in (results.q, results.p))
+    part, q, p, fine = states_at(
+        stepper, task.parameters[arrived], task.h, (results.kept[arrived, 0, 0], *states),
+        np.arange(arrived.size), np.full(arrived.size, task.t_end), 1,
+    )  # fmt: skip
+    results.q[arrived, 0], results.p[arrived, 0] = q, p
+    results.kept[arrived, 0, 0], results.part[arrived] = task.t_end, part
+    results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED
+
+
+def with_ends(found: Ensemble, ends: Ensemble, every: int) -> Ensemble:
+    """Return members that have every so-many-th state with the state at the end behind them."""
+    place = found.steps // every + 1
+    last = np.take_along_axis(found.t, place[:, None] - 1, axis=1)[:, 0]
+    some = np.flatnonzero((found.status == Status.SUCCESS) & (last != ends.t))
+    stored = int(max(place.max(), 1 + place[some].max(initial=0)))
+    columns: dict[str, Any] = {}
+    for name in ("t", "tau", "q", "p"):
+        own = getattr(found, name)
+        columns[name] = np.full((len(own), stored, *own.shape[2:]), np.nan)
+        room = min(stored, own.shape[1])
+        columns[name][:, :room] = own[:, :room]
+        columns[name][some, place[some]] = getattr(ends, name)[some]
+    return replace(found, **columns, reduced=ends.reduced)

@@ -1,0 +1,154 @@
+"""What an ensemble is asked to compute, and arrays for what it comes to."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.observed import Reduction
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Results", "Task", "available_threads", "ensemble_of", "lanes_for"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task(RunSpec):
+    """What an ensemble is asked to compute, checked; arrays have a row for each member."""
+
+    reductions: tuple[Reduction, ...]
+    threads: int
+    progress: bool | None
+    lanes: int
+    retimed: bool = False
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.q0)
+
+    def inputs_of(self, member: Any) -> Floats | None:
+        """Return the inputs of a member as a run of its own takes them."""
+        own = self.inputs[min(member, len(self.inputs) - 1)]
+        return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
+
+    def of_member(self, member: Any, stepper: Stepper) -> dict[str, Any]:
+        """Return how a run of one member is asked for."""
+        names, header = stepper.parameters, stepper._module.header
+        values = dict(zip(names, self.parameters[member], strict=True))
+        length = {"steps": self.steps} if self.t_end is None else {"t_end": self.t_end}
+        return {
+            "q0": self.q0[member], self.given: self.other0[member], "h": self.h, "t0": self.t0,
+            "parameters": {name: values[name] for name in names if name not in header.from_start},
+            "inputs": self.inputs_of(member), **length,
+        }  # fmt: skip
+
+    def carried(self, n: int) -> int:
+        """Return how many numbers of variations are stored beside a state, or 1 for its time."""
+        return int(self.retimed) if self.tangents is None else 2 * n * self.tangents.shape[1]
+
+    @property
+    def of_variations(self) -> bool:
+        """Whether variations of the motions are asked for."""
+        return any(r.of_variations for r in self.reductions)
+
+    @property
+    def times(self) -> Floats:
+        """Times of the stored states."""
+        stride, first = (self.every, 0) if self.every else (self.steps, 1)
+        count = np.arange(first, self.stored + first, dtype=np.float64)
+        return self.t0 + self.h * count * stride
+
+    def part(self, members: slice | NDArray[np.int64]) -> Task:
+        """Return the task of some of the members."""
+        return replace(
+            self, q0=np.ascontiguousarray(self.q0[members]),
+            other0=np.ascontiguousarray(self.other0[members]),
+            parameters=np.ascontiguousarray(self.parameters[members]),
+            inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
+        )  # fmt: skip
+
+
+def lanes_for(header: Header) -> int:
+    """Return the number of lanes of a block.
+
+    Where Newton's method is unrolled, members side by side are two to four
+    times as fast with it as one after the other with nodes as lanes; where it is not, the other way
+    round, by far.
+    """
+    return 1 if header.by_stages and not header.unrolled else lanes_of_machine()
+
+
+@cache
+def lanes_of_machine() -> int:
+    """Return the number of lanes of a block: two vector registers where they are short."""
+    import llvmlite.binding as llvm
+
+    return 8 if llvm.get_host_cpu_features().get("avx") else 4
+
+
+class Results:
+    """Arrays that threads fill, each its own rows; until then members count as interrupted."""
+
+    def __init__(self, task: Task, n: int) -> None:
+        shape = (task.members, task.stored, n)
+        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
+        # status, steps, iterations
+        self.codes = np.zeros((task.members, 3), dtype=np.int64)
+        self.codes[:, 0] = Status.INTERRUPTED
+        self.kept = np.full((task.members, task.stored, task.carried(n)), np.nan)
+        #: Of a step that was taken last, in tau.
+        self.part = np.zeros(task.members)
+        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        self._task = task
+
+    def columns(self) -> dict[str, Any]:
+        """Return the arrays as an ensemble has them."""
+        task = self._task
+        status, steps, iterations = (column.copy() for column in self.codes.T)
+        q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
+        reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
+        found = {
+            "q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
+            "reduced": reduced,
+        }  # fmt: skip
+        kept = self.kept if task.every else self.kept[:, 0]
+        if task.tangents is not None:
+            found["_tangents"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
+                -1, -2
+            )
+        if task.retimed:
+            whole = task.every * np.arange(task.stored) if task.every else steps
+            t = kept[..., 0]
+            tau = task.h * whole + (0 if task.every else self.part)
+            found |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
+        return found
+
+
+def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
+    """Return what a task came to as an ensemble, with what it was asked for."""
+    if not task.retimed:
+        found["t"] = task.times
+    return Ensemble(
+        parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
+        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, **found,
+    )  # fmt: skip
+
+
+def available_threads() -> int:
+    """Count the processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

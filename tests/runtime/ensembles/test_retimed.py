@@ -1,0 +1,97 @@
+"""Members that keep a time of their own."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+x, y = ss.coordinates("x y")
+KEPLER = ss.MechanicalSystem(
+    "kepler_members",
+    coordinates=(x, y),
+    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=-1 / sp.sqrt(x**2 + y**2),
+)
+ECCENTRICITY = np.linspace(0.1, 0.95, 11)
+Q0 = np.column_stack([1 + ECCENTRICITY, 0 * ECCENTRICITY])
+V0 = np.column_stack([0 * ECCENTRICITY, np.sqrt((1 - ECCENTRICITY) / (1 + ECCENTRICITY))])
+HOW = [
+    {"t_end": 20.0}, {"t_end": 20.0, "every": 3}, {"t_end": 20.0, "every": 1}, {"steps": 50},
+    {"steps": 50, "every": 7},
+]  # fmt: skip
+
+
+@pytest.fixture(
+    scope="module", params=["simpson", pytest.param("kahan_li8", marks=pytest.mark.slow)]
+)
+def stepper(request):
+    return ss.compile(KEPLER.retimed("encounters"), request.param)
+
+
+@pytest.mark.parametrize("how", HOW)
+def test_members_are_single_runs(stepper, how):
+    many = stepper.ensemble(Q0, v0=V0, h=0.1, **how)
+    assert (many.status == ss.Status.SUCCESS).all()
+    if "t_end" in how:
+        assert np.ptp(many.steps) > 20  # each has steps of its own
+    for k in range(len(many)):
+        run = stepper.integrate(Q0[k], v0=V0[k], h=0.1, **{"every": None} | how)
+        one, tau = many[k], np.atleast_1d(many.tau[k])[: len(run)]
+        assert many.steps[k] == run.steps
+        assert many.parameters["E0"][k] == pytest.approx(run.E0, rel=1e-15)
+        for found, expected in ((one.t, run.t), (one.q, run.q), (one.p, run.p), (tau, run.tau)):
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+    kept = np.isfinite(many.energy)
+    np.testing.assert_array_equal(kept, np.isfinite(many.t))
+    at_end = many.energy if many.energy.ndim == 1 else many.energy[:, 0]
+    np.testing.assert_allclose(at_end, many.parameters["E0"], rtol=0, atol=2e-2)
+
+
+def test_threads_and_order_change_no_bit(stepper):
+    one = stepper.ensemble(Q0, v0=V0, h=0.1, t_end=20.0, threads=1)
+    other = stepper.ensemble(Q0[::-1], v0=V0[::-1], h=0.1, t_end=20.0, threads=2)
+    np.testing.assert_array_equal(one.q, other.q[::-1])
+    np.testing.assert_array_equal(one.p, other.p[::-1])
+
+
+def test_reductions_know_the_time_of_each_member(stepper):
+    reduce = {"near": ("min", "sqrt(x**2 + y**2)"), "after": ("first", "t - 3"),
+              "behind": ("first", "-x")}  # fmt: skip
+    many = stepper.ensemble(Q0, v0=V0, h=0.1, t_end=20.0, reduce=reduce)
+    np.testing.assert_allclose(many["after"], 3.0, rtol=0, atol=1e-14)
+    # a quarter of the orbit that ends above the focus, by Kepler's equation
+    anomaly = np.arccos(-ECCENTRICITY)
+    np.testing.assert_allclose(
+        many["behind"], np.pi - np.arccos(ECCENTRICITY) + ECCENTRICITY * np.sin(anomaly), rtol=5e-3
+    )
+    np.testing.assert_allclose(many["near"], 1 - ECCENTRICITY, rtol=2e-2)
+
+
+def test_what_cannot_begin_or_go_on_is_told_of_each(stepper):
+    many = stepper.ensemble([[1.0, 0.0], [0.0, 0.0]], v0=[[0.0, 1.0], [0.0, 0.0]], h=0.1, t_end=5.0)
+    assert many.status.tolist() == [ss.Status.SUCCESS, ss.Status.BAD_INPUT]
+    assert np.isfinite(many.q[0]).all()
+
+
+def test_time_that_stands_still_is_told(stepper):
+    many = stepper.ensemble(Q0, v0=V0, h=0.1, t0=1e20, steps=3000)  # 16384 more is the next number
+    assert (many.status == ss.Status.RATE_NOT_POSITIVE).all()
+
+
+def test_table_of_members():
+    pytest.importorskip("xarray")
+    stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
+    table = stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, every=4).to_xarray()
+    assert table["t"].dims == table["tau"].dims == ("member", "time")
+    assert table["E0"].dims == ("member",)
+
+
+def test_refused(tmp_path):
+    stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
+    with pytest.raises(ss.InputError, match="no mean over the time"):
+        stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, reduce={"x": ("mean", "x")})
+    with pytest.raises(ss.InputError, match="times of their own"):
+        stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, store=tmp_path / "store")
+    with pytest.raises(ss.InputError, match="follow from the start"):
+        stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, parameters={"E0": 1.0})
