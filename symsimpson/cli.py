@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     system = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
+    another_time = "take steps that adapt, as of system.retimed(...): encounters or kinetic"
 
     command = commands.add_parser("list", help="list the systems of the catalogue")
     command.set_defaults(run=_list)
@@ -88,6 +89,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("run", help="integrate a system and report")
     command.add_argument("system", help=system)
+    command.add_argument("--retimed", help=another_time)
     command.add_argument("--scheme", default="simpson", help="default: %(default)s")
     command.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
     command.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
@@ -101,6 +103,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("certify", help="measure whether a stepper is what it should be")
     command.add_argument("stepper", help=f"a generated file, or a {system}")
+    command.add_argument("--retimed", help=another_time)
     command.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")
     command.add_argument("--q0", type=_numbers, help="positions to measure at")
     command.add_argument("--v0", type=_numbers, help="velocities")
@@ -113,6 +116,7 @@ def _parser() -> argparse.ArgumentParser:
         "stress", help="long runs, large steps, poles, chaos, large angles"
     )
     command.add_argument("system", nargs="?", help=f"{system}; none for the standard problems")
+    command.add_argument("--retimed", help=another_time)
     command.add_argument("--scheme", default="simpson", help="default: %(default)s")
     command.add_argument("--h", type=float, help="step (default: found by trial)")
     command.add_argument("--steps", type=_count, default=10**6,
@@ -121,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
 
     command = commands.add_parser("bench", help="run time against error, beside other programs")
     command.add_argument("system", nargs="?", help=f"{system}; none for the time of a step")
+    command.add_argument("--retimed", help=another_time)
     command.add_argument("--schemes", type=_words, default=["midpoint", "simpson"],
                          help="as midpoint,simpson,gauss6")  # fmt: skip
     command.add_argument("--peers", type=_words,
@@ -221,7 +226,7 @@ def _run(options: argparse.Namespace) -> int:
 
     from symsimpson.api import compile as compile_system
 
-    system = _find(options.system)
+    system = _find(options.system, options.retimed)
     state = {k: getattr(options, k) for k in ("q0", "v0", "p0") if getattr(options, k) is not None}
     if not state:
         state = dict(getattr(system, "reference_state", {}))
@@ -237,7 +242,8 @@ def _run(options: argparse.Namespace) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResolutionWarning)
         # compiles all that a run needs
-        stepper.integrate(**state, h=options.h, steps=16, on_failure="return")
+        brief = {"steps": 16} if options.retimed is None else {"t_end": options.h}
+        stepper.integrate(**state, h=options.h, **brief, on_failure="return")
     ready = time.perf_counter()
     run = stepper.integrate(
         **state, h=options.h, t_end=t_end, steps=options.steps, every=options.every
@@ -274,7 +280,7 @@ def _certify(options: argparse.Namespace) -> int:
             f"--save: {options.stepper} is no generated file.\nWrite it with symsimpson generate."
         )
     else:
-        stepper = compile_system(_find(options.stepper), options.scheme)
+        stepper = compile_system(_find(options.stepper, options.retimed), options.scheme)
     found = stepper.certify(options.q0, options.v0, p0=options.p0, h=options.h)
     print(found)
     if options.save:
@@ -289,7 +295,7 @@ def _stress(options: argparse.Namespace) -> int:
     if options.system is None:
         lines = stress_standard(options.scheme)
     else:
-        stepper = compile_system(_find(options.system), options.scheme)
+        stepper = compile_system(_find(options.system, options.retimed), options.scheme)
         lines = stress(stepper, h=options.h, steps=options.steps)
     for line in lines:
         print(line, flush=True)
@@ -333,7 +339,7 @@ def _bench(options: argparse.Namespace) -> int:
             check_folder(Path(path), "record" if name == "out" else "figure")
     before = WorkPrecision.load(options.against) if options.against else None
     found = work_precision(
-        _find(options.system), options.schemes, options.peers or "installed",
+        _find(options.system, options.retimed), options.schemes, options.peers or "installed",
         options.errors,
         t_end=options.t_end, repeats=options.repeats,
     )  # fmt: skip
@@ -347,8 +353,13 @@ def _bench(options: argparse.Namespace) -> int:
     return 0
 
 
-def _find(name: str) -> MechanicalSystem:
-    """Find a system by its name in the catalogue or by file and attribute."""
+def _find(name: str, rate: str | None = None) -> MechanicalSystem:
+    """Find a system by its name in the catalogue or by file and attribute; in another time."""
+    found = _named(name)
+    return found if rate is None else found.retimed(rate)
+
+
+def _named(name: str) -> MechanicalSystem:
     from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.systems import CATALOGUE, EVERY
 

@@ -14,7 +14,7 @@ from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["ours", "peers"]
+__all__ = ["adapting", "ours", "peers"]
 
 
 def ours(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
@@ -39,6 +39,33 @@ def ours(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
         return run, read
 
     return Contender(stepper.scheme, "steps", numbers_of_steps(problem), make)
+
+
+def adapting(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
+    """Return one of our schemes in the time of a retimed system; counts steps of the first size."""
+    assert problem.retimed is not None
+    stepper = compile_system(problem.retimed, scheme)
+
+    def make(parts: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
+        h = problem.t_end / int(parts)
+
+        def run() -> Any:
+            return stepper.integrate(
+                problem.q0, p0=problem.p0, h=h, t_end=problem.t_end, every=None,
+                on_failure="return",
+            )  # fmt: skip
+
+        def read(found: Any) -> Outcome:
+            failed = np.full(stepper.n, np.nan)
+            q, p = (found.q[0], found.p[0]) if found.success else (failed, failed)
+            return Outcome(q, p, int(found.newton_iterations.sum()))
+
+        return run, read
+
+    fixed = numbers_of_steps(problem)
+    coarse = [round(fixed[0] * 2 ** (k / 4)) for k in range(-8, 0)]  # these adapt
+    choices = [count for count in coarse if count >= 4] + fixed
+    return Contender(f"{stepper.scheme} retimed", "steps", choices, make)
 
 
 def peers(

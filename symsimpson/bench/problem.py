@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from symsimpson.analysis.pilot import choose_state
 from symsimpson.api import compile as compile_system
 from symsimpson.errors import InputError
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
 from symsimpson.runtime.stepper import Stepper
@@ -40,6 +41,8 @@ class Problem:
         q and p at ``t_end``.
     solution_error : float
         An estimate of its error, in units of ``scale``.
+    retimed : RetimedSystem or None
+        The same motion in another time, if schemes are to run in that, too.
     scale : ndarray, shape (2 n,)
         Errors are taken in these units: 1 or the coordinate's largest value; the largest momentum.
     """
@@ -54,6 +57,7 @@ class Problem:
     solution: Floats
     solution_error: float
     scale: Floats
+    retimed: RetimedSystem | None = None
 
     def error(self, q: Any, p: Any) -> float:
         """Return the largest error of a state at ``t_end``, in units of ``scale``."""
@@ -81,6 +85,8 @@ def make_problem(
     ArithmeticError
         If the solution has a singularity before ``t_end``.
     """
+    retimed = system if isinstance(system, RetimedSystem) else None
+    system = system if retimed is None else retimed.original
     stepper = compile_system(system, "simpson")
     q, p = choose_state(stepper, state, stepper._named_values())
     if system.constraints:
@@ -100,6 +106,7 @@ def make_problem(
     return Problem(
         system, q, _velocity(hamilton, q, p), p, float(t_end), hamilton, newton, path[-1],
         float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)), scale,
+        retimed,
     )  # fmt: skip
 
 

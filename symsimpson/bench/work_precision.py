@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from symsimpson.bench.contender import Contender, Runnable
-from symsimpson.bench.peers import ours, peers
+from symsimpson.bench.peers import adapting, ours, peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
@@ -66,6 +66,7 @@ def work_precision(
     Parameters
     ----------
     system : MechanicalSystem
+        If it is retimed, schemes run in both times, and other programs in the user's.
     schemes : sequence of str or Scheme
     peers : "installed" or sequence of str
         "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka",
@@ -139,7 +140,10 @@ def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
 def _contenders(
     problem: Problem, schemes: Sequence[str | Scheme], names: str | Sequence[str]
 ) -> Iterable[Contender[Runnable]]:
-    yield from (ours(problem, scheme) for scheme in schemes)
+    for scheme in schemes:
+        yield ours(problem, scheme)
+        if problem.retimed is not None:
+            yield adapting(problem, scheme)
     yield from peers(problem, names)
 
 

@@ -101,6 +101,12 @@ class RetimedSystem(MechanicalSystem):
     rate: sp.Expr = field(kw_only=True)
     of_level: sp.Expr | None = field(kw_only=True)
 
+    @property
+    def reference_state(self) -> Mapping[str, Any] | None:
+        """The state to start from, if the system is of the catalogue."""
+        state: Mapping[str, Any] | None = getattr(self.original, "reference_state", None)
+        return state
+
     @cached_property
     def retiming(self) -> Retiming:
         """What it is made of."""

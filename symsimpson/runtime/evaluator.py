@@ -64,9 +64,11 @@ class Evaluator:
         self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
         self._looked_at: set[tuple[Any, bytes]] = set()
         #: What is prepared for short runs, where states need not be looked at one by one.
-        special = header.constraints or header.inputs or header.retimed
+        special = header.constraints or header.inputs
         free = header.real_everywhere and not special
         self._prepared: list[Any] | None = [] if free and numbers is FLOAT64 else None
+        #: Steps and lengths of runs that are not short, though it did not seem so.
+        self._long: set[tuple[float, float]] = set()
         #: Names of coordinates; those that a user gave come before those of the module.
         self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
         #: What inputs are in runs that are given none.

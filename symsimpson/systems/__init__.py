@@ -21,10 +21,10 @@ from symsimpson.systems.elastic_pendulum import elastic_pendulum
 from symsimpson.systems.entry import CatalogueSystem
 from symsimpson.systems.fermi_pasta_ulam import fermi_pasta_ulam
 from symsimpson.systems.geodesics import ellipsoid_geodesic, torus_geodesic
-from symsimpson.systems.gravity import n_body, outer_solar_system
+from symsimpson.systems.gravity import figure_eight, n_body, outer_solar_system, pythagorean
 from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
 from symsimpson.systems.henon_heiles import henon_heiles
-from symsimpson.systems.kepler import kepler
+from symsimpson.systems.kepler import kepler, kepler_plane
 from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
 from symsimpson.systems.linkages import (
     andrews_squeezer,
@@ -74,6 +74,8 @@ _LARGE: tuple[Callable[[], CatalogueSystem], ...] = (
     outer_solar_system,
     cloth,
 )
+#: Models with close encounters, to be retimed.
+_MEETING: tuple[Callable[[], CatalogueSystem], ...] = (kepler_plane, pythagorean, figure_eight)
 #: Models with forces, a drive or inputs.
 _FORCED: tuple[Callable[[], CatalogueSystem], ...] = (
     damped_pendulum,
@@ -109,14 +111,19 @@ FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make
 CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
     make.__name__: make for make in _CONSTRAINED
 }
+#: The same of models with close encounters.
+MEETING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MEETING}
 #: All of these.
-EVERY: dict[str, Callable[[], CatalogueSystem]] = {**CATALOGUE, **MODELS, **FORCED, **CONSTRAINED}
+EVERY: dict[str, Callable[[], CatalogueSystem]] = {
+    **CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **MEETING,
+}  # fmt: skip
 
 __all__ = [
     "CATALOGUE",
     "CONSTRAINED",
     "EVERY",
     "FORCED",
+    "MEETING",
     "MODELS",
     "CatalogueSystem",
     "andrews_squeezer",
@@ -136,6 +143,7 @@ __all__ = [
     "elastic_pendulum",
     "ellipsoid_geodesic",
     "fermi_pasta_ulam",
+    "figure_eight",
     "four_bar",
     "hanging_chain",
     "harmonic_oscillator",
@@ -144,6 +152,7 @@ __all__ = [
     "jointed_bodies",
     "kapitza",
     "kepler",
+    "kepler_plane",
     "lagrange_top",
     "lagrange_top_cusps",
     "n_body",
@@ -151,6 +160,7 @@ __all__ = [
     "outer_solar_system",
     "pendulum",
     "puma560",
+    "pythagorean",
     "quaternion_top",
     "rigid_body",
     "slider_crank",

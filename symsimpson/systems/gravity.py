@@ -9,9 +9,9 @@ import sympy as sp
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import coordinates
-from symsimpson.systems.entry import CatalogueSystem, State
+from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["n_body", "outer_solar_system"]
+__all__ = ["figure_eight", "n_body", "outer_solar_system", "pythagorean"]
 
 #: Sun with the inner planets, and the outer planets: mass in units of the Sun's, position in
 #: astronomical units, velocity in these a day, on 5 September 1994.
@@ -34,8 +34,7 @@ def outer_solar_system() -> CatalogueSystem:
     """The Sun, the four outer planets and Pluto; days, astronomical units, solar masses."""
     _, masses, places, velocities = zip(*SOLAR_SYSTEM, strict=True)
     return _bodies(
-        "outer_solar_system", masses, 2.95912208286e-4,
-        {"q0": sum(places, ()), "v0": sum(velocities, ())},
+        "outer_solar_system", masses, 2.95912208286e-4, places, velocities,
         "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2.4",
     )  # fmt: skip
 
@@ -50,21 +49,51 @@ def n_body(n: int = 3) -> CatalogueSystem:
     places = [(math.cos(x), math.sin(x), 0.0) for x in angles]
     velocities = [(-omega * y, omega * x, 0.0) for x, y, _ in places]
     return _bodies(
-        f"n_body_{n}", (1.0,) * n, 1.0, {"q0": sum(places, ()), "v0": sum(velocities, ())},
+        f"n_body_{n}", (1.0,) * n, 1.0, places, velocities,
         "L. M. Perko, E. L. Walter, Regular polygon solutions of the N-body problem, "
         "Proc. AMS 94 (1985), 301-309",
     )  # fmt: skip
 
 
+def pythagorean() -> CatalogueSystem:
+    """Bodies of mass 3, 4 and 5 at rest at the corners of a right-angled triangle, in the plane.
+
+    They meet closely again and again, until the lightest escapes: for
+    ``pythagorean().retimed("encounters")``.
+    """
+    return _bodies(
+        "pythagorean", (3.0, 4.0, 5.0), 1.0, ((1.0, 3.0), (-2.0, -1.0), (1.0, -1.0)),
+        ((0.0, 0.0),) * 3,
+        "C. Burrau, Astron. Nachr. 195 (1913), 113-118; V. Szebehely, C. F. Peters, Astron. J. 72 "
+        "(1967), 876-883",
+    )  # fmt: skip
+
+
+def figure_eight() -> CatalogueSystem:
+    """Three equal masses that follow each other along one figure of eight, of period 6.3259."""
+    first, last = (0.97000436, -0.24308753), (-0.93240737, -0.86473146)
+    half = tuple(-x / 2 for x in last)
+    return _bodies(
+        "figure_eight", (1.0,) * 3, 1.0, (first, tuple(-x for x in first), (0.0, 0.0)),
+        (half, half, last),
+        "A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000), 881-901",
+    )  # fmt: skip
+
+
 def _bodies(
-    name: str, masses: Sequence[float], constant: float, state: State, source: str
+    name: str,
+    masses: Sequence[float],
+    constant: float,
+    places: Sequence[tuple[float, ...]],
+    velocities: Sequence[tuple[float, ...]],
+    source: str,
 ) -> CatalogueSystem:
-    """Declare bodies in space by their masses."""
-    n = len(masses)
+    """Declare bodies in the plane or in space by their masses, positions and velocities."""
+    n, axes = len(masses), "xyz"[: len(places[0])]
     G = sp.Symbol("G", positive=True)
     m = sp.symbols(f"m0:{n}", positive=True)
-    q = coordinates(" ".join(f"{axis}{i}" for i in range(n) for axis in "xyz"))
-    points = [q[3 * i : 3 * i + 3] for i in range(n)]
+    q = coordinates(" ".join(f"{axis}{i}" for i in range(n) for axis in axes))
+    points = [q[len(axes) * i : len(axes) * (i + 1)] for i in range(n)]
     potential = [
         -G * m[i] * m[j] / sp.sqrt(sp.Add(*((x - y) ** 2 for x, y in zip(a, b, strict=True))))
         for i, a in enumerate(points)
@@ -78,6 +107,6 @@ def _bodies(
         potential=sp.Add(*potential),
         parameters={**dict(zip(m, masses, strict=True)), G: constant},
         positions={f"body {i}": point for i, point in enumerate(points)},
-        reference_state=state,
+        reference_state={"q0": sum(places, ()), "v0": sum(velocities, ())},
         source=source,
     )

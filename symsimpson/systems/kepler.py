@@ -9,7 +9,7 @@ import sympy as sp
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
 
-__all__ = ["kepler"]
+__all__ = ["kepler", "kepler_plane"]
 
 
 def kepler() -> CatalogueSystem:
@@ -37,6 +37,35 @@ def kepler() -> CatalogueSystem:
         reference_state={
             "q0": (1 - eccentricity, 0.0),
             "v0": (0.0, speed / (1 - eccentricity)),
+        },
+        source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2",
+    )
+
+
+def kepler_plane() -> CatalogueSystem:
+    """A comet in Cartesian coordinates, started at the apocentre of a narrow ellipse, period 2 pi.
+
+    Fixed steps miss its pericentre: for ``kepler_plane().retimed("encounters")``.
+    """
+    x, y = coordinates("x y")
+    m, mu = sp.symbols("m mu", positive=True)
+    r, area = sp.sqrt(x**2 + y**2), x * y.diff() - y * x.diff()
+    eccentricity = 0.9
+    return CatalogueSystem(
+        "kepler_plane",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-m * mu / r,
+        parameters={m: 1.0, mu: 1.0},
+        positions={"comet": (x, y)},
+        invariants={
+            "angular momentum": m * area,
+            "eccentricity x": y.diff() * area / mu - x / r,
+            "eccentricity y": -x.diff() * area / mu - y / r,
+        },
+        reference_state={
+            "q0": (1 + eccentricity, 0.0),
+            "v0": (0.0, math.sqrt((1 - eccentricity) / (1 + eccentricity))),
         },
         source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2",
     )

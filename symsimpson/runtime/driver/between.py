@@ -133,6 +133,41 @@ def between(
 
 
 @njit(**DRIVER_OPTIONS)
+def part_of_step(kernels, energy, h, now, ahead, asked, W, at, q, p, inputs, near):
+    """Go from (q, p) to a time between ``now`` and ``ahead``, a step, and leave the state there.
+
+    Returns the part of tau that leads there, and whether all went well. It is found by Newton's
+    method, ``near`` as rounding is, with the rate that the energy's kernel tells; between a time
+    before and one behind it.
+    """
+    n, time = at[DIMENSION], at[KEPT]
+    start_q, start_p = q.copy(), p.copy()
+    part, low, high, left = 0.0, 0.0, h, asked - now
+    change = h * left / (ahead - now) if ahead != now else h
+    tries, there, well = 0, False, True
+    while well and tries < MOST_PARTS and not there:
+        if not (part + change - low) * (high - part - change) > 0.0:
+            change = (low + high) / 2 - part
+        part += change
+        for a in range(n):
+            q[a], p[a] = start_q[a], start_p[a]
+        well = take(kernels, part, now, W, at, 1, q, p, inputs, 0)
+        later = W[time, 0]
+        call(energy, part, later, W)
+        before, left = left, asked - later
+        if left * h > 0.0:
+            low = part
+        else:
+            high = part
+        change = left / W[time + RATE_BEHIND, 0]
+        if abs(left) > abs(before) / 2:  # the rate is not that of the steps
+            change = (low + high) / 2 - part
+        there = abs(change) <= abs(h) * near or abs(left) <= abs(asked) * near
+        tries += 1
+    return part, well and there
+
+
+@njit(**DRIVER_OPTIONS)
 def states_at(
     kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs, near,
     parameters,
@@ -140,10 +175,8 @@ def states_at(
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
-    one to the next. ``part`` takes how far each state is into its step: found by Newton's method,
-    ``near`` as rounding is, with the rate that the energy's kernel tells; between a time before and
-    one behind it. ``q_out`` and ``p_out`` have one row more, for what is tried. ``parameters`` have
-    a row for each state, or one for all.
+    one to the next. ``part`` takes how far each state is into its step. ``q_out`` and ``p_out``
+    have one row more, for what is tried. ``parameters`` have a row for each state, or one for all.
     """
     n, last, time = at[DIMENSION], len(start), at[KEPT]
     for i in range(last):
@@ -164,29 +197,8 @@ def states_at(
                     now = ahead
                     for a in range(n):
                         q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
-        if now != asked[i]:
-            change = h * (asked[i] - now) / (ahead - now) if ahead != now else h
-            tries, there, low, high, left = 0, False, part[i], h, asked[i] - now
-            while well and tries < MOST_PARTS and not there:
-                if not (part[i] + change - low) * (high - part[i] - change) > 0.0:
-                    change = (low + high) / 2 - part[i]
-                part[i] += change
-                for a in range(n):
-                    q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
-                well = take(kernels, part[i], now, W, at, 1, q_out[last], p_out[last], inputs, 0)
-                later = W[time, 0]
-                call(energy, part[i], later, W)
-                before, left = left, asked[i] - later
-                if left * h > 0.0:
-                    low = part[i]
-                else:
-                    high = part[i]
-                change = left / W[time + RATE_BEHIND, 0]
-                if abs(left) > abs(before) / 2:  # the rate is not that of the steps
-                    change = (low + high) / 2 - part[i]
-                there = abs(change) <= abs(h) * near or abs(left) <= abs(asked[i]) * near
-                tries += 1
-            well = well and there
-            for a in range(n):
-                q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
+        if now != asked[i] and well:
+            part[i], well = part_of_step(
+                kernels, energy, h, now, ahead, asked[i], W, at, q_out[i], p_out[i], inputs, near
+            )
         fine[i] = well

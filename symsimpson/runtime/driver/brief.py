@@ -62,6 +62,6 @@ def run_briefly(
     for a in range(n):
         end[0, a] = W[at[POSITION] + a, 0]
         end[1, a] = W[at[MOMENTUM] + a, 0]
-    if few > 0 and not steady(energy, h, W, at, states[0], states[1], last, few, limit):
+    if few > 0 and not steady(energy, h, W, at, states[0], states[1], last, few, limit, 0):
         return -1
     return count

@@ -18,6 +18,7 @@ __all__ = ["driver", "driver_text"]
 #: The modules that are compiled as one text, in this order.
 PARTS = (
     "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work", "backward",
+    "arriving",
 )  # fmt: skip
 
 

@@ -54,7 +54,7 @@ SIGNATURES |= {
     ),
     "steady": types.boolean(
         types.int64, types.float64, WORKSPACE, TOLD_ROWS, STATES, STATES, types.int64, types.int64,
-        types.float64,
+        types.float64, types.int64,
     ),
 }  # fmt: skip
 #: Steps that a kernel takes in one call.
@@ -155,12 +155,13 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out, inputs):
 
 
 @njit(**DRIVER_OPTIONS)
-def steady(energy, h, W, at, q, p, last, few, limit):
+def steady(energy, h, W, at, q, p, last, few, limit, rate):
     """Return whether the energy at some states stays near that of the first.
 
     No change is more than ``limit`` times the kinetic energy of most of the states, nor more than
     that of some of the first ones. They are ``few`` and the first, spread over those up to the
-    last; the kinetic energy stands behind the energy.
+    last; the kinetic energy stands behind the energy. Where the row of a ``rate`` dt/dtau is given,
+    not 0, it is that times the energy that does not drift.
     """
     n, row = at[DIMENSION], at[ENERGY]
     kinetic = np.empty(few + 1)
@@ -173,11 +174,12 @@ def steady(energy, h, W, at, q, p, last, few, limit):
         call(energy, h, 0.0, W)
         if i == 0:
             start = W[row, 0]
-        here = abs(W[row, 0] - start)
+        pace = W[rate, 0] if rate != 0 else 1.0
+        here = pace * abs(W[row, 0] - start)
         if not here < np.inf:
             return False
         change = max(change, here)
-        kinetic[i] = W[row + 1, 0]
+        kinetic[i] = pace * W[row + 1, 0]
     enough, early = 0, False
     for i in range(few + 1):
         enough += change <= limit * kinetic[i]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
 
-__all__ = ["ROOM", "Collected", "last_part", "states_at", "with_end"]
+__all__ = ["ROOM", "STRIDE", "Collected", "last_part", "resolution", "states_at", "with_end"]
 
 Reals = NDArray[Any]
 #: So many states are stored before they are put away.
@@ -101,7 +101,7 @@ def states_at(
     numbers, header, kernels = (
         stepper._module.numbers, stepper._module.header, stepper._module.kernels,
     )  # fmt: skip
-    many, near, rows = start.size, _resolution(numbers), np.atleast_2d(values)
+    many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)
     part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
     fine = np.zeros(many, dtype=np.bool_)
     for name in kernels.fallbacks:  # each where the one before fails
@@ -139,7 +139,7 @@ def with_end(
     )  # fmt: skip
 
 
-def _resolution(numbers: Numbers) -> float:
+def resolution(numbers: Numbers) -> float:
     """Return the relative size of what rounding makes of a time."""
     digits = getattr(numbers, "digits", None)
     return 4e-16 if digits is None else 10.0 ** (1 - digits)

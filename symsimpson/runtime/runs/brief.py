@@ -8,16 +8,18 @@ wrong.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.driver.compiled import driver
-from symsimpson.runtime.inputs import read_steps
+from symsimpson.runtime.inputs import read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.arrival import STRIDE, resolution
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.resolution import LIMIT, SAMPLES, count_looked_at, sampling_stride
 from symsimpson.runtime.runs.run import workspace
@@ -25,19 +27,33 @@ from symsimpson.runtime.runs.run import workspace
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
 
-__all__ = ["MOST_ROWS", "Prepared", "brief_run"]
+__all__ = ["MOST_ROWS", "brief_run"]
 
-#: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C.
-MOST_ROWS = 2**18
+#: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
+#: where the number of steps is not known before.
+MOST_ROWS, MOST_TO_END = 2**18, 2**22
 #: What states are given as; of others somebody may have to be told something.
 PLAIN = (list, tuple, np.ndarray)
 DONE = Status.SUCCESS.message
+#: What is returned of a run with too many steps for this.
+TOO_LONG = -2
 
 Floats = NDArray[np.float64]
 #: h, t0 and the number of steps.
 Times = tuple[float, float, int]
 #: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).
 Stored = tuple[Floats, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a run is asked for in the plainest way: values of parameters, and where it begins."""
+
+    values: Floats
+    q: Floats
+    other: Floats
+    velocity: bool
+    every: int
 
 
 class Prepared:
@@ -48,19 +64,45 @@ class Prepared:
         self.W, self.told = workspace(header, FLOAT64, stepper._defaults), header.told
         self.kernels = kernels.set(kernels.fallbacks[0])
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
-        self.run_briefly = driver("run_briefly", iterated=header.newton_unknowns > 0)
+        iterated = header.newton_unknowns > 0
+        self.most = MOST_TO_END // header.rows
+        if header.retimed:
+            self.kernels = kernels.set(kernels.fallbacks[0], "clock")
+            self.retime = kernels.address("retime")
+            self.run_to_end = driver("run_to_end", iterated=iterated)
+            self.sampled = room(self.most // STRIDE, stepper.n)
+            self.kept = np.empty((self.most + 1, 1, 1))
+            return
+        self.run_briefly = driver("run_briefly", iterated=iterated)
         #: Where states go that are looked at and forgotten.
         self.sampled = room(SAMPLES, stepper.n)
 
     def run(
-        self, values: Floats, start: tuple[Floats, Floats, bool], times: Times, every: int,
-        few: int, stored: Stored, end: Floats,
-    ) -> int:  # fmt: skip
+        self, asked: Asked, times: Times, every: int, few: int, stored: Stored, end: Floats
+    ) -> int:
         """Take steps, and return how many iterations they took; -1 if not all is well."""
-        (q, other, velocity), (h, t0, steps) = start, times
+        h, t0, steps = times
         found: int = self.run_briefly(
-            self.kernels, self.legendre if velocity else 0, self.energy, h, t0, self.W, self.told,
-            values, q, other, steps, every, few, LIMIT, *stored, end, NO_INPUTS,
+            self.kernels, self.legendre if asked.velocity else 0, self.energy, h, t0, self.W,
+            self.told, asked.values, asked.q, asked.other, steps, every, few, LIMIT, *stored, end,
+            NO_INPUTS,
+        )  # fmt: skip
+        return found
+
+    def arrive(
+        self, asked: Asked, times: tuple[float, float, float], every: int, few: int,
+        stored: Stored, end: Floats, told: Floats,
+    ) -> int:  # fmt: skip
+        """Take steps to an end, and return how many; less than 0 if not all is well.
+
+        ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
+        iterations; ``asked.values`` those of E0 and the first rate.
+        """
+        more = np.array([self.legendre if asked.velocity else 0, self.energy, self.retime])
+        found: int = self.run_to_end(
+            self.kernels, more, np.array([*times, resolution(FLOAT64)]), self.W, self.told,
+            asked.values, asked.q, asked.other, self.most, every, few, LIMIT, stored[0], self.kept,
+            stored[1], end, told, NO_INPUTS,
         )  # fmt: skip
         return found
 
@@ -81,6 +123,23 @@ def read_plainly(value: Any, n: int) -> Floats | None:
     return found if found.dtype.char == "d" and found.shape == (n,) else None
 
 
+def read_asked(
+    stepper: Evaluator, given: tuple[Any, Any, Any], h: Any, parameters: Any, every: Any
+) -> Asked | None:
+    """Read what is asked for; None if it is not plain, or this step was not looked at before."""
+    (q0, v0, p0), n = given, stepper.n
+    one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
+    if stepper._prepared is None or not one or not isinstance(h, float):
+        return None
+    values = stepper._values(parameters)
+    if (h, values.tobytes()) not in stepper._looked_at or not (every is None or every > 0):
+        return None
+    q, other = read_plainly(q0, n), read_plainly(p0 if v0 is None else v0, n)
+    if q is None or other is None:
+        return None
+    return Asked(values, q, other, v0 is not None, every or 0)
+
+
 def brief_run(
     stepper: Evaluator, given: tuple[Any, Any, Any], times: tuple[Any, Any, Any, Any],
     parameters: Any, every: Any,
@@ -93,31 +152,37 @@ def brief_run(
     given, times, parameters, every
         As for :func:`symsimpson.runtime.runs.spec.read_run`.
     """
-    (q0, v0, p0), h, prepared = given, times[0], stepper._prepared
-    one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
-    if prepared is None or not one or not isinstance(h, float):
+    asked, retimed = (
+        read_asked(stepper, given, times[0], parameters, every), stepper._module.header.retimed
+    )  # fmt: skip
+    if asked is None or (retimed and times[1] is None):
         return None
-    values, n = stepper._values(parameters), len(stepper.coordinates)
-    if (h, values.tobytes()) not in stepper._looked_at:
-        return None
-    h, steps, t0 = read_steps(*times, FLOAT64)
-    short = 0 < steps * stepper._module.header.rows <= MOST_ROWS and (every is None or every > 0)
-    q, other = read_plainly(q0, n), read_plainly(p0 if v0 is None else v0, n)
-    if not short or q is None or other is None:
-        return None
+    prepared = stepper._prepared
+    assert prepared is not None
     try:  # threads may do this at the same time
         made = prepared.pop()
     except IndexError:
         made = Prepared(stepper)
+    found = (_to_end if retimed else _of_steps)(stepper, made, asked, times)
+    prepared.append(made)
+    return found
+
+
+def _of_steps(
+    stepper: Evaluator, made: Prepared, asked: Asked, times: tuple[Any, Any, Any, Any]
+) -> Trajectory | None:
+    """Take a given number of steps."""
+    h, steps, t0 = read_steps(*times, FLOAT64)
+    if not 0 < steps * stepper._module.header.rows <= MOST_ROWS:
+        return None
+    every, n = asked.every, stepper.n
     stride = every or sampling_stride(stepper, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else made.sampled
     end, few = np.empty((2, n)), count_looked_at(stepper, last)
-    start = q, other, v0 is not None
-    count = made.run(values, start, (h, t0, steps), stride, few, stored, end)
+    count = made.run(asked, (h, t0, steps), stride, few, stored, end)
     if count < 0:
         return None
-    prepared.append(made)
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
         Q, P, iterations = Q[:, :, 0], P[:, :, 0], counts[:, 0]
@@ -125,7 +190,44 @@ def brief_run(
         t, iterations = np.array([t0 + h * steps]), np.array([count])
         Q, P = end[:1], end[1:]
     return Trajectory(
-        t=t, q=Q, p=P, newton_iterations=iterations, h=h, steps=steps, every=every,
-        status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=values, _inputs=NO_INPUTS,
-        _tangents=None,
+        t=t, q=Q, p=P, newton_iterations=iterations, h=h, steps=steps, every=every or None,
+        status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=asked.values,
+        _inputs=NO_INPUTS, _tangents=None,
+    )  # fmt: skip
+
+
+def _to_end(
+    stepper: Evaluator, made: Prepared, asked: Asked, times: tuple[Any, Any, Any, Any]
+) -> Trajectory | None:
+    """Take as many steps as lead to a time, and a part of one."""
+    h, _, t0, t_end = read_times(*times, FLOAT64, retimed=True)
+    key = h, t_end - t0
+    if key in stepper._long:
+        return None
+    every, n = asked.every, stepper.n
+    stored = room(made.most // every, n) if every else made.sampled
+    end, told = np.empty((2, n)), np.empty(2)
+    few = SAMPLES - 1 if stepper._module.header.conservative else 0
+    steps = made.arrive(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
+    if steps < 0:
+        if steps == TOO_LONG:
+            stepper._long.add(key)
+        return None
+    t, q, p = np.array([t_end]), end[:1], end[1:]
+    tau, iterations = np.array([h * steps + told[0]]), np.array([int(told[1])])
+    if every:
+        last = steps // every + 1
+        (Q, P), counts = stored
+        before = made.kept[:last, 0, 0].copy()
+        far = int(t_end != before[-1])  # 0: the last stored state is that of the end
+        tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
+        t = np.append(before, t[:far])
+        q, p = (
+            np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p))
+        )  # fmt: skip
+        iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
+    return Trajectory(
+        t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
+        status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=asked.values,
+        _inputs=NO_INPUTS, _tangents=None, _tau=tau,
     )  # fmt: skip

@@ -153,9 +153,8 @@ def look_at_energy(
         return None
     if q.base is not None and q.base is run.q.base:
         steady = stepper._module.numbers.driver("steady")
-        energy = stepper._module.kernels.address("energy")
-        if steady(
-            energy, run.h, run.W, stepper._module.header.told, run.q, run.p, last, few, LIMIT
-        ):
+        energy, header = stepper._module.kernels.address("energy"), run.header
+        rate = header.layout["RATE"] if header.retimed else 0
+        if steady(energy, run.h, run.W, header.told, run.q, run.p, last, few, LIMIT, rate):
             return None
     return energies_at(stepper, run, steps, q, p, np.arange(few + 1) * last // few)
