@@ -188,4 +188,5 @@ KERNELS = (
     "iterate", "advance_stages", "energy", "invariants", "equations", "power", "work",
     "multipliers", "tangent", "tangent_pivoted", "momentum_slopes", "adjoint", "start_adjoint",
     "record", "step_cost", "running_cost", "retime", "clock",
+    "energy_in_tau",
 )  # fmt: skip

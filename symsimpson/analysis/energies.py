@@ -58,6 +58,8 @@ def drift(s: Subject) -> Iterator[Check]:
     watched |= {x.name: x.momentum(run.q, run.p) for x in s.symmetries}
     # what they are made of may grow, as the way of a free centre of mass, and its rounding with it
     sizes = {x.name: x.size(run.q, run.p) for x in s.symmetries}
+    if s.timed is not None:  # K is zero, but for errors
+        sizes["energy"] = float(run.energy_scale)
     promised = len(watched)
     for k, (name, values) in enumerate((watched | run.invariants).items()):
         size = sizes.get(name, float(np.abs(values).max())) or 1.0

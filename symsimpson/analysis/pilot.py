@@ -51,7 +51,6 @@ def choose_state(
     InputError
         If the state makes no sense, or no random one can begin.
     """
-    stepper._fixed_steps_of_t("certificates and stress tests")
     given = {name: value for name, value in (state or {}).items() if value is not None}
     given = given or dict(stepper.reference_state or {})
     if "q0" in given:

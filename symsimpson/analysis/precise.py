@@ -111,6 +111,17 @@ class Precise:
         gradient = self.gradient(z)
         return [*gradient[self.n :], *(-gradient[: self.n])]
 
+    def rates_and_time(self, z: Iterable[Any]) -> list[Any]:
+        """Return the same of a retimed system in tau, and of its time."""
+        *point, _ = z
+        at = np.array([self.context.convert(x) for x in point], dtype=object)
+        rate = self._at("energy", "RATE", 1, at[: self.n], at[self.n :])
+        return [*self.rates(at), rate[0]]
+
+    def from_start(self, z: Vector) -> dict[str, Any]:
+        """Return the parameters of a run from a state, with those that follow from it."""
+        return dict(zip(self.stepper.parameters, self.run(z, 1, 0)._values, strict=True))
+
     def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
         """Return the sizes of the first Newton corrections, relative to the increments."""
         found = []

@@ -53,12 +53,16 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
 
 @dataclass(frozen=True)
 class Subject:
-    """A stepper in many digits and compiled, with a state and a step."""
+    """A stepper in many digits and compiled, with a state and a step.
+
+    Of a retimed system it takes steps of tau, and ``timed`` tells the time with them.
+    """
 
     stepper: Stepper
     precise: Precise
     z: NDArray[Any]
     h: float
+    timed: Precise | None = None
 
     @property
     def n(self) -> int:
@@ -88,8 +92,12 @@ class Subject:
         conservative = self.stepper._module.header.conservative
         return linear_symmetries(self.precise, self.z) if conservative else []
 
-    def exact(self, end: Any) -> list[Any]:
-        """Return the state of the exact motion at a time, in many digits."""
+    def exact(self, end: Any, *, timed: bool = False) -> list[Any]:
+        """Return the state of the exact motion at a time, in many digits; ``timed``, with t."""
+        if timed:
+            rates_and_t = self.precise.rates_and_time
+            start = [*(mpmath.mpf(x) for x in self.z), mpmath.mpf(0)]
+            return list(extrapolate(rates_and_t, start, [end], mpmath.mpf(10) ** -30)[0])
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
         declared = self.stepper._module.declared

@@ -24,6 +24,8 @@ RANK = 1e-12
 NEARBY = 1e-4
 #: Entries closer to a number of few digits than this are that number, in a name.
 ROUND = 1e-9
+#: So many times as many points are tried as are needed.
+MOST = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +72,14 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     size = 0.2 * (1 + np.abs(middle))
     size[n:] = 0.2 * (np.abs(middle[n:]).max() or 1.0)
     random = np.random.default_rng(1)
-    rows = []
-    for _ in range(n * n + n + 4):
+    rows: list[NDArray[Any]] = []
+    for _ in range(MOST * (n * n + n + 4)):
+        if len(rows) == n * n + n + 4:
+            break
         point = middle + size * random.uniform(-1, 1, 2 * n)
         gradient = precise.gradient(point)
+        if not np.isfinite(gradient.astype(np.float64)).all():  # H has no value around there
+            continue
         q, p, H_q, H_p = point[:n], point[n:], gradient[:n], gradient[n:]
         turning = np.outer(H_q, q) - np.outer(p, H_p)
         rows.append(np.concatenate([H_q, turning.ravel()]))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from symsimpson.definitions import definitions, redefined
 from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["oversolved", "rewritten"]
+__all__ = ["in_tau", "oversolved", "rewritten"]
 
 
 def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
@@ -28,7 +28,12 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     missing = constants.keys() - definitions(stepper.source)
     if missing:
         raise ValueError(f"the module has no {', '.join(sorted(missing))}")
-    text = redefined(stepper.source, {name: f"{name} = {x}" for name, x in constants.items()})
+    return _with(stepper, {name: f"{name} = {x}" for name, x in constants.items()})
+
+
+def _with(stepper: Stepper, changes: Mapping[str, str]) -> Stepper:
+    """Return a stepper with other definitions in its module, which is signed anew."""
+    text = redefined(stepper.source, changes)
     banner = SIGNED.search(text)
     assert banner is not None
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
@@ -36,6 +41,23 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
         text, f"{stepper.system}, changed", reference_state=stepper.reference_state,
         tools=stepper._module.tools,
     )  # fmt: skip
+
+
+def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
+    """Return a stepper that takes the steps of a retimed one in its own time; others as they are.
+
+    Its energy is K = g (H - E0), E0 and the first rate are parameters as others are; ``values``
+    are those that all have unless given.
+    """
+    if not stepper._module.header.retimed:
+        return stepper
+    lines = stepper.source.splitlines(keepends=True)
+    first, end = definitions(stepper.source)["energy_in_tau"]
+    energy = "".join(lines[first:end]).replace("def energy_in_tau(", "def energy(").rstrip("\n")
+    changes = {"RETIMED": "", "energy_in_tau": "", "energy": energy}
+    if values is not None:
+        changes["DEFAULTS"] = f"DEFAULTS = {tuple(map(float, values))!r}"
+    return _with(stepper, changes)
 
 
 def oversolved(stepper: Stepper) -> Stepper:

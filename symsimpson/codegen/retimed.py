@@ -42,7 +42,7 @@ def keeping_time(
     made = _Retimed(low, loops)
     own = {kernel.name: kernel for kernel in (made.legendre(), made.energy())}
     others = [own.get(kernel.name, kernel) for kernel in kernels]
-    return [made.rate_function()], [*others, made.retime(), made.clock()]
+    return [made.rate_function()], [*others, made.energy_in_tau(), made.retime(), made.clock()]
 
 
 class _Retimed:
@@ -87,6 +87,20 @@ class _Retimed:
         stores = [*energy_stores(self._users), Store(Row("RATE", 0), self._divided(rate))]
         doc = "The Hamiltonian at (q, p), its kinetic part, dq/dt, and dt/dtau."
         return Kernel("energy", doc, lanes(self._low.statements(stores, STATE)))
+
+    def energy_in_tau(self) -> Kernel:
+        """K = g (H - E0), which steps keep, and g times the kinetic part of H."""
+        low = self._low
+        given = low.parameters[low.equations.plain.parameters[self._places[0]]]
+        total, kinetic, *_ = energy_stores(self._users)
+        rate = self._divided(self._at(Point("state", low.q)))
+        stores = [
+            Store(total.row, rate * (total.value - given)),
+            Store(kinetic.row, rate * kinetic.value),
+            Store(Row("RATE", 0), rate),
+        ]
+        doc = "K = (H - E0) dt/dtau, the Hamiltonian of tau, its kinetic part, and dt/dtau."
+        return Kernel("energy_in_tau", doc, lanes(low.statements(stores, STATE)))
 
     def retime(self) -> Kernel:
         """E0 and the rate at the start, which are parameters from then on."""

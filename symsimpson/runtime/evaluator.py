@@ -206,21 +206,14 @@ class Evaluator:
         """
         return evaluate_energy(self, q, p, parameters, t)
 
-    def _fixed_steps_of_t(self, what: str) -> None:
-        """Refuse what is not there yet for steps that are fixed in another time.
-
-        Raises
-        ------
-        InputError
-        """
-        if self._module.header.retimed:
-            raise InputError(
-                f"{self.system} is retimed, and {what} of retimed systems are not there yet.\n"
-                "Take single runs, stepper.integrate, or the system as it was."
-            )
-
     def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
         return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
+
+    def _free_values(self, given: Parameters | None = None) -> dict[str, Any]:
+        """Return the values of those parameters that do not follow from the start."""
+        values = self._named_values(given)
+        own = self._module.header.from_start
+        return {name: value for name, value in values.items() if name not in own}
 
     def _check_given(self, given: Parameters | None) -> None:
         """Refuse values of parameters that follow from the start of a run.

@@ -20,7 +20,9 @@ from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.codegen.weighted import WeightedRows
+from symsimpson.definitions import definitions, redefined
 from symsimpson.discrete.equations import DiscreteEquations, discretise
+from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 
 PENDULUM = ss.systems.double_pendulum()
@@ -39,6 +41,37 @@ def test_what_is_right_passes(name, scheme):
     assert certificate.passed, certificate
     assert certificate["order"].measured >= certificate.order - 0.15
     assert certificate.seconds > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "scheme"),
+    sweep([
+        ("kepler_plane", "encounters", "simpson"), ("kepler_plane", "encounters", "gauss16"),
+        ("kepler_plane", "encounters", "kahan_li8"), ("double_pendulum", "kinetic", "simpson"),
+        ("figure_eight", "encounters", "gauss4"),
+    ]),
+)  # fmt: skip
+def test_a_retimed_system_is_certified_in_its_own_time(name, rate, scheme):
+    certificate = ss.compile(ss.systems.EVERY[name]().retimed(rate), scheme).certify()
+    assert certificate.passed, certificate
+    assert certificate["time"].measured >= certificate.order - 0.15
+    assert certificate.parameters["E0"] != 0.0
+
+
+@pytest.mark.slow
+def test_a_time_by_the_ends_of_steps_fails_on_its_row():
+    stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "simpson")
+    lines = stepper.source.splitlines(keepends=True)
+    first, end = definitions(stepper.source)["pass_time"]
+    wrong = "".join(lines[first:end]).replace("WEIGHTS[node]", "(0.0 if node == 1 else 0.5)")
+    text = redefined(stepper.source, {"pass_time": wrong})
+    banner = SIGNED.search(text)
+    text = text.replace(banner[1], digest(text[banner.end() :]), 1)
+    certificate = Stepper(
+        text, "time by ends", reference_state=stepper.reference_state, tools=TOOLS
+    ).certify()
+    assert [check.name for check in certificate.checks if not check.passed] == ["time"]
+    assert certificate["time"].measured == pytest.approx(2, abs=0.1)
 
 
 @pytest.mark.slow
