@@ -9,9 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from symsimpson.codegen.pipeline import derive
+from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError
 from symsimpson.files import read_path
+from symsimpson.mechanics.extended import extended
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
@@ -119,6 +122,11 @@ def _compiled(
 
     Then it can integrate a ``running`` cost, too.
     """
+    tools: Tools | None = TOOLS
+    if isinstance(system, RetimedSystem) and varied is not None:
+        check_differentiable(scheme)
+        system, varied = extended(system, varied)  # the time is one of its momenta
+        tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
         derivation = derive(system, scheme, exploit, varied, running)
     return Stepper(
@@ -129,7 +137,7 @@ def _compiled(
         reference_state=getattr(system, "reference_state", None),
         declared=system,
         derivation=derivation,
-        tools=TOOLS,
+        tools=tools,
         differentiate=partial(_compiled, system, scheme, exploit, numbers, progress),
     )
 

@@ -193,7 +193,7 @@ def discretise(
     plain = structure.plain if wanted else system.plain
     _check_explicit(system, scheme)
     if varied is not None:
-        _check_differentiable(system, scheme)
+        check_differentiable(scheme)
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:
@@ -229,7 +229,7 @@ def _composed_in_time(
     """
     original, every = system.original, tuple(range(system.n))
     if varied is not None:
-        _check_differentiable(system, scheme)
+        check_differentiable(scheme)
     _check_explicit(original, scheme)
     if system.retiming.of_potential is None:
         raise SchemeError(
@@ -256,16 +256,8 @@ def _free_of(plain: Plain, value: Value | None, symbols: Iterable[sp.Symbol]) ->
     return plain.graph.nodes[value[1]].symbols.isdisjoint(plain.numbers(symbols))
 
 
-def _check_differentiable(system: MechanicalSystem, scheme: Scheme) -> None:
-    """Refuse derivatives of steps that are none of the equations of a scheme of the family.
-
-    Those of retimed steps are, too: their E0 and their rate follow from the start.
-    """
-    if system.retiming is not None:
-        raise SchemeError(
-            f"{system.name} is retimed: no derivatives are taken of its steps yet, whose E0 and "
-            "rate follow from the start.\nDifferentiate steps of the system itself."
-        )
+def check_differentiable(scheme: Scheme) -> None:
+    """Refuse derivatives of steps that are none of the equations of a scheme of the family."""
     if isinstance(scheme, Composition):
         raise SchemeError(
             f"steps of {scheme.name} are kicks and drifts, of which no derivatives are taken yet."

@@ -20,7 +20,7 @@ from symsimpson.mechanics.levels import function_of_level, level
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["RetimedSystem", "Retiming", "energy", "retimed"]
+__all__ = ["RetimedSystem", "Retiming", "attracts", "energy", "not_retimed", "retimed"]
 
 #: E0, the energy of the run, in rates and among the parameters of a retimed system.
 energy = sp.Symbol("E0", real=True)
@@ -162,6 +162,16 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
 
 def _check(system: MechanicalSystem) -> None:
     """Refuse systems whose energy is not constant, or that constraints hold."""
+    why = not_retimed(system)
+    if why:
+        raise fail(
+            system.name, f"it cannot be retimed: {why}.",
+            "Integrate it with a fixed step in t, small enough for what is fastest.",
+        )  # fmt: skip
+
+
+def not_retimed(system: MechanicalSystem) -> str:
+    """Return why a system cannot be retimed; nothing if it can."""
     plain = system.plain
     why = ""
     if isinstance(system, RetimedSystem):
@@ -172,11 +182,7 @@ def _check(system: MechanicalSystem) -> None:
         why = "forces act on it, so that its energy is not constant"
     elif not plain.autonomous:
         why = "it depends on the time, so that its energy is not constant"
-    if why:
-        raise fail(
-            system.name, f"it cannot be retimed: {why}.",
-            "Integrate it with a fixed step in t, small enough for what is fastest.",
-        )  # fmt: skip
+    return why
 
 
 def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
@@ -194,7 +200,7 @@ def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Sym
     """Return the rate of a name as a function of V, and the parameters that it adds."""
     V = system.potential
     if rate == "encounters":
-        if not _attracts(system, V):
+        if not attracts(system):
             raise fail(
                 system.name,
                 f"V = {spell(V)} is not a sum of -(positive number)/distance, as "
@@ -210,10 +216,10 @@ def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Sym
     )  # fmt: skip
 
 
-def _attracts(system: MechanicalSystem, potential: sp.Expr) -> bool:
-    """Return whether a potential is a sum of negative multiples of inverse distances."""
+def attracts(system: MechanicalSystem) -> bool:
+    """Return whether V is a sum of negative multiples of inverse distances."""
     coordinates = set(system.coordinates)
-    for term in sp.Add.make_args(potential):
+    for term in sp.Add.make_args(system.potential):
         constant, moving = term.as_independent(*coordinates)
         base, exponent = moving.as_base_exp()
         distance = exponent == -1 and base in coordinates

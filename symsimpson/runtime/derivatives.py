@@ -15,6 +15,7 @@ from symsimpson.runtime.results.gradient import Gradient
 from symsimpson.runtime.runs.chaos import find_chaos
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
+from symsimpson.runtime.runs.timed import timed_run
 from symsimpson.runtime.runs.variations import read_varied, varied_stepper
 from symsimpson.runtime.stepping import Stepping, of_a_step
 
@@ -79,11 +80,15 @@ class Differentiating(Stepping):
         """
         n, given = self.n, (wrt,) if isinstance(wrt, str) else tuple(wrt)
         own = [name for name in given if name not in ("q", "p")]
-        stepper = varied_stepper(self, read_varied(self, own))
+        names, retimed = read_varied(self, own), self._module.header.retimed
+        stepper = self if retimed else varied_stepper(self, names)
         spec = read_run(
             stepper, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(stepper, inputs), 2 * n
         )  # fmt: skip
-        end = integrate(stepper, spec, None, None, None, "raise")
+        if retimed:
+            end = timed_run(self, spec, names, False, "raise", fixed_steps=True)
+        else:
+            end = integrate(stepper, spec, None, None, None, "raise")
         assert end._tangents is not None
         D = end._tangents[0]
         places = {"q": range(n), "p": range(n, 2 * n)}
@@ -164,6 +169,7 @@ class Differentiating(Stepping):
         >>> found.gradient.shape, sorted(found.parts)
         ((3,), ['l', 'q', 'v'])
         """
+        self._not_retimed("gradients of costs")
         wanted = Wanted(cost, running, samples, every, wrt)
         return gradient_of(
             self, (q0, v0, p0), (h, t_end, steps, t0), parameters, inputs, wanted, progress
@@ -222,6 +228,7 @@ class Differentiating(Stepping):
         >>> chaos.exponents.shape, bool(chaos.exponents[0] > 1), bool(chaos.sali[-1] < 1e-12)
         ((4,), True, True)
         """
+        self._not_retimed("Lyapunov exponents")
         stepper = varied_stepper(self, ())
         spec = read_run(
             stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs
@@ -238,6 +245,8 @@ class Differentiating(Stepping):
         """
         telling = any(one.of_variations for one in read_reductions(self, reduce))
         carrying = tangents is not None or sensitivities is not None
+        if carrying or telling:
+            self._not_retimed("derivatives of ensembles")
         if carrying and (telling or store is not None):
             other = "reductions that tell of variations" if telling else "a store"
             raise InputError(
@@ -247,6 +256,19 @@ class Differentiating(Stepping):
         if telling:
             return cast(Self, varied_stepper(self, ()))
         return cast(Self, self._differentiating(tangents, sensitivities, None))
+
+    def _not_retimed(self, what: str) -> None:
+        """Refuse what is not there for steps that are fixed in another time.
+
+        Raises
+        ------
+        InputError
+        """
+        if self._module.header.retimed:
+            raise InputError(
+                f"{self.system} is retimed, and {what} are not taken in another time yet.\n"
+                "Single runs carry tangents= and sensitivities=; or take the system as it was."
+            )
 
     def _differentiating(self, tangents: Any, sensitivities: Any, checkpoint: Any) -> Evaluator:
         """Return the stepper that carries along what a run is asked for.
@@ -258,10 +280,19 @@ class Differentiating(Stepping):
         """
         if tangents is None and sensitivities is None:
             return self
+        return varied_stepper(self, self._names_to_vary(sensitivities, checkpoint))
+
+    def _names_to_vary(self, sensitivities: Any, checkpoint: Any) -> tuple[str, ...]:
+        """Read what a run is differentiated by.
+
+        Raises
+        ------
+        InputError
+            If there is no such parameter, or derivatives cannot be kept in a checkpoint.
+        """
         if checkpoint is not None:
             raise InputError(
                 "a checkpoint keeps states alone, and no derivatives of them.\n"
                 "Leave out checkpoint, or tangents and sensitivities."
             )
-        names = () if sensitivities is None else sensitivities
-        return varied_stepper(self, read_varied(self, names))
+        return read_varied(self, () if sensitivities is None else sensitivities)

@@ -17,6 +17,7 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
+from symsimpson.runtime.runs.timed import timed_run
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
@@ -184,14 +185,17 @@ class Stepper(Differentiating):
         ((201, 1), True)
         """
         start, times = (q0, v0, p0), (h, t_end, steps, t0)
-        plain = inputs is None and tangents is None and sensitivities is None
-        known = on_failure in ("raise", "return")
-        if plain and checkpoint is None and progress is None and known:
+        more = inputs, tangents, sensitivities, checkpoint, progress
+        if all(one is None for one in more) and on_failure in ("raise", "return"):
             over = brief_run(self, start, times, parameters, every)
             if over is not None:
                 return over
-        stepper = self._differentiating(tangents, sensitivities, checkpoint)
         carried = 0 if tangents is None and sensitivities is not None else tangents
+        if self._module.header.retimed and carried is not None:
+            names = self._names_to_vary(sensitivities, checkpoint)
+            spec = read_run(self, start, times, parameters, every, inputs, carried)
+            return timed_run(self, spec, names, progress, on_failure)
+        stepper = self._differentiating(tangents, sensitivities, checkpoint)
         spec = read_run(stepper, start, times, parameters, every, inputs, carried)
         return integrate(stepper, spec, checkpoint, checkpoint_every, progress, on_failure)
 

@@ -39,7 +39,7 @@ class EverySecond:
 @pytest.mark.parametrize("error", sweep([1e-6, 1e-3, 1e-9]))
 def test_no_more_work_than_needed(error, scheme, monkeypatch):
     """With a good part fewer steps, the error is too large, or iterations outweigh them."""
-    monkeypatch.setattr("symsimpson.analysis.choose.time", EverySecond())
+    monkeypatch.setattr("symsimpson.analysis.candidates.time", EverySecond())
     choice = ss.choose(PENDULUM, **STATE, t_end=10, error=error, schemes=[scheme])
     steps = round(10 / choice.h)
     few = int(0.6 * steps)
@@ -152,3 +152,30 @@ def test_of_separable_systems_with_constraints_the_family_alone_is_tried():
     assert system.structure.separable
     choice = ss.choose(system, **system.reference_state, t_end=10.0, error=1e-6)
     assert choice.stepper.scheme in CANDIDATES
+
+
+def test_a_narrow_ellipse_is_retimed():
+    comet = ss.systems.kepler_plane()
+    q0, v0 = [1.99, 0.0], [0.0, (0.01 / 1.99) ** 0.5]
+    choice = ss.choose(comet, q0, v0=v0, t_end=20.0, error=1e-6)
+    assert choice.stepper.system == "kepler_plane_retimed"
+    assert "the fewest of fixed size are" in choice.reason
+    run = choice.stepper.integrate(q0, v0=v0, h=choice.h, t_end=20.0)
+    exact = ss.compile(comet.retimed("encounters"), "gauss16").integrate(
+        q0, v0=v0, h=0.5, t_end=20.0
+    )
+    assert np.abs(run.q[-1] - exact.q[-1]).max() < 1e-6
+    assert run.steps < 500
+
+
+@pytest.mark.slow
+def test_a_wide_ellipse_is_not():
+    comet = ss.systems.kepler_plane()
+    choice = ss.choose(comet, [1.05, 0.0], v0=[0.0, 0.9513], t_end=60.0, error=1e-6)
+    assert choice.stepper.system == "kepler_plane"
+    given = ss.choose(
+        comet.retimed("encounters"), [1.05, 0.0], v0=[0.0, 0.9513], t_end=60.0, error=1e-6,
+        schemes=["gauss8"],
+    )  # fmt: skip
+    assert given.stepper.system == "kepler_plane_retimed"
+    assert "fixed" not in given.reason

@@ -253,6 +253,18 @@ def test_what_tau_keeps_does_not_drift():
     assert np.abs(blocks - blocks[0]).max() < 1e-2 * np.abs(K).max()
 
 
+@pytest.mark.slow
+def test_what_tau_keeps_does_not_drift_over_a_hundred_thousand_orbits():
+    stepper = ss.compile(kepler().retimed("encounters"), "gauss8")
+    run = stepper.integrate([1.6, 0.0], v0=[0.0, 0.5], h=1.0, steps=2_400_000, every=37)
+    assert run.t[-1] > 1e5 * 2 * np.pi
+    rate = (run.q**2).sum(axis=1) ** 0.75 / 1.6**1.5
+    K = rate * (run.energy - run.E0)
+    blocks = np.array([part.mean() for part in np.array_split(K, 40)])
+    assert np.abs(K).max() < 1e-8
+    assert np.abs(np.polyfit(range(40), blocks, 1)[0]) * 40 < 1e-2 * np.abs(K).max()
+
+
 def test_steps_are_symplectic_in_positions_momenta_energy_and_time():
     """D^T J D = J of (q, p, E0, t), E0 paired with t: differences in 50 digits."""
     with mp.workdps(50):

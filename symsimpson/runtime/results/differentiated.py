@@ -21,6 +21,11 @@ class Differentiated:
     _tangents: NDArray[Any] | None
 
     @property
+    def _names_varied(self) -> tuple[str, ...]:
+        """Parameters and inputs that it was differentiated by."""
+        return self._stepper._module.header.varied_by or ()
+
+    @property
     def tangent(self) -> NDArray[Any]:
         """Variations (dq, dp) of the stored states, shape (N + 1, 2 n, k).
 
@@ -38,7 +43,7 @@ class Differentiated:
         >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, tangents=2).tangent.shape
         (2, 2, 2)
         """
-        count = len(self._stepper._module.header.varied_by or ())
+        count = len(self._names_varied)
         return self._carried("tangents=4")[..., : -count or None]
 
     @property
@@ -58,7 +63,7 @@ class Differentiated:
         >>> run.sensitivity["l"].shape
         (51, 2)
         """
-        names = self._stepper._module.header.varied_by or ()
+        names = self._names_varied
         found = self._carried("sensitivities='l'")
         first = found.shape[-1] - len(names)
         return {name: found[..., first + j] for j, name in enumerate(names)}

@@ -68,6 +68,11 @@ class Trajectory(Energies, Differentiated):
     _inputs: NDArray[Any] = field(repr=False)
     _tangents: NDArray[Any] | None = field(default=None, repr=False)
     _tau: NDArray[Any] | None = field(default=None, repr=False)
+    _varied_by: tuple[str, ...] | None = field(default=None, repr=False)
+
+    @property
+    def _names_varied(self) -> tuple[str, ...]:
+        return super()._names_varied if self._varied_by is None else self._varied_by
 
     @property
     def tau(self) -> NDArray[Any]:

@@ -1,0 +1,206 @@
+"""Derivatives of runs of retimed systems, at times that do not move.
+
+E0 and the first rate follow from the start, and the length of steps in t from the state: all of
+that is in the derivatives. They are taken of the system in which E0 is a coordinate and the time
+its momentum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.integrate import integrate
+from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.variations import varied_stepper
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = ["timed_run"]
+
+Reals = NDArray[Any]
+
+
+def timed_run(
+    stepper: Evaluator, spec: RunSpec, names: tuple[str, ...], progress: bool | None,
+    on_failure: str, *, fixed_steps: bool = False,
+) -> Trajectory:  # fmt: skip
+    """Run, and differentiate the stored states at the times that they have.
+
+    Parameters
+    ----------
+    stepper : Stepper
+        Of a retimed system.
+    spec : RunSpec
+        With variations of the initial state.
+    names : tuple of str
+        Parameters to differentiate by, at given q0, and given v0 or p0.
+    progress, on_failure
+        As for :meth:`Stepper.integrate`.
+    fixed_steps : bool
+        Whether the end is that of the steps in tau, wherever it comes to lie in t.
+
+    Raises
+    ------
+    InputError, SchemeError, ConvergenceError, Interrupted
+    """
+    wanted, plain = spec.tangents, replace(spec, tangents=None)
+    assert wanted is not None
+    moving = varied_stepper(stepper, names)
+    run = integrate(stepper, plain, None, None, progress, on_failure)
+    begun = integrate(
+        stepper, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
+    )
+    found = _Derivatives(stepper, moving, names, wanted, begun, run, spec.velocities, fixed_steps)
+    return replace(run, _tangents=found.tangents(), _varied_by=names)
+
+
+@dataclass(frozen=True)
+class _Derivatives:
+    """How stored states follow from the start: ``begun`` is that, ``run`` all of them."""
+
+    stepper: Evaluator
+    moving: Evaluator
+    names: tuple[str, ...]
+    wanted: Reals
+    begun: Trajectory
+    run: Trajectory
+    velocities: bool
+    fixed_steps: bool
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates of the user."""
+        return self.stepper.n
+
+    @property
+    def others(self) -> int:
+        """Number of parameters that the steps are differentiated by."""
+        return len(self.moving._module.header.varied_by or ())
+
+    @cached_property
+    def values(self) -> Mapping[str, Any]:
+        """Parameters of all steps."""
+        known = self.run.parameters
+        return {name: known[name] for name in self.moving.parameters}
+
+    def tangents(self) -> Reals:
+        """Return the variations at all stored states, shape (N, 2 n, k)."""
+        n, run, h = self.n, self.run, self.run.h
+        every = run.every or max(run.steps, 1)
+        z = np.concatenate([self.begun.q[0], [run.E0], self.begun.p[0], self.begun.t])
+        start = self._start(z)
+        columns = np.eye(2 * n + 2, dtype=z.dtype)
+        # the first are those of the state, but for the time, of which nothing depends
+        whole = self._steps(z, h, run.steps // every * every, every, columns)
+        ways = whole._tangents
+        assert ways is not None
+        states = np.concatenate([whole.q, whole.p], axis=1)
+        first = 0 if run.every else len(states) - 1
+        rates = self._rates(whole)
+        found = [
+            self._held(ways[k], rates[k], start) for k in range(first, len(states))
+        ]  # fmt: skip
+        part = run.tau[-1] - h * run.steps
+        if len(found) < len(run) or (run.every is None and part != 0):
+            rest = run.steps % every
+            z, way = states[-1], ways[-1]
+            if rest:
+                z, way = self._onward(z, way, h, rest)
+            _, way_end = self._onward(z, way, part, 1)
+            by_part = self._by_size(z, part)
+            last = self._held(way_end, by_part, start)
+            found = [last] if run.every is None else [*found, last]
+        result: Reals = np.array(found)
+        return result
+
+    def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
+        m = self.n + 1
+        return self.moving.integrate(  # type: ignore[attr-defined]
+            z[:m], p0=z[m:], h=h, steps=steps, every=every, parameters=self.values,
+            tangents=columns, sensitivities=self.moving._module.header.varied_by, progress=False,
+        )  # fmt: skip
+
+    def _onward(self, z: Reals, way: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
+        """Return the state after more steps, and how it follows from the start of all."""
+        size = 2 * self.n + 2
+        end = self._steps(z, h, steps, steps, np.eye(size, dtype=z.dtype))
+        assert end._tangents is not None
+        more = end._tangents[-1]
+        way = more[:, :size] @ way
+        way[:, size:] = way[:, size:] + more[:, size:]
+        return np.concatenate([end.q[-1], end.p[-1]]), way
+
+    def _by_size(self, z: Reals, h: Any) -> Reals:
+        """Return the derivative of a step by its size: the first rate divides it."""
+        _, way = self._onward(z, np.eye(z.size, z.size + self.others, dtype=z.dtype), h, 1)
+        column: Reals = way[:, -1] * (-self.values["g_start"] / h)
+        return column
+
+    def _slopes(self, z: Reals) -> dict[str, Any]:
+        """Return the derivatives of H, of the rate and of p at a state."""
+        m = self.n + 1
+        here = self.moving.integrate(  # type: ignore[attr-defined]
+            z[:m], p0=z[m:], h=self.run.h, steps=0, parameters=self.values
+        )
+        return {name: value[0] for name, value in here.invariants.items()}
+
+    def _start(self, z: Reals) -> Reals:
+        """Return what each variation changes at the start: state, then parameters."""
+        n, count = self.n, len(self.names)
+        given, slopes = self.wanted.shape[1], self._slopes(z)
+        start = np.zeros((2 * n + 2 + self.others, given + count), dtype=z.dtype)
+        start[:n, :given], start[n + 1 : 2 * n + 1, :given] = self.wanted[:n], self.wanted[n:]
+        for j in range(count):
+            start[2 * n + 2 + j, given + j] = 1
+            if self.velocities:
+                for i in range(n):
+                    start[n + 1 + i, given + j] = slopes[f"p by {i} a{j}"]
+        E = self._along(slopes, "E", start)
+        start[n] = E
+        if self.others == count + 2:  # E0 stands in the rate, too
+            start[-2] = E
+        start[-1] = self._along(slopes, "rate", start) + slopes["rate by E"] * E
+        return start
+
+    def _along(self, slopes: Mapping[str, Any], what: str, start: Reals) -> Reals:
+        """Return how E0 or the rate change along the columns."""
+        n = self.n
+        total = sum(slopes[f"{what} by q{i}"] * start[i] for i in range(n))
+        if what == "E":
+            total = total + sum(slopes[f"E by p{i}"] * start[n + 1 + i] for i in range(n))
+        for j in range(len(self.names)):
+            total = total + slopes[f"{what} by a{j}"] * start[2 * n + 2 + j]
+        changed: Reals = np.asarray(total)
+        return changed
+
+    def _rates(self, whole: Trajectory) -> Reals:
+        """Return how states and their times move within the next step, by t: that of K."""
+        n, slopes = self.n, whole.invariants
+        q, p = whole.q[:, :n], whole.p[:, :n]
+        known = self.run.parameters
+        free = self.stepper._free_values()
+        energy = self.stepper.energy(q, p, {name: known[name] for name in free})
+        rates = np.zeros((len(q), 2 * n + 2), dtype=q.dtype)
+        for i in range(n):
+            pull = slopes[f"rate by q{i}"] / slopes["rate"] * (energy - self.run.E0)
+            rates[:, i] = slopes[f"E by p{i}"]
+            rates[:, n + 1 + i] = -slopes[f"E by q{i}"] - pull
+        rates[:, -1] = 1
+        return rates
+
+    def _held(self, way: Reals, moved: Reals, start: Reals) -> Reals:
+        """Return variations of (q, p) where t is held by moving along ``moved``."""
+        n = self.n
+        change = way @ start
+        if not self.fixed_steps:
+            change = change - np.outer(moved, change[-1] / moved[-1])
+        found: Reals = np.concatenate([change[:n], change[n + 1 : -1]])
+        return found

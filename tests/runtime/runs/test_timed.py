@@ -1,0 +1,100 @@
+"""Derivatives of retimed runs against differences of many digits, at the end of the run."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+from workspace import sweep
+
+import symsimpson as ss
+
+KEPLER, PENDULUM = ss.systems.kepler_plane(), ss.systems.double_pendulum()
+COMET = {"q0": ["1.6", "0"], "v0": ["0.1", "0.6"], "h": "0.3", "t_end": "3"}
+CASES = {
+    "kepler": (KEPLER, "encounters", "simpson", COMET, ("mu", "m"), 3),
+    "kepler, last state": (KEPLER, "encounters", "gauss8", COMET, ("mu",), None),
+    "rate with E0": (
+        PENDULUM, "kinetic", "simpson",
+        {"q0": ["0.8", "1"], "v0": ["0.1", "0.6"], "h": "0.03", "t_end": "0.3"}, ("l1", "g"), 1,
+    ),
+}  # fmt: skip
+DIGITS, SMALL = 40, 13
+
+
+def ends(stepper, every, **how):
+    run = stepper.integrate(**how, every=every)
+    return np.concatenate([run.q[-1], run.p[-1]])
+
+
+@pytest.mark.parametrize("name", sweep(CASES, 1))
+def test_variations_and_sensitivities(name):
+    system, rate, scheme, how, names, every = CASES[name]
+    with mp.workdps(DIGITS):
+        stepper = ss.compile(system.retimed(rate), scheme, precision=DIGITS)
+        size, small = 2 * system.n, mp.mpf(10) ** -SMALL
+        how = {
+            key: np.array([mp.mpf(x) for x in value], dtype=object)
+            if isinstance(value, list)
+            else mp.mpf(value)
+            for key, value in how.items()
+        }
+        run = stepper.integrate(**how, every=every, tangents=size, sensitivities=names)
+        p0 = stepper.integrate(how["q0"], v0=how["v0"], h=how["h"], steps=0).p[0]
+        start = {key: how[key] for key in ("h", "t_end")}
+        for k in range(size):
+            d = np.array([small * (i == k) for i in range(size)], dtype=object)
+            up, down = (
+                ends(stepper, every, q0=how["q0"] + x[: system.n], p0=p0 + x[system.n :], **start)
+                for x in (d, -d)
+            )
+            wanted = (up - down) / (2 * small)
+            assert max(abs(wanted - run.tangent[-1][:, k])) < 1e-23 * max(1, *abs(wanted))
+        for key in names:
+            value = mp.mpf({str(a): x for a, x in system.parameters.items()}[key])
+            up, down = (
+                ends(stepper, every, **how, parameters={key: value + x}) for x in (small, -small)
+            )
+            wanted = (up - down) / (2 * small)
+            assert max(abs(wanted - run.sensitivity[key][-1])) < 1e-23 * max(1, *abs(wanted))
+    assert len(run.tangent) == len(run)
+
+
+@pytest.mark.slow
+def test_doubles_have_what_many_digits_have():
+    how = {"q0": [1.6, 0.0], "v0": [0.1, 0.6], "h": 0.3, "t_end": 3.0, "tangents": 4,
+           "sensitivities": "mu"}  # fmt: skip
+    few = ss.compile(KEPLER.retimed("encounters"), "gauss8").integrate(**how)
+    many = ss.compile(KEPLER.retimed("encounters"), "gauss8", precision=30).integrate(**how)
+    np.testing.assert_allclose(few.tangent, many.tangent.astype(float), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        few.sensitivity["mu"], many.sensitivity["mu"].astype(float), rtol=0, atol=1e-12
+    )
+
+
+def test_one_step_is_differentiated_as_it_is_taken():
+    stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
+    q, p, h = np.array([1.6, 0.0]), np.array([0.1, 0.6]), 0.3
+    q1, p1, D = stepper.tangent(q, p=p, h=h, wrt=("q", "p", "mu"))
+    end = stepper.integrate(q, p0=p, h=h, steps=1)
+    np.testing.assert_array_equal(q1, end.q[1])
+    np.testing.assert_array_equal(p1, end.p[1])
+    small = 1e-6
+    for k in range(4):
+        d = small * np.eye(4)[k]
+        up, down = (
+            np.concatenate(stepper.step(q + x[:2], p=p + x[2:], h=h)) for x in (d, -d)
+        )  # fmt: skip
+        np.testing.assert_allclose(D[:, k], (up - down) / (2 * small), rtol=0, atol=1e-8)
+
+
+def test_what_is_not_there_is_refused():
+    stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
+    with pytest.raises(ss.InputError, match="gradients of costs"):
+        stepper.gradient([1.6, 0.0], v0=[0.0, 0.6], h=0.1, t_end=1.0, cost="x", wrt="q")
+    with pytest.raises(ss.InputError, match="Lyapunov exponents"):
+        stepper.lyapunov([1.6, 0.0], v0=[0.0, 0.6], h=0.1, steps=40)
+    with pytest.raises(ss.InputError, match="derivatives of ensembles"):
+        stepper.ensemble([[1.6, 0.0]], v0=[[0.0, 0.6]], h=0.1, t_end=1.0, tangents=4)
+    with pytest.raises(ss.SchemeError, match="kicks and drifts"):
+        ss.compile(KEPLER.retimed("encounters"), "kahan_li8").integrate(
+            [1.6, 0.0], v0=[0.0, 0.6], h=0.1, t_end=1.0, tangents=4
+        )
