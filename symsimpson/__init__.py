@@ -11,7 +11,7 @@ Trajectory(double_pendulum, simpson: 1000 steps of h=0.01, 1001 states stored, S
 
 import lazy_loader
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # what is named in __init__.pyi is imported when it is first used, so that the package starts fast
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

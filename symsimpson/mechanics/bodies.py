@@ -48,7 +48,7 @@ class RigidBody:
     Notes
     -----
     w = 2 conj(q) q' is the angular velocity in the body, and its scalar part w0 = 2 q.q' vanishes
-    where |q| = 1.
+    where q has length 1.
 
     Examples
     --------

@@ -9,11 +9,14 @@ from workspace import sweep
 NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
 
+GALLERY = sorted((NOTEBOOKS / "gallery").glob("*.ipynb"))
+
+
 def test_there_are_notebooks():
     assert list(NOTEBOOKS.glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", sweep(sorted(NOTEBOOKS.glob("*.ipynb"))), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sweep([*GALLERY, *sorted(NOTEBOOKS.glob("*.ipynb"))]), ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_notebook(path):
     nbformat = pytest.importorskip("nbformat")
@@ -23,5 +26,6 @@ def test_notebook(path):
     assert any("assert" in cell.source for cell in notebook.cells[-2:])
     assert all(cell.outputs or "assert" in cell.source for cell in notebook.cells[-4:]
                if cell.cell_type == "code"), "commit the notebook with its outputs"  # fmt: skip
-    NotebookClient(notebook, timeout=1800, kernel_name="python3").execute()
+    where = {"metadata": {"path": str(path.parent)}}
+    NotebookClient(notebook, timeout=1800, kernel_name="python3", resources=where).execute()
     gc.collect()  # what notebooks leave behind is no matter of other tests

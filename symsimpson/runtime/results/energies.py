@@ -24,7 +24,7 @@ class Energies(States):
 
     @cached_property
     def energy_scale(self) -> Any:
-        """What ``energy_error`` is relative to: |H0|, but not less than the kinetic energy.
+        """What ``energy_error`` is relative to: the size of H0, or the kinetic energy if larger.
 
         That is its median over the stored states. H0 alone says nothing where the zero of the
         potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
