@@ -98,3 +98,15 @@ def test_every_public_name_is_there():
         assert name in dir(ss)
     with pytest.raises(AttributeError, match="nothing"):
         _ = ss.nothing
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["*.whl", "*.tar.gz"])
+def test_what_is_built_runs_in_a_fresh_environment(built, kind, tmp_path):
+    (package,) = built.glob(kind)
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "env")], check=True)
+    python = tmp_path / "env" / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "-q", str(package)], check=True)
+    command = [tmp_path / "env" / "bin" / "symsimpson", "run", "lagrange_top", "--t-end", "1"]
+    found = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert "100 steps to t = 1" in found.stdout

@@ -96,7 +96,8 @@ def read_energies(
         check_held_mass(name, parts.M, constraints, s)
     else:
         check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
-        check_mass_matrix(name, parts.M, s)
+        if not given.mass_checked:
+            check_mass_matrix(name, parts.M, s)
     if gyroscopic.M or not Findings(s.graph, [gyroscopic.rest]).vanishes(gyroscopic.rest):
         raise fail(
             name,

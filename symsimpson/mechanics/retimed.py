@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import sympy as sp
 
@@ -97,6 +97,7 @@ class RetimedSystem(MechanicalSystem):
     (20.0, True)
     """
 
+    mass_checked: ClassVar[bool] = True
     original: MechanicalSystem = field(kw_only=True)
     rate: sp.Expr = field(kw_only=True)
     of_level: sp.Expr | None = field(kw_only=True)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 import sympy as sp
@@ -128,6 +128,7 @@ class MechanicalSystem:
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
     inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
+    mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -349,13 +350,12 @@ class MechanicalSystem:
         rate : SymPy expression, "encounters" or "kinetic"
             g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
             Its unit does not matter: at the start dt = dtau. "encounters" is U**(-3/2) for V = -U,
-            a sum of inverse distances; "kinetic" is (c_rest + T)**(-1/2), c_rest a new parameter.
+            a sum of inverse distances; "kinetic" is (c_rest + T)**(-1/2), of a new parameter.
 
         Raises
         ------
         ModelError
-            If g is nowhere positive or contains something else, or the energy of the system is not
-            constant, or constraints hold it.
+            If g is nowhere positive, or the system has constraints or an energy that changes.
         """
         from symsimpson.mechanics.retimed import retimed
 

@@ -17,6 +17,8 @@ __all__ = ["film_in_plane"]
 
 #: A frame has few colours; with so many it is a third as long, and looks the same.
 COLOURS = 48
+#: Dots an inch, whatever the style is.
+DOTS = 72
 #: matplotlib's player takes its icons from elsewhere; these are letters of any font.
 ICONS = {
     "minus": "&minus;", "fast-backward": "|&laquo;", "step-backward": "|&lsaquo;",
@@ -29,7 +31,7 @@ def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
     """Return a page with matplotlib's own player, that needs no connection."""
     figures = library("matplotlib.figure", "an animation", "plot")
     film = library("matplotlib.animation", "an animation", "plot")
-    figure = figures.Figure(figsize=(4.2, 4.2), dpi=72)
+    figure = figures.Figure(figsize=(4.2, 4.2), dpi=DOTS, layout="none")
     ax = figure.add_axes((0.13, 0.08, 0.84, 0.84))
     (x, y), reach = scene.middle, scene.reach
     ax.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach), aspect="equal")
@@ -58,7 +60,7 @@ def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
     with tempfile.TemporaryDirectory() as folder, Progress(len(t), None, "frame") as bar:
         path = Path(folder) / "film.html"
         writer = film.HTMLWriter(fps=fps, embed_frames=True, default_mode="loop", embed_limit=500)
-        made.save(path, writer=writer, progress_callback=lambda frame, frames: bar.add(1))
+        made.save(path, writer=writer, dpi=DOTS, progress_callback=lambda frame, frames: bar.add(1))
         page = path.read_text(encoding="utf-8")
     page = re.sub(r'(?<=image/png;base64,)[^"]+', _smaller, page)
     page = re.sub(r"<link[^>]*>\s*", "", page)
