@@ -175,3 +175,13 @@ def test_a_table_that_cannot_be_written_is_told_before_the_run(tmp_path, capsys)
     said = capsys.readouterr()
     assert "there is no folder" in said.err
     assert said.out == ""
+
+
+def test_steps_that_adapt(capsys):
+    asked = ["run", "kepler_plane", "--retimed", "encounters", "--scheme", "gauss8", "--h", "0.5"]
+    assert main([*asked, "--t-end", "20"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("kepler_plane_retimed, gauss8")
+    assert "to t = 20" in out
+    assert main(["run", "pendulum", "--retimed", "encounters"]) == 1
+    assert "is not a sum of" in capsys.readouterr().err
