@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from symsimpson.errors import ModelError
 from symsimpson.mechanics.arms import Link, arm_energies
 from symsimpson.mechanics.coordinates import coordinates
 from symsimpson.systems.entry import CatalogueSystem
@@ -28,6 +29,8 @@ LINKS = (
 
 def puma560(joints: int = 6) -> CatalogueSystem:
     """The first joints of the PUMA 560 with its motors, swinging freely under gravity."""
+    if isinstance(joints, bool) or joints not in range(1, 7):
+        raise ModelError(f"the PUMA 560 has one to six joints, not {joints!r}.\nUse puma560(6).")
     name = "puma560" if joints == 6 else f"puma560_{joints}"
     q = coordinates(f"q1:{joints + 1}")
     kinetic, potential, positions = arm_energies(name, LINKS[:joints], q)
