@@ -29,9 +29,15 @@ ICONS = {
 
 def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
     """Return a page with matplotlib's own player, that needs no connection."""
+    matplotlib = library("matplotlib", "an animation", "plot")
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):  # it has its own
+        return _film(scene, t, fps, title)
+
+
+def _film(scene: Scene, t: Any, fps: int, title: str) -> str:
     figures = library("matplotlib.figure", "an animation", "plot")
     film = library("matplotlib.animation", "an animation", "plot")
-    figure = figures.Figure(figsize=(4.2, 4.2), dpi=DOTS, layout="none")
+    figure = figures.Figure(figsize=(4.2, 4.2), dpi=DOTS)
     ax = figure.add_axes((0.13, 0.08, 0.84, 0.84))
     (x, y), reach = scene.middle, scene.reach
     ax.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach), aspect="equal")

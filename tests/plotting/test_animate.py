@@ -103,3 +103,13 @@ def test_points_in_one_dimension_and_bad_ones():
     for bad in ((x, x, x, x), [[x, x], []]):
         with pytest.raises(ss.ModelError, match="components"):
             ss.MechanicalSystem("line", **given, positions={"mass": bad})
+
+
+def test_a_film_has_its_own_layout(recwarn):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    with plt.rc_context({"figure.constrained_layout.use": True, "savefig.dpi": 200}):
+        page = run.animate(seconds=1, fps=3)._repr_html_()
+    assert not recwarn
+    assert len(page) < 100_000
+    assert page.count("\n") < 1000
