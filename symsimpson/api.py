@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
@@ -125,7 +126,9 @@ def _compiled(
     tools: Tools | None = TOOLS
     if isinstance(system, RetimedSystem) and varied is not None:
         check_differentiable(scheme)
-        system, varied = extended(system, varied)  # the time is one of its momenta
+        known = dict(zip(NameTable(system).parameters, system.parameters, strict=True))
+        # the time is one of its momenta
+        system, varied = extended(system, [known[name] for name in varied])
         tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
         derivation = derive(system, scheme, exploit, varied, running)
@@ -184,6 +187,11 @@ def generate(
     _check_system(system)
     found = read_scheme(scheme)
     path = read_path("directory", directory) / f"{system.name}__{found.name}.py"
+    if derivatives is not None and isinstance(system, RetimedSystem):
+        raise GenerationError(
+            f"{system.name} is retimed, and derivatives of its runs take more than one module.\n"
+            "Make a stepper with symsimpson.compile, whose runs carry tangents= and sensitivities=."
+        )
     content = derive(system, found, exploit, derivatives).text.encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -242,7 +242,7 @@ def _run(options: argparse.Namespace) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResolutionWarning)
         # compiles all that a run needs
-        brief = {"steps": 16} if options.retimed is None else {"t_end": options.h}
+        brief = {"t_end": options.h} if stepper._module.header.retimed else {"steps": 16}
         stepper.integrate(**state, h=options.h, **brief, on_failure="return")
     ready = time.perf_counter()
     run = stepper.integrate(
@@ -273,6 +273,8 @@ def _certify(options: argparse.Namespace) -> int:
     from symsimpson.api import load
 
     path = Path(options.stepper)
+    if path.suffix == ".py" and options.retimed:
+        raise InputError("--retimed is for systems.\nA generated file is what it is.")
     if path.suffix == ".py":
         stepper = load(path)
     elif options.save:

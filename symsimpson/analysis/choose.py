@@ -145,12 +145,13 @@ def choose(
     retimed, adapting = _in_other_time(system, schemes)
     original = system.original if isinstance(system, RetimedSystem) else system
     first = compile_system(original, "simpson")
-    values = first._named_values(parameters)
+    known = compile_system(system, "simpson")._free_values(parameters)
+    values = {name: known[name] for name in first.parameters}
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
     h0 = choose_step(first, q, p, values, 64)
     span, tau0 = PILOT * h0, 0.0
     if retimed is not None:
-        tau0, reached = _first_step(retimed, q, p, values)
+        tau0, reached = _first_step(retimed, q, p, known)
         span = max(span, reached)
     pilot = min(float(t_end), span)
     frequency = largest_frequency(original, q, values.values())
@@ -160,7 +161,7 @@ def choose(
         fixed = WITH_EXPLICIT if straight else CANDIDATES
     fixed = () if original is not system else fixed or ()
     problem = Wanted(
-        q, p, values, pilot, float(t_end), float(error), on, frequency, bool(fixed), []
+        q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), []
     )
     tried = [(compile_system(system, scheme), h0) for scheme in fixed]
     tried += [(compile_system(retimed, scheme), tau0) for scheme in adapting if retimed]

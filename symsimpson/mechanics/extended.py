@@ -23,7 +23,7 @@ HEAVY = sp.Integer(2) ** 200
 
 
 def extended(
-    system: RetimedSystem, names: Sequence[str]
+    system: RetimedSystem, varied: Sequence[sp.Symbol]
 ) -> tuple[MechanicalSystem, tuple[str, ...]]:
     """Return a retimed system with E0 as its last coordinate, and what to differentiate it by.
 
@@ -36,8 +36,6 @@ def extended(
     pace = system.rate / first_rate
     in_rate = system.rate.has(energy)
     own = {a: value for a, value in own.items() if a != energy or in_rate}
-    varied = [a for a in original.parameters if str(a) in names]
-    varied.sort(key=lambda a: list(names).index(str(a)))
     in_tau = {q.diff(): q.diff() / pace for q in original.coordinates}
     L, watched = original.lagrangian, {}
     for i, q in enumerate(original.coordinates):
@@ -61,4 +59,4 @@ def extended(
         invariants={name: sp.sympify(x).xreplace(in_tau) for name, x in watched.items()},
     )
     more = (energy, first_rate) if in_rate else (first_rate,)
-    return made, (*names, *map(str, more))
+    return made, tuple(map(str, (*varied, *more)))

@@ -39,10 +39,15 @@ def take_last_parts(stepper: Stepper, task: Task, results: Results) -> None:
 
 
 def with_ends(found: Ensemble, ends: Ensemble, every: int) -> Ensemble:
-    """Return members that have every so-many-th state with the state at the end behind them."""
-    place = found.steps // every + 1
+    """Return members that have every so-many-th state with the state at the end behind them.
+
+    One that did not reach its ``ends`` has the states before that and its status.
+    """
+    steps = np.minimum(found.steps, ends.steps)
+    status = np.where(ends.status == Status.SUCCESS, found.status, ends.status)
+    place = steps // every + 1
     last = np.take_along_axis(found.t, place[:, None] - 1, axis=1)[:, 0]
-    some = np.flatnonzero((found.status == Status.SUCCESS) & (last != ends.t))
+    some = np.flatnonzero((status == Status.SUCCESS) & (last != ends.t))
     stored = int(max(place.max(), 1 + place[some].max(initial=0)))
     columns: dict[str, Any] = {}
     for name in ("t", "tau", "q", "p"):
@@ -50,5 +55,6 @@ def with_ends(found: Ensemble, ends: Ensemble, every: int) -> Ensemble:
         columns[name] = np.full((len(own), stored, *own.shape[2:]), np.nan)
         room = min(stored, own.shape[1])
         columns[name][:, :room] = own[:, :room]
+        columns[name][np.arange(stored) >= place[:, None]] = np.nan
         columns[name][some, place[some]] = getattr(ends, name)[some]
-    return replace(found, **columns, reduced=ends.reduced)
+    return replace(found, **columns, status=status, steps=steps, reduced=ends.reduced)

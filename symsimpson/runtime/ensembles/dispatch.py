@@ -56,7 +56,13 @@ def _run_to_ends(
     if stopped:
         return ends, stopped
     steps = int(ends.steps.max()) + 1  # of the last one a part is taken
-    found, stopped = run_blocks(
-        stepper, replace(task, steps=steps, reductions=()), lambda done: None
-    )
+    again = replace(task, steps=steps, reductions=())
+    try:
+        found, stopped = run_blocks(stepper, again, lambda done: None)
+    except MemoryError:
+        raise InputError(
+            f"{task.members} members with up to {again.stored} stored states of {2 * stepper.n} "
+            "numbers do not fit into memory.\nStore fewer: every=100, or every=None for the last "
+            "states only."
+        ) from None
     return with_ends(found, ends, task.every), stopped

@@ -132,16 +132,21 @@ def looked_at(
     if bad is not None:
         result, good = stepper._module.numbers.result, max(bad - 1, 0)
         done, at = good * run.every, min(bad * run.every, trajectory.steps)
+        retimed, where = run.header.retimed, run.t0 + run.h * at
+        if retimed:
+            where = kept[min(bad, len(kept) - 1), 0]
         if trajectory.every is None:
             last = slice(good, good + 1)
             about |= {"q": result(q[last]), "p": result(p[last])}
             about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
+            if retimed:
+                about |= {"t": result(kept[last, 0]), "_tau": result(np.array([run.h * done]))}
         else:
-            for name in ("t", "q", "p", "newton_iterations"):
+            for name in ("t", "q", "p", "newton_iterations", *(("_tau",) if retimed else ())):
                 about[name] = about[name][: good + 1]
         message = (
             f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
-            f"t={float(run.t0 + run.h * at):g}, after step {at} of "
+            f"t={float(where):g}, after step {at} of "
             f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
             "motion left their domain, or the steps jumped a singular point: check the state "
             "before, try a smaller h."

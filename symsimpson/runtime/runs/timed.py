@@ -114,9 +114,12 @@ class _Derivatives:
             z, way = states[-1], ways[-1]
             if rest:
                 z, way = self._onward(z, way, h, rest)
-            _, way_end = self._onward(z, way, part, 1)
-            by_part = self._by_size(z, part)
-            last = self._held(way_end, by_part, start)
+            if part != 0:
+                by_size = self._by_size(z, part)
+                _, way = self._onward(z, way, part, 1)
+                last = self._held(way, by_size, start)
+            else:  # less than rounding: the end is that of the whole steps
+                last = self._held(way, self._rates(self._here(z))[0], start)
             found = [last] if run.every is None else [*found, last]
         result: Reals = np.array(found)
         return result
@@ -146,11 +149,14 @@ class _Derivatives:
 
     def _slopes(self, z: Reals) -> dict[str, Any]:
         """Return the derivatives of H, of the rate and of p at a state."""
+        return {name: value[0] for name, value in self._here(z).invariants.items()}
+
+    def _here(self, z: Reals) -> Trajectory:
+        """Return a run of no steps."""
         m = self.n + 1
-        here = self.moving.integrate(  # type: ignore[attr-defined]
+        return self.moving.integrate(  # type: ignore[attr-defined]
             z[:m], p0=z[m:], h=self.run.h, steps=0, parameters=self.values
         )
-        return {name: value[0] for name, value in here.invariants.items()}
 
     def _start(self, z: Reals) -> Reals:
         """Return what each variation changes at the start: state, then parameters."""

@@ -42,6 +42,12 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
         key = str(name)
         if key in stepper._aliases:
             found.append(stepper.parameters[stepper._aliases[key]])
+            if found[-1] in stepper._module.header.from_start:
+                raise InputError(
+                    f"{key} follows from the start of a run of {stepper.system}: nothing is "
+                    "differentiated by it.\nDifferentiate by the state, tangents=, or by other "
+                    "parameters."
+                )
         elif key in stepper._input_names:
             found.append(stepper.inputs[stepper._input_names[key]])
         else:
@@ -74,6 +80,11 @@ def varied_stepper(
     key = names, running
     if key not in stepper._variants:
         if stepper._differentiate is None:
+            if stepper._module.header.retimed:
+                raise InputError(
+                    f"this module of {stepper.system} does not differentiate its runs.\n"
+                    "Make a stepper with symsimpson.compile."
+                )
             known = "" if own is None else f" but by {', '.join(own) or 'the state alone'}"
             raise InputError(
                 f"this module of {stepper.system} does not differentiate its steps by "

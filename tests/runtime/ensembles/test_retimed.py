@@ -95,3 +95,23 @@ def test_refused(tmp_path):
         stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, store=tmp_path / "store")
     with pytest.raises(ss.InputError, match="follow from the start"):
         stepper.ensemble(Q0, v0=V0, h=0.1, t_end=2.0, parameters={"E0": 1.0})
+
+
+def test_a_member_that_does_not_reach_its_end_says_so():
+    """It falls to where ln x is no number."""
+    (z,) = ss.coordinates("z")
+    falling = ss.MechanicalSystem(
+        "falling", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=sp.log(z)
+    )
+    stepper = ss.compile(falling.retimed(sp.Integer(2)))
+    how = {"h": 0.03, "t_end": 1.4}
+    last = stepper.ensemble([[1.0]], v0=[0.0], **how)
+    every = stepper.ensemble([[1.0]], v0=[0.0], **how, every=1)
+    assert last.status.tolist() == every.status.tolist() == [ss.Status.NOT_FINITE]
+    kept = every.t[0][np.isfinite(every.t[0])]
+    assert (np.diff(kept) > 0).all()
+    run = stepper.integrate([1.0], v0=[0.0], **how, on_failure="return")
+    assert len(run.t) == len(run.tau)
+    end = stepper.integrate([1.0], v0=[0.0], **how, every=None, on_failure="return")
+    assert end.t[0] == run.t[end.steps]
+    assert end.q[0] == run.q[end.steps]

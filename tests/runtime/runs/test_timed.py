@@ -3,6 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+import sympy as sp
 from workspace import sweep
 
 import symsimpson as ss
@@ -84,6 +85,59 @@ def test_one_step_is_differentiated_as_it_is_taken():
             np.concatenate(stepper.step(q + x[:2], p=p + x[2:], h=h)) for x in (d, -d)
         )  # fmt: skip
         np.testing.assert_allclose(D[:, k], (up - down) / (2 * small), rtol=0, atol=1e-8)
+
+
+(X,) = ss.coordinates("X")
+K, LAMBDA = sp.symbols("k lambda", positive=True)
+
+
+def oscillator(symbol):
+    return ss.MechanicalSystem(
+        "oscillator", coordinates=(X,), kinetic=X.diff() ** 2 / 2,
+        potential=symbol * X**2 / 2, parameters={symbol: 1.0},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("system", "rate", "names"),
+    [
+        (oscillator(K), "kinetic", ("c_rest", "k")),
+        pytest.param(
+            oscillator(LAMBDA), 1 / (1 + X**2), ("lambda",), marks=pytest.mark.slow
+        ),
+    ],
+)  # fmt: skip
+def test_parameters_of_the_rate_and_with_names_of_python(system, rate, names):
+    stepper = ss.compile(system.retimed(rate))
+    how = {"v0": [0.3], "h": 0.05, "t_end": 1.0}
+    run = stepper.integrate([1.0], **how, sensitivities=names)
+    for found in run.sensitivity.values():
+        assert np.isfinite(found).all()
+    for name, own in zip(names, run.sensitivity.values(), strict=True):
+        up, down = (
+            ends(stepper, 1, q0=[1.0], **how, parameters={name: 1.0 + x}) for x in (1e-6, -1e-6)
+        )
+        np.testing.assert_allclose(own[-1], (up - down) / 2e-6, rtol=0, atol=1e-8)
+
+
+def test_an_end_by_less_than_rounding_behind_a_step():
+    stepper = ss.compile(oscillator(K).retimed(sp.Integer(1)))
+    how = {"v0": [0.0], "h": 0.25, "t_end": 4.5, "tangents": 2}
+    some, every = (stepper.integrate([1.0], **how, every=n) for n in (7, 1))
+    np.testing.assert_allclose(some.tangent[-1], every.tangent[-1], rtol=0, atol=1e-14)
+
+
+def test_what_follows_from_the_start_is_no_parameter(tmp_path):
+    system = oscillator(K).retimed(sp.Integer(1))
+    stepper = ss.compile(system)
+    for name in ("E0", "g_start"):
+        with pytest.raises(ss.InputError, match="follows from the start"):
+            stepper.integrate([1.0], v0=[0.0], h=0.25, t_end=1.0, sensitivities=name)
+    with pytest.raises(ss.GenerationError, match="more than one module"):
+        ss.generate(system, directory=tmp_path, derivatives=())
+    loaded = ss.load(ss.generate(system, directory=tmp_path))
+    with pytest.raises(ss.InputError, match="does not differentiate"):
+        loaded.integrate([1.0], v0=[0.0], h=0.25, t_end=1.0, tangents=2)
 
 
 def test_what_is_not_there_is_refused():
