@@ -184,7 +184,7 @@ def test_every_status_is_told():
     readme = (Path(__file__).parents[2] / "README.md").read_text()
     for status in ss.Status:
         assert status.message.endswith((".", "kept."))
-        assert f"| `{status.name}` |" in readme
+        assert f"| `{status.name}` |" in page
 
 
 BLOCKS = ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
