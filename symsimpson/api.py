@@ -67,11 +67,12 @@ def compile(
         ``"simpson"``, ``"midpoint"``, ``"lobatto6"``, ``"gauss4"``, ..., or a scheme made with
         :func:`symsimpson.galerkin`.
     exploit : "all" or iterable of str
-        What the generator may make use of: "decoupled", "cyclic", "constant_mass", "linear",
-        "sparse", "conformal" (see :attr:`MechanicalSystem.structure`). All of it gives the same
-        trajectory up to rounding, but for the last: damping f = -2 gamma p by weights that grow,
-        which shrinks areas of phase space by exp(-2 gamma t) exactly; as a force it does so to the
-        order of the scheme. ``()`` keeps the general path, for comparison.
+        Structure that the generator may exploit: "decoupled", "cyclic", "constant_mass", "linear",
+        "sparse", "conformal" (see :attr:`MechanicalSystem.structure`). All but the last give the
+        same trajectory up to rounding. "conformal" treats damping f = -2 gamma p by weights that
+        grow in time: the step is conformally symplectic, and areas of phase space shrink by
+        exactly exp(-2 gamma t); as a force, damping does this to the order of the scheme. ``()``
+        keeps the general path, for comparison.
     precision : int, optional
         Decimal digits. The same module then runs in Python, states are numbers of mpmath, and
         Newton's method goes on to all digits. Numbers can be given as strings (``"0.1"``), as
@@ -166,12 +167,12 @@ def generate(
         As for :func:`compile`.
     derivatives : iterable of str, optional
         Names of parameters and inputs by which the module can differentiate its steps, beside
-        positions and momenta; ``()`` for these alone. Without it, it cannot.
+        positions and momenta; ``()`` for these alone. By default it has no derivatives.
 
     Returns
     -------
     pathlib.Path
-        The file; it has the same bytes every time, and is left alone if it has them already.
+        The file. Its content is reproducible to the byte; an identical file is not rewritten.
 
     Raises
     ------
@@ -247,7 +248,7 @@ def resume(
     progress: bool | None = None,
     on_failure: Literal["raise", "return"] = "raise",
 ) -> Trajectory:
-    """Go on with a run from its checkpoint, to the same bits as if nothing had ended it.
+    """Resume a run from its checkpoint, with bitwise the same result as without interruption.
 
     Parameters
     ----------

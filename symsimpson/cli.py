@@ -97,11 +97,11 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--q0", type=_numbers, help="positions, as 0.8,1.0")
     command.add_argument("--v0", type=_numbers, help="velocities")
     command.add_argument("--p0", type=_numbers, help="momenta")
-    command.add_argument("--every", type=int, default=1, help="store each so-many-th state")
+    command.add_argument("--every", type=int, default=1, help="steps between stored states")
     command.add_argument("--out", help="write t, q, p and energy to this .npz or .csv file")
     command.set_defaults(run=_run)
 
-    command = commands.add_parser("certify", help="measure whether a stepper is what it should be")
+    command = commands.add_parser("certify", help="verify a stepper by measurement")
     command.add_argument("stepper", help=f"a generated file, or a {system}")
     command.add_argument("--retimed", help=another_time)
     command.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")

@@ -53,7 +53,7 @@ class ModelError(SymsimpsonError):
 
 
 class SchemeError(SymsimpsonError):
-    """The scheme is unknown, or its tables make no method."""
+    """The scheme is unknown, cannot be constructed, or does not apply to the system."""
 
 
 class GenerationError(SymsimpsonError):
@@ -69,15 +69,15 @@ class StabilityWarning(UserWarning):
 
 
 class ResolutionWarning(UserWarning):
-    """A run passed something faster than its steps resolve: what follows is another motion."""
+    """A run did not resolve a fast part of the motion; the states after it are unreliable."""
 
 
 class ConstraintWarning(UserWarning):
-    """A run came close to a state at which constraints follow from one another."""
+    """A run came close to a state at which the constraints are linearly dependent."""
 
 
 class InputError(SymsimpsonError, ValueError):
-    """A run was asked for with states, steps or parameters that make no sense."""
+    """An argument, such as a state, a step or a parameter, is invalid."""
 
 
 class StorageError(SymsimpsonError):

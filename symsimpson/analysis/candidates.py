@@ -184,8 +184,8 @@ class Wanted:
             lines.append(f"{taken}{beside}.")
         if part and self.on == "state":
             lines.append(
-                f"It grew like t^{best.growth:.1f} there and is taken to go on so; chaotic motion "
-                "would not."
+                f"It grew like t^{best.growth:.1f} there, and is assumed to go on so; in chaotic "
+                "motion it would grow faster."
             )
         if self.frequency > 0 and math.isfinite(largest_stable(best.stepper.scheme)):
             bound = largest_stable(best.stepper.scheme) / self.frequency

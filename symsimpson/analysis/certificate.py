@@ -56,7 +56,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was measured on a stepper, with the state and step at which.
+    """The measured properties of a stepper, with the state and the step used.
 
     Attributes
     ----------

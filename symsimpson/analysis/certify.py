@@ -62,8 +62,8 @@ def certify(
     begin = time.perf_counter()
     if stepper._module.numbers is not FLOAT64:
         raise InputError(
-            "a stepper of many digits has no certificate: what is measured are its doubles.\n"
-            "Certify the stepper that is compiled without precision; its equations are the same."
+            "a stepper of many digits has no certificate: it tests double-precision code.\n"
+            "Certify the stepper compiled without precision; its equations are the same."
         )
     stepper = with_inputs(stepper, inputs)
     values = stepper._free_values(parameters)

@@ -44,7 +44,7 @@ class Choice:
     ----------
     stepper : Stepper
     h : float
-        A whole number of steps makes up ``t_end``; of a retimed system, the first step.
+        The step; it divides ``t_end`` exactly. For a retimed system, the first step.
     reason : str
         What was measured, in sentences.
 
@@ -83,17 +83,17 @@ def choose(
     parameters: Mapping[Any, Any] | None = None,
     schemes: Sequence[str | Scheme] | None = None,
 ) -> Choice:
-    """Choose scheme and step for a wanted error; both stay fixed then, the step in t or in tau.
+    """Choose a scheme and a fixed step, in t or in tau, for a given error tolerance.
 
-    Schemes of several orders run over the time asked for, or the beginning of it, with steps that
-    halve; of those that reach the error, the fastest is taken. Steps stay where the scheme is
-    stable for the fastest linear oscillation at the start.
+    Schemes of several orders are tried in pilot runs, over the whole time or its beginning, with
+    various steps. Of those that reach the tolerance, the fastest is chosen. Steps stay within the
+    limit of linear stability for the fastest oscillation at the start.
 
     Parameters
     ----------
     system : MechanicalSystem
-        Where bodies attract each other by inverse distances, ``system.retimed("encounters")`` is
-        tried, too: its steps adapt.
+        If V is a sum of attracting inverse distances, ``system.retimed("encounters")`` is tried,
+        too: its steps in t adapt to close encounters.
     q0, v0, p0 : array_like, shape (n,)
         The initial state: velocities or momenta.
     t_end : float
@@ -101,8 +101,8 @@ def choose(
     error : float
         The largest error wanted.
     on : {"state", "energy"}
-        Of q and p at the end, in units of 1 or the largest coordinate, and of the largest
-        momentum; or of the energy at any time, relative to the first.
+        Which error. "state": of q and p at ``t_end``, relative to the largest coordinate (at least
+        1) and the largest momentum. "energy": the largest :attr:`Trajectory.energy_error`.
     parameters : mapping, optional
         As for :meth:`Stepper.integrate`.
     schemes : sequence of str or Scheme, optional
@@ -129,13 +129,13 @@ def choose(
     """
     if on == "energy" and not system.plain.conservative:
         raise InputError(
-            f"{system.name}: the energy is not constant, so that its change is no error.\n"
+            f"{system.name}: the energy is not constant, so its change measures no error.\n"
             "Ask for the error of the state: on='state'."
         )
     if system.inputs:
         raise InputError(
             f"{system.name} has inputs, and what is best depends on what they do.\n"
-            "Declare them as parameters to choose for constant ones."
+            "To choose for constant inputs, declare them as parameters."
         )
     if on not in ("state", "energy"):
         raise InputError(f"on is {on!r}.\nChoose 'state' or 'energy'.")
@@ -170,8 +170,8 @@ def choose(
         raise InputError(
             f"none of {', '.join(dict.fromkeys(one.scheme for one, _ in tried))} comes to an error "
             f"of {error:g} at t_end={t_end:g} from this state.\n"
-            "Errors of double precision add up to more, or the motion is too sensitive to its "
-            "start: ask for a larger error, or a shorter time."
+            "Rounding errors in double precision are larger, or the motion is too sensitive to its "
+            "initial state: ask for a larger error, or a shorter time."
             + "".join(f"\nA run with small steps failed: {x}" for x in problem.failures[-1:])
         )
     best = min(found, key=lambda one: one.seconds)

@@ -62,9 +62,9 @@ class Retiming:
 class RetimedSystem(MechanicalSystem):
     """A system whose steps are fixed in tau, dt = g(q) dtau; made by ``system.retimed(g)``.
 
-    Two more parameters follow from the start of a run: E0, the energy, and the rate there, by which
-    g is divided. Runs tell states over t, with the momenta, velocities and energy of the user's
-    system; ``run.tau`` is the time of the steps.
+    Each run sets two more parameters at its start: the energy E0, and the rate there, by which g
+    is divided. Its states are given over t, with the momenta, velocities and energy of the user's
+    system; ``run.tau`` is the variable tau.
 
     Attributes
     ----------

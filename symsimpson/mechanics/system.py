@@ -67,11 +67,11 @@ class MechanicalSystem:
     potential : sympy expression
         V(q), without velocities.
     parameters : mapping from symbol to number, optional
-        Every other symbol of T and V, with its default value; none if there are no others. Values
-        are changed at run time without compiling anew.
+        Every other symbol of T and V, with its default value. Values can be changed at run time
+        without recompiling.
     positions : mapping from str to sequence of expressions, optional
-        What to draw: name to the Cartesian components of a point, one to three of them; or of a
-        body, to a list of points, the corners of a closed line.
+        Points to draw, by name: one to three Cartesian components. For the outline of a body, a
+        list of points, which are the corners of a closed polygon.
     invariants : mapping from str to expression, optional
         Quantities to watch, in coordinates, velocities and momenta (:func:`symsimpson.momenta`).
     gyroscopic : sympy expression, optional
@@ -80,25 +80,25 @@ class MechanicalSystem:
         Generalised forces f(t, q, v, u) by coordinate, ``{q: -c*q.diff()}``; or with names of their
         own, ``{"motor": {q1: ...}, "drag": {q1: ..., q2: ...}}``. A force has the power f.v.
     dissipation : sympy expression, optional
-        Rayleigh's function R(t, q, v): forces -dR/dv beside the others.
+        Rayleigh's dissipation function R(t, q, v), which adds the forces -dR/dv.
     inputs : sequence of symbols, optional
         Symbols in forces whose values are given to each run, step by step:
         ``integrate(..., inputs={"u": values})``.
     constraints : mapping from str to expression, or sequence of expressions, optional
-        Holonomic constraints phi(q) = 0, of coordinates and parameters, fewer than coordinates:
-        ``{"rod": x**2 + y**2 - l**2}``. M need be positive definite only for velocities that
-        they allow.
+        Holonomic constraints phi(q) = 0 in coordinates and parameters, fewer than coordinates:
+        ``{"rod": x**2 + y**2 - l**2}``. M must be positive definite only for velocities with
+        dphi/dq.v = 0.
 
     Raises
     ------
     ModelError
-        If the declaration is not one that a variational step can integrate.
+        If the declaration is invalid, or no variational step can integrate the system.
 
     Notes
     -----
-    The Lagrangian is L = T + a.v - V [1]_. The time :data:`symsimpson.time` may stand in all of
-    them; where a prescribed motion is part of T, terms of T without velocities or linear in them
-    are sorted by themselves.
+    The Lagrangian is L = T + a.v - V [1]_. The time :data:`symsimpson.time` may appear in every
+    term. If T contains a prescribed motion, its terms of degree 0 and 1 in the velocities are
+    sorted into V and a.v automatically.
 
     References
     ----------
@@ -243,9 +243,9 @@ class MechanicalSystem:
         name, parameters, positions, invariants, forces, dissipation, inputs, constraints
             As for :class:`MechanicalSystem`; ``constraints`` stand beside those of ``lm``.
         lm : sympy.physics.mechanics.LagrangesMethod
-            Its ``forcelist`` becomes the force named "forcelist": of each pair, the vector times
-            the velocity of the point, or the angular velocity of the frame, that it acts on. Its
-            holonomic constraints get the names "1", "2", ...
+            Its ``forcelist`` becomes the generalised force named "forcelist": each pair is a point
+            with a force, or a frame with a torque. Its holonomic constraints get the names
+            "1", "2", ...
 
         Raises
         ------
@@ -300,8 +300,8 @@ class MechanicalSystem:
         Returns
         -------
         q0, v0 : ndarray, shape (n,)
-            phi(q) = 0 and Phi v = 0 to rounding; changed as little as can be, measured by M; or,
-            where the search for the least does not settle, by little.
+            They satisfy phi(q) = 0 and dphi/dq.v = 0 to rounding. The change is the smallest in
+            the norm of M; where its minimization does not converge, it is merely small.
 
         Raises
         ------
@@ -337,20 +337,20 @@ class MechanicalSystem:
 
     @property
     def retiming(self) -> Retiming | None:
-        """What a system in another time is made of; None for all others."""
+        """Data of the time transformation of a retimed system; None for all others."""
         return None
 
     def retimed(self, rate: Any) -> RetimedSystem:
-        """Return the system in a time tau of its own, dt = g(q) dtau; see :class:`RetimedSystem`.
+        """Return the time-transformed system, dt = g(q) dtau; see :class:`RetimedSystem`.
 
-        Steps that are fixed in tau are small in t where g is small, and stay symplectic.
+        Steps of constant size in tau are small in t where g is small, and remain symplectic.
 
         Parameters
         ----------
         rate : SymPy expression, "encounters" or "kinetic"
             g > 0, of coordinates, parameters and the energy of the run, :data:`symsimpson.energy`.
-            Its unit does not matter: at the start dt = dtau. "encounters" is U**(-3/2) for V = -U,
-            a sum of inverse distances; "kinetic" is (c_rest + T)**(-1/2), of a new parameter.
+            It is scaled so that dt = dtau at the start. "encounters" is U**(-3/2), for V = -U with
+            U a sum of inverse distances. "kinetic" is (c_rest + T)**(-1/2), c_rest a new parameter.
 
         Raises
         ------
@@ -368,7 +368,7 @@ class MechanicalSystem:
 
     @cached_property
     def structure(self) -> Structure:
-        """What the system has and lacks, and what the generator therefore skips."""
+        """Structure found in L and the forces, which the generator exploits."""
         with _stage("structure", self.name) as seconds:
             found = analyse(self)
         self.seconds.update(seconds)

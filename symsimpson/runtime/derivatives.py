@@ -116,12 +116,12 @@ class Differentiating(Stepping):
         wrt: str | Sequence[Any],
         progress: bool | None = None,
     ) -> Gradient:
-        """Integrate, and differentiate what the run costs: by any number of things at once.
+        """Integrate, and differentiate a cost of the run by any number of variables.
 
-        The derivatives are exact ones of the cost that is computed, carried back over all steps by
-        the adjoint of each. That takes two or three times as long as the run, whatever the number
-        of parameters and inputs. Steps are kept, or taken again, so that memory stays below some
-        100 MB.
+        The derivatives of the computed cost are exact to rounding: they are carried backwards by
+        the discrete adjoint of each step. This takes two or three times as long as the run, for
+        any number of parameters and inputs. Steps are stored, or computed again, so that memory
+        stays below some 100 MB.
 
         Parameters
         ----------
@@ -134,9 +134,9 @@ class Differentiating(Stepping):
             A cost that is integrated along the path by the scheme's quadrature; in coordinates,
             velocities, parameters, inputs and the time.
         samples : mapping from expression to array_like, shape (N // every + 1,), optional
-            What was measured of an expression as in ``cost``, at the first state and each
-            so-many-th after it, NaN where nothing was: costs the sum of squares by which the run
-            differs.
+            Measured values of an expression as in ``cost``, at the first state and after each
+            ``every`` steps, NaN where there are none. The sum of the squared differences between
+            run and samples is added to the cost.
         every : int
             Steps between samples.
         wrt : str, symbol or sequence of them
@@ -191,11 +191,11 @@ class Differentiating(Stepping):
         every: int = 20,
         progress: bool | None = None,
     ) -> Chaos:
-        """Integrate with variations of the state, and find how they grow: chaotic, or not.
+        """Integrate with variations of the state, and compute Lyapunov exponents and the like.
 
-        The variations are exact ones of the steps that are taken, and made orthonormal now and
-        then. The sum of all exponents is that of the scheme: zero to rounding without friction.
-        With constraints there are as many as positions and momenta on them.
+        The variations are propagated by the exact derivatives of the steps, and orthonormalized
+        every ``every`` steps. Without friction the sum of all exponents is zero to rounding. With
+        constraints the exponents are those of the constrained phase space.
 
         Parameters
         ----------

@@ -37,19 +37,19 @@ class Stepper(Differentiating):
     where : str
         Names it in messages.
     defaults : mapping from str to float, optional
-        Parameter values in the module's order, by the names that a user may call them.
+        Default parameter values in the module's order, keyed by the names that users may pass.
     numbers : Numbers, optional
         What to compute with; double precision unless given.
     reference_state : mapping, optional
         A state to start from: q0, and v0 or p0.
     declared : MechanicalSystem, optional
-        What the module was generated from; by it steps that are too large are warned of.
+        The system that the module was generated from; needed to warn of too large steps.
     derivation : Derivation, optional
-        What generating it took.
+        Record of the generation of the module.
     tools : Tools, optional
-        What certifies it, and checks steps.
+        Functions that certify the stepper and check the step size.
     differentiate : callable, optional
-        Makes a stepper that differentiates its steps by parameters and inputs of these names.
+        Returns a stepper that also differentiates its steps by the named parameters and inputs.
 
     Attributes
     ----------
@@ -77,8 +77,8 @@ class Stepper(Differentiating):
         Returns
         -------
         Report
-            Seconds for reading T and V, for the structure, the jet, the text, and for compiling or
-            loading what has been run so far; lines of the module and operations of the jet.
+            Seconds for each stage: reading T and V, structure, jet (derivatives at a node), text,
+            compiling or loading the kernels used so far. Also lines of code and operations.
 
         Examples
         --------
@@ -133,27 +133,27 @@ class Stepper(Differentiating):
         parameters : mapping, optional
             Values by symbol or by name, in place of the defaults.
         inputs : mapping, optional
-            Values of the system's inputs by symbol or by name: of shape (steps,), held over a step
-            each; of shape (steps, s), at the nodes of each step, whose times are
-            :meth:`node_times`; a number; or :func:`symsimpson.samples`.
+            Values of the system's inputs, by symbol or by name: a number; an array of shape
+            (steps,), held constant over each step; an array of shape (steps, s), at the nodes of
+            each step (see :meth:`node_times`); or :func:`symsimpson.samples`.
         every : int or None
-            Store each so-many-th state; None stores only the last.
+            Number of steps between stored states; None stores only the last state.
         tangents : int or array_like, shape (2 n, k), optional
-            Variations (dq, dp) of the initial state, which the run carries along exactly: columns,
-            or the first so many unit vectors. ``run.tangent`` has them.
+            Variations (dq, dp) of the initial state, one per column; an integer k stands for the
+            first k unit vectors. ``run.tangent`` holds them, propagated by the exact derivative.
         sensitivities : name, symbol or sequence of them, optional
-            Parameters and inputs to differentiate by, at given q0, and given v0 or p0;
-            ``run.sensitivity`` has the result. Of an input it is the same change at all steps.
+            Parameters and inputs to differentiate by, with q0 and the given v0 or p0 held fixed.
+            ``run.sensitivity`` has the result. An input is varied equally at all steps.
         checkpoint : path, optional
-            A file that keeps the run, so that it can go on after whatever ends it, with the same
-            bits: by the same call, or :func:`symsimpson.resume`. Stored states go to a file beside
-            it, not into memory.
+            A file from which an interrupted run can be resumed, with bitwise the same result:
+            repeat the same call, or use :func:`symsimpson.resume`. Stored states go to a file
+            beside it, not into memory.
         checkpoint_every : int, optional
             Steps between checkpoints; about ten seconds unless given.
         progress : bool, optional
             Whether to show a bar (needs tqdm); None shows one after two seconds.
         on_failure : {"raise", "return"}
-            Whether a failed step or Ctrl-C raises, or ends the trajectory with its status.
+            Whether a failed step or Ctrl-C raises an error, or returns the states up to there.
 
         Returns
         -------
@@ -162,7 +162,7 @@ class Stepper(Differentiating):
         Raises
         ------
         InputError
-            If the input makes no sense, or M(q0) is not positive definite, or ``checkpoint`` holds
+            If an argument is invalid, M(q0) is not positive definite, or ``checkpoint`` holds
             another run.
         StorageError
             If the checkpoint cannot be read or written.
@@ -223,8 +223,8 @@ class Stepper(Differentiating):
     ) -> Ensemble:
         """Integrate many trajectories, each with its own initial state and parameters.
 
-        Members fill the lanes of vector code and the threads of the machine. What a member comes
-        to does not depend on the others, nor on the number of threads.
+        Members run in parallel, on vector lanes and threads. The result of a member does not
+        depend on the other members or on the number of threads.
 
         Parameters
         ----------
@@ -237,28 +237,28 @@ class Stepper(Differentiating):
         inputs : mapping, optional
             As for :meth:`integrate`; with an axis of K members before the others, each has its own.
         every : int or None
-            Store each so-many-th state; None stores only the last.
+            Number of steps between stored states; None stores only the last state.
         reduce : mapping from str to (kind, expression) or kind, optional
-            Quantities to follow without storing states. A kind is "min", "max" or "mean", of the
-            states after whole steps, or "first": the time at which the expression first becomes
-            positive, NaN if it never does, by a straight line through the values before and after
-            a step. Where that is too coarse, :meth:`Trajectory.events` of single members is exact
-            to rounding. The expression, a text or of SymPy, may contain what those of
-            :meth:`Trajectory.events` do. The kinds "lyapunov", "megno" and "sali" stand alone:
-            they tell how variations of each motion grow, as :meth:`lyapunov` does.
+            Quantities to evaluate without storing states. The kinds "min", "max" and "mean" are
+            taken over the states after each step. "first" is the time at which the expression first
+            becomes positive, by linear interpolation over a step, and NaN if it never does. To
+            find zeros to rounding, use :meth:`Trajectory.events` of single members. The expression
+            is a string or a SymPy expression in the names that :meth:`Trajectory.events` allows.
+            "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
+            motion grow, as :meth:`lyapunov` does.
         tangents, sensitivities
             As for :meth:`integrate`; the same variations for all members.
         store : path, optional
-            A Zarr store for what does not fit into memory: a folder (or a URL) that is made,
-            or was begun by the same call, which then computes only what is missing.
+            A Zarr store, a folder or a URL, for results that do not fit into memory. If it was
+            begun by the same call, only what is missing is computed.
         threads : int, optional
-            As many as there are processors unless given.
+            Number of threads; by default the number of processors.
         client : distributed.Client, optional
             Lets the workers of a cluster compute, and write to ``store``.
         progress : bool, optional
             Whether to show a bar (needs tqdm); None shows one after two seconds.
         on_failure : {"raise", "return"}
-            Whether Ctrl-C raises, or returns what is done. Members that fail have a status.
+            Whether Ctrl-C raises, or returns the results so far. Failed members do not raise.
 
         Returns
         -------
@@ -358,11 +358,11 @@ class Stepper(Differentiating):
         parameters: Parameters | None = None,
         inputs: Mapping[Any, float] | None = None,
     ) -> Certificate:
-        """Measure whether this stepper is what it should be.
+        """Verify by measurement that this stepper has the properties of its scheme.
 
         Order, symplecticity, reversibility, momenta, invariants, the Jacobian and Newton's method
-        are measured in 50 digits on the text of the compiled module; then the compiled code is
-        held against it, and run for 100,000 steps.
+        are measured in 50 digits on the source of the module. Then the compiled code is compared
+        with that source, and run for 100,000 steps.
 
         Parameters
         ----------
@@ -372,12 +372,12 @@ class Stepper(Differentiating):
             The step; found by trial if left out.
         parameters : mapping, optional
         inputs : mapping, optional
-            A number for each input, which is held; 1 unless given.
+            A constant value for each input; 1 by default.
 
         Returns
         -------
         Certificate
-            Prints as a table with a verdict for each row; ``.passed`` is the whole.
+            Prints as a table with a verdict in each row; ``.passed`` is the overall verdict.
 
         Raises
         ------
@@ -393,7 +393,7 @@ class Stepper(Differentiating):
         """
         if self._module.tools is None:
             raise InputError(
-                f"this stepper of {self.system} came with a stored result.\n"
+                f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
         return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters,

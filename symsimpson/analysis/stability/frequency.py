@@ -173,8 +173,8 @@ def warn_of_step(
             f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear stability. "
             f"The fastest oscillation at the start has omega={omega:.4g}; h omega is "
             f"{abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
-            f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which no "
-            "step makes grow.",
+            f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which is "
+            "linearly stable for every h.",
             StabilityWarning,
             stacklevel=6,  # where integrate is called
         )
@@ -192,9 +192,9 @@ def _warn_of_damping(
         return
     warnings.warn(
         f"{stepper.system}, {stepper.scheme}: h={h:g} does not resolve the strongest damping at "
-        f"the start, of rate {rate:.4g}: momenta keep a part of what it takes away, or change its "
-        f"sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' or 'radau5', "
-        "in which it decays.",
+        f"the start, of rate {rate:.4g}: the damped part of the momenta hardly decays, or "
+        f"alternates in sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' "
+        "or 'radau5', with which it decays.",
         StabilityWarning,
         stacklevel=7,  # where integrate is called
     )

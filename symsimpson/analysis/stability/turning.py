@@ -56,9 +56,9 @@ def warn_of_turning(
     if speed * abs(h) > LARGEST_TURN:
         warnings.warn(
             f"{stepper.system}, {stepper.scheme}: a step of h={h:g} turns a body by "
-            f"{speed * abs(h):.3g} rad, at {speed:.4g} rad/s; quaternions resolve about "
-            f"{LARGEST_TURN}.\nTake h below {LARGEST_TURN / speed:.3g}; or Euler angles, where the "
-            "spin of a symmetric body is cyclic and any step resolves it.",
+            f"{speed * abs(h):.3g} rad, at {speed:.4g} rad/s; with quaternions a step "
+            f"resolves about {LARGEST_TURN} rad.\nTake h below {LARGEST_TURN / speed:.3g}; or use "
+            "Euler angles, where the spin of a symmetric body is cyclic and any step resolves it.",
             StabilityWarning,
             stacklevel=7,  # where integrate is called
         )

@@ -33,10 +33,10 @@ RESERVED = (
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble(Quantities, Differentiated):
-    """What the members of an ensemble came to.
+    """The results of the members of an ensemble.
 
-    ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are
-    those of a run, with one row for each member; ``ensemble[3]`` gives the states of one member.
+    ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
+    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member.
 
     Attributes
     ----------
@@ -44,16 +44,16 @@ class Ensemble(Quantities, Differentiated):
         Times of the stored states; of a retimed system those of each member, shape (K, stored), or
         (K,) where only the last states are stored.
     q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
-        NaN behind the last state of a member that failed. Arrays on disk (of Zarr) that give
-        arrays of numpy when sliced, if the ensemble went to a store.
+        NaN after the last state of a member that failed. If the ensemble went to a store, they
+        are Zarr arrays on disk, which give NumPy arrays when sliced.
     status : ndarray of int, shape (K,)
         A :class:`Status` for each member.
     steps, newton_iterations : ndarray of int, shape (K,)
     parameters : mapping from str to ndarray, shape (K,)
     reduced : mapping from str to ndarray, shape (K,)
-        What ``reduce`` asked for.
+        The quantities requested by ``reduce``.
     initial : mapping from str to ndarray, shape (K, n)
-        The states that members began with: q0, and v0 or p0.
+        The initial states of the members: q0, and v0 or p0.
     store : path of the store, or None
     tau : ndarray in the shape of t, or None
         The time of the steps, if the system is retimed.
@@ -119,7 +119,7 @@ class Ensemble(Quantities, Differentiated):
 
     @property
     def stored(self) -> int:
-        """Number of stored states of a member, as far as it came."""
+        """Number of stored states per member; after a failure they are NaN."""
         return int(self.q.shape[1]) if self.q.ndim == 3 else 1
 
     @property

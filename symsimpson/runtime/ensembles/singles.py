@@ -140,9 +140,9 @@ def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool
         warnings.warn(
             f"{stepper.system}, {stepper.scheme}: in {near.size} of {task.members} members, the "
             f"first of them {near[0]}, constraints may follow from one another between two steps, "
-            f"as where bars of a linkage fold into a line. From there it may go on either "
-            f"way, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at which "
-            "it does not fold.",
+            f"as where bars of a linkage fold into a line. The linkage may continue along either "
+            f"branch, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at "
+            "which the linkage does not fold.",
             ConstraintWarning,
             stacklevel=6,  # where ensemble is called
         )

@@ -24,9 +24,9 @@ class Energies(States):
 
     @cached_property
     def energy_scale(self) -> Any:
-        """What ``energy_error`` is relative to: the size of H0, or the kinetic energy if larger.
+        """The scale of ``energy_error``: the size of H0 or the median kinetic energy.
 
-        That is its median over the stored states. H0 alone says nothing where the zero of the
+        The median is taken over the stored states. H0 alone says nothing where the zero of the
         potential happens to lie near it, as for a pendulum released at 90 degrees. A system at
         rest with H0 = 0 has the scale 1.
         """
@@ -47,9 +47,9 @@ class Energies(States):
         if not header.conservative:
             why = "forces do work on it" if header.forces else "it depends on the time"
             raise InputError(
-                f"{self._stepper.system}: the energy is not constant, {why}, so that its change is "
-                "no error.\nLook at run.energy_balance: what the energy differs by from the work "
-                "that was done; run.energy and run.work are its parts."
+                f"{self._stepper.system}: the energy is not constant, {why}, so its change does "
+                "not measure the error.\nUse run.energy_balance, the change of the energy minus "
+                "the work done; run.energy and run.work are its parts."
             )
         return (self.energy - self.energy[0]) / self.energy_scale
 
@@ -63,8 +63,8 @@ class Energies(States):
     def work(self) -> dict[str, NDArray[Any]]:
         """The work of each force since the start, and of all under "total", shape (N + 1,) each.
 
-        It is h sum_i b_i f_i.v_i over the nodes of all steps, which are taken again for it, and
-        has the order of the scheme.
+        It is h sum_i b_i f_i.v_i over the nodes of all steps, which are computed again for it, and
+        is accurate to the order of the scheme.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class Energies(States):
     def power(self) -> dict[str, NDArray[Any]]:
         """The power f.v of each force at the stored states, and of all under "total".
 
-        Inputs are those of the step that begins there; of the last state, of the one before it.
+        Inputs are those of the step that begins at a state; at the last, of the step before it.
         """
         from symsimpson.runtime.results.work import powers
 
@@ -95,7 +95,7 @@ class Energies(States):
 
     @cached_property
     def energy_balance(self) -> NDArray[Any]:
-        """H - H0 less the work that was done and what dL/dt took, shape (N + 1,).
+        """H - H0 minus the work of the forces plus the integral of dL/dt, shape (N + 1,).
 
         Zero for the exact motion, and of the order of the scheme.
 
@@ -109,13 +109,14 @@ class Energies(States):
 
     @cached_property
     def shadow_energy(self) -> NDArray[Any]:
-        """The energy that the scheme itself keeps, to leading order, at all states, shape (N + 1,).
+        """The modified energy that the scheme conserves, to leading order, shape (N + 1,).
 
-        The scheme is the flow of H + dH, but for exponentially small terms, and -dH is the error of
-        the action of a step, in the mean over it: that of the discrete Lagrangian less that along
-        a better path with the same ends. H swings by h^2 or h^4 where this swings by h^4 or h^8;
-        so a drift, a force that is not conservative or equations that were not solved show at
-        once. Above order 6 it tells no more than the energy.
+        Up to exponentially small terms the scheme is the flow of a modified Hamiltonian H + dH
+        (backward error analysis). The mean of dH over a step is -(L_d - S)/h: L_d is the discrete
+        Lagrangian, and S the action along a more accurate path with the same ends. For schemes of
+        order 2 and 4, H oscillates by h^2 and h^4, but H + dH only by h^4 and h^8. So a drift, a
+        force that is not conservative or equations that were not solved show at once. Above order
+        6 it tells no more than the energy.
 
         Raises
         ------

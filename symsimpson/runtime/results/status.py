@@ -51,15 +51,15 @@ _MESSAGES = {
     ),
     Status.SINGULAR_JACOBIAN: (
         "The equations of the step do not determine it: their Jacobian is singular, as for a step "
-        "at which the force just balances the inertia. Try another h."
+        "at which stiffness and inertia just cancel. Try another h."
     ),
     Status.NOT_FINITE: (
-        "A NaN or an infinity came up. The motion left the domain of T or V, reached a singular "
-        "point, or the step is far too large: check the state before the step, try a smaller h."
+        "A NaN or an infinity occurred. The motion left the domain of T or V or reached a singular "
+        "point, or the step is far too large: check the state before the step, or try a smaller h."
     ),
     Status.STEP_TOO_LARGE: (
-        "The equations of the step have a solution, but not one connected to the state by smaller "
-        "steps. The step is too large for this motion: try a smaller h."
+        "The equations of the step have a solution, but it is not continuously connected to the "
+        "state as h goes to 0. The step is too large for this motion: try a smaller h."
     ),
     Status.COORDINATE_SINGULARITY: (
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
@@ -67,13 +67,13 @@ _MESSAGES = {
         "smaller h there, or coordinates that are regular at this point."
     ),
     Status.SINGULAR_CONSTRAINTS: (
-        "One of them follows from the others there, so that the forces that hold them are not "
-        "determined, and a linkage may go on either way. What was computed before is kept: end "
-        "there, or choose lengths at which it does not fold."
+        "One of them follows from the others there, so the constraint forces are not determined, "
+        "and a linkage may continue along either branch. The states before are kept: end the run "
+        "there, or choose lengths at which the linkage does not fold."
     ),
     Status.RATE_NOT_POSITIVE: (
-        "The rate dt/dtau is not a positive number there, so that time would not go on. Give a "
-        "rate that is positive wherever the motion comes, or take smaller steps if it jumped."
+        "The rate dt/dtau is not a positive number there, so time would not advance. Give a rate "
+        "that is positive along the whole motion, or take smaller steps if one jumped too far."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

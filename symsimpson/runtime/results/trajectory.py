@@ -28,9 +28,9 @@ __all__ = ["Trajectory"]
 class Trajectory(Energies, Differentiated):
     """States of a run, and how it ended.
 
-    Numbers are float64, or numbers of mpmath in arrays of objects where the stepper was compiled
-    with a ``precision``. Besides what follows, all that :class:`States` have: ``v``, ``y``,
-    ``energy``, ``invariants``, ``parameters``, quantities by name, slices.
+    Arrays are float64, or object arrays of mpmath numbers if the stepper was compiled with a
+    ``precision``. The attributes of :class:`States` are available, too: ``v``, ``y``, ``energy``,
+    ``invariants``, ``parameters``, quantities by name, slices.
 
     Attributes
     ----------
@@ -76,12 +76,12 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def tau(self) -> NDArray[Any]:
-        """The time of the steps, from 0 on, shape (N + 1,); of a retimed system not that of t."""
+        """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
         return self.t - self.t[0] if self._tau is None else self._tau
 
     @property
     def E0(self) -> Any:
-        """The energy at the start, which the orbits of a retimed system keep."""
+        """The initial energy, the energy level on which a retimed system is integrated."""
         values = self.parameters
         return values["E0"] if self._stepper._module.header.retimed else self.energy[0]
 
@@ -92,7 +92,7 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
-        """Values of the inputs by name: shape (N,) of steps, or (N, s) at their nodes."""
+        """Values of the inputs by name: shape (N,), one per step, or (N, s), at the nodes."""
         names, (given,) = self._stepper.inputs, self._inputs
         values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
         shown = values[:, 0] if values.shape[1] == 1 else values
@@ -141,11 +141,11 @@ class Trajectory(Energies, Differentiated):
         return States(t=times, q=q, p=p, _stepper=self._stepper, _values=self._values)
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
-        """Find where an expression becomes zero, to the rounding of a step.
+        """Find the zeros of an expression along the run, to rounding error.
 
-        Stored states tell in which steps its sign changes; there the zero is located on the dense
-        output. Two zeros between neighbouring stored states are not seen, nor is the first state
-        counted.
+        A change of sign between two stored states brackets a zero, which is located on the dense
+        output. Two zeros between neighbouring stored states are missed. A zero at the first state
+        is not counted.
 
         Parameters
         ----------
@@ -153,10 +153,10 @@ class Trajectory(Energies, Differentiated):
             In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
             or ``q1.diff()``), parameters, ``t`` and ``energy``.
         direction : {0, 1, -1}
-            Both ways, or only where it goes up, or down, with the run.
+            0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
         wrap : True, or names of coordinates
-            Angles of which the turn between -pi and pi is taken, in the expression and in the
-            result; True for all.
+            Angles to reduce to the range from -pi to pi, in the expression and in the result;
+            True for all coordinates.
 
         Returns
         -------

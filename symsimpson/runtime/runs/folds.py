@@ -92,9 +92,9 @@ def look_at_folds(
     since = float(t[near[0] + 1])
     message = (
         f"{who}: about t={since:g} constraints come close to following from one another, and may "
-        "do so between two steps, as where bars of a linkage fold into a line. From there it may "
-        f"go on either way, and h={float(run.h):g} does not resolve which.\nTake a smaller h, or "
-        "lengths at which it does not fold."
+        "do so between two steps, as where bars of a linkage fold into a line. The linkage may "
+        f"continue along either branch, and h={float(run.h):g} does not resolve which.\nTake a "
+        "smaller h, or lengths at which the linkage does not fold."
     )
     warnings.warn(message, ConstraintWarning, stacklevel=4)
     return Trajectory(

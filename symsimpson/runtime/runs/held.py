@@ -106,14 +106,14 @@ def _check_rank(stepper: Evaluator, q: Reals, slopes: Reals, independence: Reals
     if (size == 0).any():
         flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
         raise ModelError(
-            f"{stepper.system}: the constraint {flat} has no slope at {where}: it does not say in "
-            "which direction it holds.\nWrite phi so that its derivatives do not vanish where "
-            "phi = 0, as x**2 + y**2 - 1 and not its square."
+            f"{stepper.system}: the constraint {flat} has no slope at {where}: its gradient is "
+            "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "
+            "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
         )
     raise ModelError(
         f"{stepper.system}: the constraints {dependent(names, rows)} depend on each other at "
-        f"{where}.\nOne of them follows from the others there, so that the forces that hold them "
-        "are not determined: leave one out; or the mechanism is folded, and may go either way: "
+        f"{where}.\nOne of them follows from the others there, so the constraint forces are not "
+        "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
         "begin elsewhere."
     )
 

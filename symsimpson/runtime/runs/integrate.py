@@ -148,8 +148,8 @@ def looked_at(
             f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
             f"t={float(where):g}, after step {at} of "
             f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
-            "motion left their domain, or the steps jumped a singular point: check the state "
-            "before, try a smaller h."
+            "motion left their domain, or a step jumped across a singular point: check the state "
+            "before, or try a smaller h."
         )
         return Trajectory(
             **about | {"steps": done, "status": Status.NOT_FINITE, "message": message}
@@ -161,9 +161,9 @@ def looked_at(
     since = float(kept[place, 0] if run.header.retimed else run.t0 + run.h * (place * run.every))
     message = (
         f"{stepper.system}, {stepper.scheme}: from about t={since:g} on the energy is off by "
-        f"{off:.0%} of the kinetic energy and does not come back. Something was not resolved with "
-        f"h={float(run.h):g}, as a close encounter or a fast oscillation, and what follows is "
-        "another motion.\nTake a smaller h, or a scheme of higher order."
+        f"{off:.0%} of the kinetic energy and does not come back. A fast part of the motion, such "
+        f"as a close encounter or a fast oscillation, was not resolved with h={float(run.h):g}; "
+        "the states after it are unreliable.\nTake a smaller h, or a scheme of higher order."
     )
     warnings.warn(message, ResolutionWarning, stacklevel=4)
     return Trajectory(**about | {"message": f"{trajectory.message} {message}"})
@@ -235,7 +235,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     if run.header.retimed and not run.parameters[-1] > 0:
         raise InputError(
             f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
-            f"q0={q.tolist()}.\nTime must go on: begin where it is positive, or give another rate."
+            f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
         )
     position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
     check_start(stepper, spec.t0, position, momentum, spec.parameters)

@@ -126,9 +126,9 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
     if not np.isfinite(float(energy)):
         raise InputError(
             f"{stepper.system}: the energy is not a finite real number at q0 = "
-            f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there, as the "
-            "logarithm or the root of a negative number has none.\n"
-            "Begin where it has one, or look at the formula."
+            f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
+            "(the logarithm or the root of a negative number, for example).\n"
+            "Start from a state at which both are defined, or check the formulas."
         )
 
 
