@@ -113,11 +113,13 @@ class _Derivatives:
             rest = run.steps % every
             z, way = states[-1], ways[-1]
             if rest:
-                z, way = self._onward(z, way, h, rest)
+                z, more = self._onward(z, h, rest)
+                way = self._joined(more, way)
             if part != 0:
-                by_size = self._by_size(z, part)
-                _, way = self._onward(z, way, part, 1)
-                last = self._held(way, by_size, start)
+                _, more = self._onward(z, part, 1)
+                # by the size of the step: the first rate divides it
+                by_size = more[:, -1] * (-self.values["g_start"] / part)
+                last = self._held(self._joined(more, way), by_size, start)
             else:  # less than rounding: the end is that of the whole steps
                 last = self._held(way, self._rates(self._here(z))[0], start)
             found = [last] if run.every is None else [*found, last]
@@ -131,21 +133,18 @@ class _Derivatives:
             tangents=columns, sensitivities=self.moving._module.header.varied_by, progress=False,
         )  # fmt: skip
 
-    def _onward(self, z: Reals, way: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
-        """Return the state after more steps, and how it follows from the start of all."""
-        size = 2 * self.n + 2
-        end = self._steps(z, h, steps, steps, np.eye(size, dtype=z.dtype))
+    def _onward(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
+        """Return the state after some steps from another, and how it follows from that."""
+        end = self._steps(z, h, steps, steps, np.eye(z.size, dtype=z.dtype))
         assert end._tangents is not None
-        more = end._tangents[-1]
-        way = more[:, :size] @ way
-        way[:, size:] = way[:, size:] + more[:, size:]
-        return np.concatenate([end.q[-1], end.p[-1]]), way
+        return np.concatenate([end.q[-1], end.p[-1]]), end._tangents[-1]
 
-    def _by_size(self, z: Reals, h: Any) -> Reals:
-        """Return the derivative of a step by its size: the first rate divides it."""
-        _, way = self._onward(z, np.eye(z.size, z.size + self.others, dtype=z.dtype), h, 1)
-        column: Reals = way[:, -1] * (-self.values["g_start"] / h)
-        return column
+    def _joined(self, more: Reals, way: Reals) -> Reals:
+        """Return how a state follows from the start of all, where ``way`` led to one before it."""
+        size = 2 * self.n + 2
+        joined: Reals = more[:, :size] @ way
+        joined[:, size:] = joined[:, size:] + more[:, size:]
+        return joined
 
     def _slopes(self, z: Reals) -> dict[str, Any]:
         """Return the derivatives of H, of the rate and of p at a state."""
