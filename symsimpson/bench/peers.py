@@ -12,48 +12,30 @@ from symsimpson.bench.contender import Contender, Outcome, Runnable, numbers_of_
 from symsimpson.bench.problem import Problem
 from symsimpson.bench.programs import PROGRAMS
 from symsimpson.errors import InputError
+from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["adapting", "ours", "peers"]
+__all__ = ["ours", "peers"]
 
 
-def ours(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
-    """Return one of our schemes; it counts Newton iterations."""
-    stepper = compile_system(problem.system, scheme)
+def ours(
+    problem: Problem, scheme: str | Scheme, retimed: RetimedSystem | None = None
+) -> Contender[Runnable]:
+    """Return one of our schemes; it counts Newton iterations.
+
+    In the time of a retimed system, choices are numbers of steps as long as the first.
+    """
+    stepper = compile_system(retimed or problem.system, scheme)
 
     def make(steps: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
         count = int(steps)
         h = problem.t_end / count
+        length = {"steps": count} if retimed is None else {"t_end": problem.t_end}
 
         def run() -> Any:
             return stepper.integrate(
-                problem.q0, p0=problem.p0, h=h, steps=count, every=None, on_failure="return"
+                problem.q0, p0=problem.p0, h=h, **length, every=None, on_failure="return"
             )
-
-        def read(found: Any) -> Outcome:
-            failed = np.full(stepper.n, np.nan)
-            good = found.steps == count
-            q, p = (found.q[0], found.p[0]) if good else (failed, failed)
-            return Outcome(q, p, int(found.newton_iterations.sum()))
-
-        return run, read
-
-    return Contender(stepper.scheme, "steps", numbers_of_steps(problem), make)
-
-
-def adapting(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
-    """Return one of our schemes in the time of a retimed system; counts steps of the first size."""
-    assert problem.retimed is not None
-    stepper = compile_system(problem.retimed, scheme)
-
-    def make(parts: float) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
-        h = problem.t_end / int(parts)
-
-        def run() -> Any:
-            return stepper.integrate(
-                problem.q0, p0=problem.p0, h=h, t_end=problem.t_end, every=None,
-                on_failure="return",
-            )  # fmt: skip
 
         def read(found: Any) -> Outcome:
             failed = np.full(stepper.n, np.nan)
@@ -62,10 +44,11 @@ def adapting(problem: Problem, scheme: str | Scheme) -> Contender[Runnable]:
 
         return run, read
 
-    fixed = numbers_of_steps(problem)
-    coarse = [round(fixed[0] * 2 ** (k / 4)) for k in range(-8, 0)]  # these adapt
-    choices = [count for count in coarse if count >= 4] + fixed
-    return Contender(f"{stepper.scheme} retimed", "steps", choices, make)
+    name, choices = stepper.scheme, numbers_of_steps(problem)
+    if retimed is not None:  # these adapt: fewer are enough
+        coarse = [round(choices[0] * 2 ** (k / 4)) for k in range(-8, 0)]
+        name, choices = f"{name} retimed", [count for count in coarse if count >= 4] + choices
+    return Contender(name, "steps", choices, make)
 
 
 def peers(

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from symsimpson.bench.contender import Contender, Runnable
-from symsimpson.bench.peers import adapting, ours, peers
+from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.errors import InputError, SymsimpsonError
@@ -143,7 +143,7 @@ def _contenders(
     for scheme in schemes:
         yield ours(problem, scheme)
         if problem.retimed is not None:
-            yield adapting(problem, scheme)
+            yield ours(problem, scheme, problem.retimed)
     yield from peers(problem, names)
 
 
