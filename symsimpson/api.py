@@ -45,8 +45,14 @@ def _check_step(*given: Any) -> None:
     warn_of_step(*given)
 
 
+def _force_terms(*given: Any) -> Any:
+    from symsimpson.analysis.stability.cancelling import force_terms
+
+    return force_terms(*given)
+
+
 #: What steppers are given of the layers above them.
-TOOLS = Tools(certify=_certify, check_step=_check_step)
+TOOLS = Tools(certify=_certify, check_step=_check_step, force_terms=_force_terms)
 
 
 def compile(

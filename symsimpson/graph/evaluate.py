@@ -8,7 +8,7 @@ from typing import Any
 
 from symsimpson.graph.nodes import Exact, Graph
 
-__all__ = ["evaluated", "line_value"]
+__all__ = ["evaluated", "line_value", "moduli"]
 
 
 def evaluated(
@@ -35,6 +35,32 @@ def evaluated(
             kind, parts, _ = graph.nodes[n]
             values[n] = line_value(kind, parts, values, context)
     return values
+
+
+def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> dict[int, float]:
+    """Return what nodes are at most as large as, however their terms cancel: sums of moduli.
+
+    Rounding moves a node by about 2^-53 of that.
+
+    Parameters
+    ----------
+    graph : Graph
+    roots : iterable of int
+    values : mapping from node to float
+        Of the roots and all that they are made of, as of :func:`evaluated`.
+    """
+    sizes: dict[int, float] = {}
+    for n in graph.reached(roots):
+        kind, parts, _ = graph.nodes[n]
+        if kind == "sum":
+            sizes[n] = sum(abs(float(c)) * sizes[m] for c, m in parts)
+        elif kind == "product":  # a quotient is as exact as what it is divided by
+            sizes[n] = math.prod(
+                sizes[m] ** float(e) if e > 0 else abs(values[m]) ** float(e) for m, e in parts
+            )
+        else:
+            sizes[n] = abs(values[n])
+    return sizes
 
 
 def line_value(kind: str, parts: Sequence[Any], values: Mapping[int, Any], context: Any) -> Any:

@@ -26,10 +26,14 @@ class Tools:
         Measures whether a stepper is what it should be.
     check_step : callable
         Takes a stepper, its system, q0, parameters and h, and warns of steps that are too large.
+    force_terms : callable
+        Takes a system, q, the values of parameters and inputs, and t; returns how large the terms
+        of each force are, which may cancel.
     """
 
     certify: Callable[..., Any]
     check_step: Callable[..., None]
+    force_terms: Callable[..., Any]
 
 
 @dataclass(frozen=True)

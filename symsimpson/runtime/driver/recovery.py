@@ -14,6 +14,7 @@ from symsimpson.interface import (
     DIMENSION,
     IN_DOUBT,
     INCREMENT,
+    INCREMENT_SQUARED,
     ITERATE,
     ITERATIONS,
     LARGEST_SQUARED,
@@ -25,12 +26,14 @@ from symsimpson.interface import (
     POSITION,
     POSSIBLY_UNRESOLVED,
     PREPARE,
+    RELATIVE,
     SOLVED,
     STAGES,
     START,
     STATE_END,
     STATUS,
     STEP_TOO_LARGE,
+    TO_BE_VERIFIED,
     UNRESOLVED,
     VELOCITY_JUMP_SQUARED,
 )
@@ -46,6 +49,7 @@ from symsimpson.runtime.driver.steps import (
     call,
     keep,
     put_back,
+    rounding,
     solve,
     step_back,
 )
@@ -62,6 +66,9 @@ MORE, FINER, APART = 3, 16, 0.25
 SAME_SOLUTION = 1e-12
 #: From a suspicious step the solution is continued from small steps in so many pieces.
 PIECES = 16
+#: A step is linear where a second correction is below this part of the first, squared, and the
+#: first one no less than the other part of the increments.
+LINEAR, LARGE = 1e-20, 1e-4
 
 
 @njit(**DRIVER_OPTIONS)
@@ -183,6 +190,26 @@ def resolved(kernels, h, t, W, at, lane):
 
 
 @njit(**DRIVER_OPTIONS)
+def linear(kernels, h, t, W, at, lane):
+    """Return whether the equations of a lane's step are linear, so that they have one solution.
+
+    The state must be that at the start of the step: two iterations from there show it.
+    """
+    before = np.empty((W.shape[0], LANES))
+    keep_all(W, before)
+    activate_only(W, at[ACTIVE], lane)
+    call(kernels[START], h, t, W)
+    call(kernels[ITERATE], h, t, W)
+    first = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
+    size = W[at[INCREMENT_SQUARED], lane]
+    activate_only(W, at[ACTIVE], lane)
+    call(kernels[ITERATE], h, t, W)
+    second = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
+    put_all_back(W, before)
+    return second <= LINEAR * first and first >= LARGE * size
+
+
+@njit(**DRIVER_OPTIONS)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -192,6 +219,11 @@ def verify(kernels, h, t, W, at, lane):
     after = np.empty((rows, lanes))
     keep_all(W, after)
     finite = W[at[VELOCITY_JUMP_SQUARED], lane] < np.inf
+    if finite and W[at[IN_DOUBT], lane] == TO_BE_VERIFIED:
+        least = rounding(W, at, h, lane)
+        if W[at[INCREMENT_SQUARED], lane] <= least:  # at rest, and so will be what follows
+            W[at[LARGEST_SQUARED], lane] = max(W[at[LARGEST_SQUARED], lane], least)
+            return
     unresolved = W[at[IN_DOUBT], lane] == UNRESOLVED
     if finite and W[at[IN_DOUBT], lane] == POSSIBLY_UNRESOLVED:
         if resolved(kernels, h, t, W, at, lane):
@@ -203,6 +235,11 @@ def verify(kernels, h, t, W, at, lane):
         return
     if unresolved:
         W[at[STATUS], lane] = COORDINATE_SINGULARITY
+        return
+    if linear(kernels, h, t, W, at, lane):
+        put_all_back(W, after)
+        size = W[at[INCREMENT_SQUARED], lane]
+        W[at[LARGEST_SQUARED], lane] = max(W[at[LARGEST_SQUARED], lane], size)
         return
     if continuation(kernels, h, t, W, at, lane) != 0:
         W[at[STATUS], lane] = STEP_TOO_LARGE

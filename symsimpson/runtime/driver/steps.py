@@ -53,12 +53,19 @@ LANES = 1
 ENERGY_CHANGE = 0.75
 #: And its increments may be so many times the largest ones before, squared.
 GROWTH = 25.0
+#: What rounding makes of an energy, with room.
+ENERGY_ROUNDING = 2.0**-40
 # why steps stop before the end
 FAILED, SUSPICIOUS = 1, 2
 
 #: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
 RENEWING = False
 MOST_ITERATIONS = 40
+#: After so many iterations it is asked whether corrections are made of rounding.
+FEW_ITERATIONS = 16
+#: They are below this part of positions, of moves in a step and of what forces add to them,
+#: squared: 2^-52 with room.
+ROUND_OFF = 2.0**-92
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
 #: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
 FADING = 1.05**2
@@ -118,8 +125,55 @@ def give_up(active):
     return NOT_CONVERGED
 
 
+@njit(**DRIVER_OPTIONS)
+def rounding(W, at, h, lane):
+    """Bound the squared size of corrections that are made of rounding, in the metric of M(q0).
+
+    Positions are rounded, and momenta and the terms of forces that take them on. Where these
+    cancel, as at an equilibrium, increments may be as small as that.
+    """
+    size = W[at[LARGEST_SQUARED], lane] + h * h * h * h * W[W.shape[0] - 1, lane]
+    for a in range(at[DIMENSION]):
+        mass, q = W[at[MASS_DIAGONAL] + a, lane], W[at[POSITION] + a, lane]
+        if mass > 0.0:
+            moved = h * W[at[MOMENTUM] + a, lane]
+            size += mass * q * q + moved * moved / mass
+    return ROUND_OFF * size
+
+
+@njit(**DRIVER_OPTIONS)
+def solve_to_rounding(iterate, h, t, W, at):
+    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink."""
+    active, before = W[at[ACTIVE]], np.empty(LANES)
+    for lane in range(LANES):
+        before[lane] = np.inf
+    for _ in range(FEW_ITERATIONS, MOST_ITERATIONS):
+        busy = 0
+        for lane in range(LANES):
+            if active[lane] > 0.0:
+                correction = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
+                if correction >= before[lane] and correction <= rounding(W, at, h, lane):
+                    active[lane] = 0.0
+                before[lane] = correction
+            busy += active[lane] > 0.0
+        if busy == 0:
+            return worst_of(active)
+        call(iterate, h, t, W)
+    return give_up(active)
+
+
+@njit(**DRIVER_OPTIONS)
+def worst_of(active):
+    """Return 0 if all lanes are solved, else the status of one that is not."""
+    worst = 0
+    for lane in range(LANES):
+        if active[lane] < 0.0:
+            worst = NOT_FINITE
+    return worst
+
+
 @njit(**INLINE)
-def solve_for(iterate, h, t, W, active, relative, contraction):
+def solve_for(iterate, h, t, W, at, active, relative, contraction):
     """Iterate until every active lane is done; give 0, or the status of a lane that failed.
 
     The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
@@ -128,24 +182,20 @@ def solve_for(iterate, h, t, W, active, relative, contraction):
     for lane in range(LANES):
         relative[lane] = np.inf
         contraction[lane] = min(1.0, contraction[lane] * FADING)
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(FEW_ITERATIONS):
         call(iterate, h, t, W)
         busy = 0
         for lane in range(LANES):
             busy += active[lane] > 0.0
         if busy == 0:
-            worst = 0
-            for lane in range(LANES):
-                if active[lane] < 0.0:
-                    worst = NOT_FINITE
-            return worst
-    return give_up(active)
+            return worst_of(active)
+    return solve_to_rounding(iterate, h, t, W, at)
 
 
 @njit(**DRIVER_OPTIONS)
 def solve(iterate, h, t, W, at):
-    """Do so, with the rows of a workspace."""
-    return solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
+    """Iterate until every active lane is done, on the rows of a workspace."""
+    return solve_for(iterate, h, t, W, at, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
 
 
 @njit(**INLINE)
@@ -271,7 +321,9 @@ def watch(kernels, h, t, W, at):
     increment = max(W[at[INCREMENT_SQUARED], 0], W[at[LARGEST_SQUARED], 0])
     largest = W[at[COUNT], 0] if W[at[COUNT], 0] > 0.0 else increment
     change = abs(W[at[ENERGY], 0] - before) * h * h
-    small = change * degree <= ENERGY_CHANGE * largest and increment <= GROWTH * largest
+    # an energy at rest changes by rounding
+    lost = ENERGY_ROUNDING * (abs(before) + W[at[ENERGY] + 1, 0]) * h * h
+    small = change * degree <= ENERGY_CHANGE * largest + lost and increment <= GROWTH * largest
     if W[at[STATUS], 0] == 0.0 and not small:
         step_back(W, at, 0)
         W[at[LARGEST_SQUARED], 0] = W[at[COUNT], 0]
@@ -313,7 +365,7 @@ def take_steps(
             if alive == 0:
                 break
             give(W, at, inputs, before + step)
-            if solve_for(kernels[ITERATE], h, t, W, active, relative, contraction) != 0:
+            if solve_for(kernels[ITERATE], h, t, W, at, active, relative, contraction) != 0:
                 progress[1] = FAILED
                 break
             doubts = 0

@@ -133,7 +133,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     advance_blocks = driver("advance_blocks", lanes, renewing=task.of_variations)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = _aligned(header.rows + watched + kept.room, lanes)
+        W = _aligned(header.rows + watched + kept.room + 1, lanes)  # the last is the driver's
         if len(columns):
             W[header.layout["TANGENTS"]] = columns.shape[1]
         if task.t_end is not None:

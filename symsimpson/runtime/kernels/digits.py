@@ -208,6 +208,8 @@ class Digits(Numbers):
             "call": self._call,
             "AT_ONCE": 1,  # balls of python-flint grow in a call
             "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
+            "FEW_ITERATIONS": max(16, self.digits),
+            "ROUND_OFF": self._inner(self.context.mpf(10) ** (4 - 2 * self.digits)),
             "np": SimpleNamespace(
                 inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros
             ),

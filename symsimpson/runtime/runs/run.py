@@ -41,8 +41,11 @@ FALLBACK_STRETCH = 64
 def workspace(
     header: Header, numbers: Numbers, parameters: NDArray[Any], more: int = 0
 ) -> NDArray[Any]:
-    """Make the workspace of one lane, with the parameters in it and so many further rows."""
-    W = numbers.zeros((header.rows + more, 1))
+    """Make the workspace of one lane, with the parameters in it and so many further rows.
+
+    The last row is the driver's: what the terms of forces add to positions, over h^4.
+    """
+    W = numbers.zeros((header.rows + more + 1, 1))
     first = header.layout["PARAMETER"]
     W[first : first + parameters.size, 0] = parameters
     return W
@@ -99,6 +102,7 @@ class Run:
         if header.retimed and kept is NOTHING_KEPT:
             kept = TIME_KEPT
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
+        self._declared, self._tools = module.declared, module.tools
         self._parameters, self._inputs = parameters, inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self._behind, self.told = kept.kernel, header.told
@@ -281,11 +285,32 @@ class Run:
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
             hopeful = not (self.alive or self.arrived) and self.status not in HOPELESS
-            if hopeful and self._set + 1 < len(self._fallbacks):
+            if hopeful and self._expect_rounding():
+                self._change_to(self._set)
+            elif hopeful and self._set + 1 < len(self._fallbacks):
                 self._set_until = self.step + FALLBACK_STRETCH
                 self._change_to(self._set + 1)
             elif self._set and self.step == self._set_until:
                 self._change_to(0)
+
+    def _expect_rounding(self) -> bool:
+        """Let corrections be as large as rounding makes them where the terms of forces cancel.
+
+        Tells whether they are larger than any before; then a step that failed may be taken.
+        """
+        if self._tools is None or self._declared is None:
+            return False
+        n, number = self.header.n, self.step
+        inputs = self._inputs[0, min(number, self._inputs.shape[1] - 1), 0]
+        values = [*map(float, self._parameters), *map(float, inputs)]
+        q, t = map(float, self.rows("POSITION", n)), float(self._time())
+        terms = self._tools.force_terms(self._declared, q, values, t)
+        masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
+        size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
+        larger = size > 4 * float(self._column[-1])
+        if larger:
+            self._column[-1:] = size
+        return larger
 
     def _passed(self) -> Any:
         """Return the time of the user, if it is not that of the steps."""
