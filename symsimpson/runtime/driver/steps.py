@@ -28,6 +28,7 @@ from symsimpson.interface import (
     ITERATIONS,
     KEPT,
     LARGEST_SQUARED,
+    MASS_DIAGONAL,
     MEASURE,
     MODE,
     MOMENTUM,
@@ -143,8 +144,11 @@ def rounding(W, at, h, lane):
 
 @njit(**DRIVER_OPTIONS)
 def solve_to_rounding(iterate, h, t, W, at):
-    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink."""
-    active, before = W[at[ACTIVE]], np.empty(LANES)
+    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
+
+    Corrections wait where doubts will be told when the step is closed: nothing is allocated.
+    """
+    active, before = W[at[ACTIVE]], W[at[IN_DOUBT]]
     for lane in range(LANES):
         before[lane] = np.inf
     for _ in range(FEW_ITERATIONS, MOST_ITERATIONS):
