@@ -64,7 +64,8 @@ class Energies(States):
         """The work of each force since the start, and of all under "total", shape (N + 1,) each.
 
         It is h sum_i b_i f_i.v_i over the nodes of all steps, which are computed again for it, and
-        is accurate to the order of the scheme.
+        is accurate to the order of the scheme. Behind a step that cannot be taken again, as in a
+        passage that was not resolved, it is NaN.
 
         Raises
         ------

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import evaluate
-from symsimpson.runtime.runs.driving import at_places
-from symsimpson.runtime.runs.run import workspace
+from symsimpson.runtime.runs.driving import at_places, since
+from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.energies import Energies
 
-__all__ = ["TOTAL", "integrals", "powers"]
+__all__ = ["TOTAL", "energy_lost", "integrals", "powers"]
 
 #: The name of the sum of all forces.
 TOTAL = "total"
@@ -27,11 +27,20 @@ def powers(run: Energies) -> dict[str, Reals]:
     header = run._stepper._module.header
     if header.conservative:
         return {TOTAL: 0 * run.t}
-    found = evaluate(
-        run._stepper, "power", "POWER", header.powers, run.t, run.q, run.p, run._values,
-        _at_states(run),
+    return _named(run, _powers_at(run))
+
+
+def energy_lost(run: Energies) -> Reals:
+    """Return dL/dt at the stored states, the rate at which H falls by itself."""
+    return _powers_at(run)[:, -1]
+
+
+def _powers_at(run: Energies) -> Reals:
+    """Evaluate the power of each force, then dL/dt where something depends on t."""
+    return evaluate(
+        run._stepper, "power", "POWER", run._stepper._module.header.powers, run.t, run.q, run.p,
+        run._values, _at_states(run),
     )  # fmt: skip
-    return _named(run, found)
 
 
 def _at_states(run: Energies) -> Reals:
@@ -57,14 +66,15 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
     """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
 
     Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
+    Behind a step that cannot be taken again they are NaN.
 
     Raises
     ------
     InputError
-        If only the last state is stored, the scheme is explicit, or a step cannot be taken again.
+        If only the last state is stored, or the scheme is explicit.
     """
     stepper, header = run._stepper, run._stepper._module.header
-    numbers, kernels = stepper._module.numbers, stepper._module.kernels
+    numbers = stepper._module.numbers
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.every is None:
@@ -78,19 +88,39 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
             "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
         )
     with numbers.working():
-        W = workspace(header, numbers, numbers.read(run._values))
-        out = numbers.zeros((len(run), header.powers))
-        t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
-        reached = numbers.driver("add_up_work")(
-            kernels.set("newton"), kernels.address("work"), h.item(), t, W,
-            header.told, q, p, run.every, header.layout["WORK"], out, numbers.read(run._inputs),
-        )  # fmt: skip
-        found = numbers.result(out)
-    if reached < len(run):
-        raise InputError(
-            f"{stepper.system}: the step to t = {float(run.t[reached]):g} could not be taken again "
-            "to add up work: it is one that the run took with more robust kernels.\nTake a smaller "
-            "step."
-        )
+        found = numbers.result(_added_up(run, header.powers))
     lost = 0 * run.t if header.autonomous else found[:, -1]
     return _named(run, found), lost
+
+
+def _added_up(run: Energies, count: int) -> Reals:
+    """Take steps again, and add up so many integrals; NaN behind one that cannot be taken so.
+
+    Steps that the run took with more robust kernels are taken with these.
+    """
+    module, every = run._stepper._module, run.every
+    assert every is not None
+    numbers, header, kernels = module.numbers, module.header, module.kernels
+    W = workspace(header, numbers, numbers.read(run._values))
+    t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
+    out, inputs = numbers.zeros((len(run), count)), numbers.read(run._inputs)
+    row = header.layout["WORK"]
+    sets = [name for name in kernels.fallbacks if name != "stages"]
+    done, number = 0, 0
+    while done < len(run) - 1:
+        last = len(run) if number == 0 else min(len(run), done + 1 + FALLBACK_STRETCH)
+        some = slice(done, last)
+        name = sets[number]
+        work = kernels.address("work", any_angle=name == "robust")
+        reached: int = numbers.driver("add_up_work")(
+            kernels.set(name), work, h.item(), t[some], W, header.told, q[some], p[some],
+            every, row, out[some], since(inputs, done * every),
+        )  # fmt: skip
+        if reached > 1:
+            done, number = done + reached - 1, int(done + reached < last)
+        else:
+            number += 1
+        if number == len(sets):
+            out[done + 1 :] = numbers.read(np.nan)
+            break
+    return out

@@ -124,7 +124,7 @@ def looked_at(
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    energies = look_at_energy(stepper, run, trajectory.steps, q, p)
+    energies = look_at_energy(stepper, run, trajectory, q, p)
     if energies is None:
         return trajectory
     about = trajectory.__getstate__()

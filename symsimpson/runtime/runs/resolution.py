@@ -3,12 +3,13 @@
 A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
 it at another level. So medians of blocks of states are held against the energy at the start, in
 units of the kinetic energy that the motion has for a while. Few states are enough for that; but
-where the energy need not be real, each stored state is looked at.
+where the energy need not be real, each stored state is looked at. Where forces do work, or the
+energy depends on the time, what these explain is no error.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +17,10 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
+from symsimpson.runtime.results.work import TOTAL, energy_lost, integrals, powers
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.runs.run import Run
 
 __all__ = [
@@ -58,13 +61,20 @@ def sampling_stride(stepper: Evaluator, count: int) -> int:
 class Sampled:
     """Energies at some states of a run: total and kinetic, shape (m,), and which states.
 
-    ``constant`` tells whether the total should be.
+    The total is without the work that was done.
     """
 
     total: Floats
     kinetic: Floats
     places: Places
-    constant: bool
+
+    def at(self, chosen: NDArray[np.bool_]) -> Sampled:
+        """Return those at some of the states."""
+        return Sampled(self.total[chosen], self.kinetic[chosen], self.places[chosen])
+
+    def less(self, work: Floats) -> Sampled:
+        """Return energies without the work that was done up to each stored state."""
+        return replace(self, total=self.total - work[self.places])
 
     @property
     def first_not_real(self) -> int | None:
@@ -79,7 +89,7 @@ class Sampled:
         In units of the kinetic energy, the largest median of a block; None if there is no such
         level.
         """
-        if self.total.size < FEWEST or not self.constant:
+        if self.total.size < FEWEST or not np.isfinite(self.total).all():
             return None
         start, change = self.total[0], abs(self.total - self.total[0])
         blocks = np.array_split(np.arange(self.total.size), BLOCKS)
@@ -109,7 +119,7 @@ def energies_at(
     if run.header.retimed:  # K = g (H - E0) is what does not drift
         rate = np.asarray(evaluate_in(run.W, stepper, "energy", "RATE", 1, *states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
-    return Sampled(total, kinetic, places, stepper._module.header.conservative)
+    return Sampled(total, kinetic, places)
 
 
 def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
@@ -134,20 +144,20 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
 
 def count_looked_at(stepper: Evaluator, last: int) -> int:
     """Return how many of so many states behind the first are looked at; none of a short run."""
-    judged = last + 1 >= FEWEST and stepper._module.header.conservative
-    return min(last, SAMPLES - 1) if judged else 0
+    return min(last, SAMPLES - 1) if last + 1 >= FEWEST else 0
 
 
 def look_at_energy(
-    stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals
+    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
 ) -> Sampled | None:  # fmt: skip
-    """Evaluate the energy at stored states of a run that is over, after so many steps.
+    """Evaluate the energy at stored states q, p of a run that is over, and came to a trajectory.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
-    last = len(q) - 1
+    last, steps = len(q) - 1, trajectory.steps
     if not stepper._module.header.real_everywhere:
-        return energies_at(stepper, run, steps, q, p, np.arange(last + 1))
+        found = energies_at(stepper, run, steps, q, p, np.arange(last + 1))
+        return _explained(found, stepper, run, trajectory, q, p)
     few = count_looked_at(stepper, last)
     if not few:
         return None
@@ -157,4 +167,41 @@ def look_at_energy(
         rate = header.layout["RATE"] if header.retimed else 0
         if steady(energy, run.h, run.W, header.told, run.q, run.p, last, few, LIMIT, rate):
             return None
-    return energies_at(stepper, run, steps, q, p, np.arange(few + 1) * last // few)
+    places = np.arange(few + 1) * last // few
+    found = energies_at(stepper, run, steps, q, p, places)
+    return _explained(found, stepper, run, trajectory, q, p)
+
+
+def _explained(
+    seen: Sampled, stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+) -> Sampled:
+    """Take the work that was done out of energies that change, first roughly, then exactly.
+
+    Powers at states are enough for most motions; where they leave something, all steps between
+    stored states are taken again.
+    """
+    header = stepper._module.header
+    if header.conservative or seen.left_at is None or not trajectory.success:
+        return seen
+    whole = len(q) if run.every * (len(q) - 1) <= trajectory.steps else len(q) - 1
+    every = np.arange(whole) * run.every
+    result, t = stepper._module.numbers.result, run.t0 + run.h * every
+    states = replace(
+        trajectory, t=result(t), q=result(q[:whole]), p=result(p[:whole]), every=run.every,
+        steps=int(every[-1]), newton_iterations=np.zeros(whole, dtype=np.int64), _tangents=None,
+    )  # fmt: skip
+    seen = seen.at(seen.places < whole)
+    roughly = seen.less(_rough_work(states))
+    if roughly.left_at is None or "work" not in header.functions:
+        return roughly
+    done, lost = integrals(states)
+    return seen.less(np.asarray(done[TOTAL] - lost, dtype=np.float64))
+
+
+def _rough_work(states: Trajectory) -> Floats:
+    """Integrate powers at states by the trapezoidal rule, less those of dL/dt."""
+    header, power = states._stepper._module.header, powers(states)
+    rate = power[TOTAL] - (0 * states.t if header.autonomous else energy_lost(states))
+    rate = np.asarray(rate, dtype=np.float64)
+    spans = np.diff(np.asarray(states.t, dtype=np.float64))
+    return np.concatenate([[0.0], np.cumsum(spans * (rate[1:] + rate[:-1]) / 2)])
