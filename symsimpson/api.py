@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -39,20 +40,24 @@ def _certify(stepper: Stepper, *state: Any, **given: Any) -> Certificate:
     return certify(stepper, *state, **given)
 
 
-def _check_step(*given: Any) -> None:
-    from symsimpson.analysis.stability.frequency import warn_of_step
+def _of_stability(module: str, name: str) -> Callable[..., Any]:
+    """Return a function of the analysis of stability, loaded when it is first called."""
 
-    warn_of_step(*given)
+    def called(*given: Any) -> Any:
+        return getattr(import_module(f"symsimpson.analysis.stability.{module}"), name)(*given)
 
-
-def _force_terms(*given: Any) -> Any:
-    from symsimpson.analysis.stability.cancelling import force_terms
-
-    return force_terms(*given)
+    return called
 
 
 #: What steppers are given of the layers above them.
-TOOLS = Tools(certify=_certify, check_step=_check_step, force_terms=_force_terms)
+TOOLS = Tools(
+    certify=_certify,
+    check_step=_of_stability("frequency", "warn_of_step"),
+    force_terms=_of_stability("cancelling", "force_terms"),
+    at_pole=_of_stability("passages", "at_pole"),
+    unresolved_pole=_of_stability("passages", "unresolved_pole"),
+    regular_box=_of_stability("passages", "regular_box"),
+)
 
 
 def compile(

@@ -63,6 +63,10 @@ class Evaluator:
         #: Steppers that differentiate by these parameters and inputs, and a running cost.
         self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
         self._looked_at: set[tuple[Any, bytes]] = set()
+        #: By values of parameters: a box of positions without singular points of the coordinates.
+        self._regular: dict[bytes, tuple[Any, Any]] = {}
+        #: How often such a box was not found.
+        self._irregular: dict[bytes, int] = {}
         #: What is prepared for short runs, where states need not be looked at one by one.
         special = header.constraints or header.inputs
         free = header.real_everywhere and not special

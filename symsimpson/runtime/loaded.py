@@ -29,11 +29,20 @@ class Tools:
     force_terms : callable
         Takes a system, q, the values of parameters and inputs, and t; returns how large the terms
         of each force are, which may cancel.
+    at_pole : callable
+        Takes a system and a run; returns at which singular point of the coordinates that ended.
+    unresolved_pole : callable
+        Takes a stepper, its system and a run; returns when that passed such a point unresolved.
+    regular_box : callable
+        Takes a system, values, two corners and a time; returns a box without such points.
     """
 
     certify: Callable[..., Any]
     check_step: Callable[..., None]
     force_terms: Callable[..., Any]
+    at_pole: Callable[..., str]
+    unresolved_pole: Callable[..., Any]
+    regular_box: Callable[..., Any]
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,8 @@ def run_briefly(
     """Begin anew, take all steps, and return how many iterations they took, or -1.
 
     It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
-    energy at a few of the stored states is not ``steady``. ``end`` is the last q and p.
+    energy at a few of the stored states is not ``steady``. ``end`` takes the last q and p, then
+    the least and the largest of stored positions.
     """
     n, last = q.size, steps // every if every != 0 else 0
     begin_anew(kernels, legendre, h, t0, W, at, parameters, q, other)
@@ -62,6 +63,10 @@ def run_briefly(
     for a in range(n):
         end[0, a] = W[at[POSITION] + a, 0]
         end[1, a] = W[at[MOMENTUM] + a, 0]
+        least, largest = states[0, 0, a, 0], states[0, 0, a, 0]
+        for i in range(1, last + 1):
+            least, largest = min(least, states[0, i, a, 0]), max(largest, states[0, i, a, 0])
+        end[2, a], end[3, a] = least, largest
     if few > 0 and not steady(energy, h, W, at, states[0], states[1], last, few, limit, 0):
         return -1
     return count

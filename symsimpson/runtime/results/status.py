@@ -63,8 +63,9 @@ _MESSAGES = {
     ),
     Status.COORDINATE_SINGULARITY: (
         "The motion passes a singular point of the coordinates (a pole of spherical angles, say) "
-        "faster than the step resolves: its direction behind that point would be lost. Try a "
-        "smaller h there, or coordinates that are regular at this point."
+        "faster than the step resolves: its direction behind that point would be lost. Use "
+        "coordinates that are regular there, such as Cartesian ones held by a constraint (see the "
+        "guide to constraints); a smaller h helps only where the passage is wide enough."
     ),
     Status.SINGULAR_CONSTRAINTS: (
         "One of them follows from the others there, so the constraint forces are not determined, "

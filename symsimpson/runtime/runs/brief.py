@@ -179,21 +179,29 @@ def _of_steps(
     stride = every or sampling_stride(stepper, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else made.sampled
-    end, few = np.empty((2, n)), count_looked_at(stepper, last)
+    end, few = np.empty((4, n)), count_looked_at(stepper, last)
     count = made.run(asked, (h, t0, steps), stride, few, stored, end)
-    if count < 0:
+    if count < 0 or (every == 1 and few and not _regular(stepper, asked, end)):
         return None
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
         Q, P, iterations = Q[:, :, 0], P[:, :, 0], counts[:, 0]
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
-        Q, P = end[:1], end[1:]
+        Q, P = end[:1], end[1:2]
     return Trajectory(
         t=t, q=Q, p=P, newton_iterations=iterations, h=h, steps=steps, every=every or None,
         status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=asked.values,
         _inputs=NO_INPUTS, _tangents=None,
     )  # fmt: skip
+
+
+def _regular(stepper: Evaluator, asked: Asked, end: Floats) -> bool:
+    """Return whether a run kept away from singular points of the coordinates."""
+    if stepper._module.tools is None or stepper._module.declared is None:
+        return True
+    box = stepper._regular.get(asked.values.tobytes())
+    return box is not None and bool((box[0] <= end[2]).all() and (end[3] <= box[1]).all())
 
 
 def _to_end(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from symsimpson.errors import (
     ConvergenceError,
     InputError,
     Interrupted,
-    ResolutionWarning,
     StorageError,
 )
 from symsimpson.files import check_folder, read_path
@@ -29,10 +27,11 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
-from symsimpson.runtime.runs.resolution import check_start, look_at_energy, sampling_stride
-from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run, Stored
+from symsimpson.runtime.runs.resolution import check_start, sampling_stride
+from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
+from symsimpson.runtime.runs.verdict import looked_at
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -105,68 +104,6 @@ def integrate(
         if not trajectory.success and on_failure == "raise":
             raise_failure(run, trajectory, trajectory)
     return trajectory
-
-
-def looked_at(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored
-) -> Trajectory:  # fmt: skip
-    """Look at the energy of a run, at states stored on its way.
-
-    Where it is no number, the run ended before; where the motion was not resolved, it is warned of.
-    """
-    if not trajectory.success and stepper._module.header.real_everywhere:
-        return trajectory
-    q, p, _, kept = stored
-    if (
-        trajectory.every is None and not stepper._module.header.real_everywhere
-    ):  # the last state, too
-        numbers = stepper._module.numbers
-        with numbers.working():
-            ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
-        q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    energies = look_at_energy(stepper, run, trajectory, q, p)
-    if energies is None:
-        return trajectory
-    about = trajectory.__getstate__()
-    bad = energies.first_not_real
-    if bad is not None:
-        result, good = stepper._module.numbers.result, max(bad - 1, 0)
-        done, at = good * run.every, min(bad * run.every, trajectory.steps)
-        retimed, where = run.header.retimed, run.t0 + run.h * at
-        if retimed:
-            where = kept[min(bad, len(kept) - 1), 0]
-        if trajectory.every is None:
-            last = slice(good, good + 1)
-            about |= {"q": result(q[last]), "p": result(p[last])}
-            about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
-            if retimed:
-                about |= {"t": result(kept[last, 0]), "_tau": result(np.array([run.h * done]))}
-        else:
-            for name in ("t", "q", "p", "newton_iterations", *(("_tau",) if retimed else ())):
-                about[name] = about[name][: good + 1]
-        message = (
-            f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
-            f"t={float(where):g}, after step {at} of "
-            f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
-            "motion left their domain, or a step jumped across a singular point: check the state "
-            "before, or try a smaller h."
-        )
-        return Trajectory(
-            **about | {"steps": done, "status": Status.NOT_FINITE, "message": message}
-        )
-    left = energies.left_at
-    if left is None or not trajectory.success:
-        return trajectory
-    place, off = left
-    since = float(kept[place, 0] if run.header.retimed else run.t0 + run.h * (place * run.every))
-    message = (
-        f"{stepper.system}, {stepper.scheme}: from about t={since:g} on the energy is off by "
-        f"{off:.0%} of the kinetic energy and does not come back. A fast part of the motion, such "
-        f"as a close encounter or a fast oscillation, was not resolved with h={float(run.h):g}; "
-        "the states after it are unreliable.\nTake a smaller h, or a scheme of higher order."
-    )
-    warnings.warn(message, ResolutionWarning, stacklevel=4)
-    return Trajectory(**about | {"message": f"{trajectory.message} {message}"})
 
 
 def _checkpoint(

@@ -61,20 +61,23 @@ def sampling_stride(stepper: Evaluator, count: int) -> int:
 class Sampled:
     """Energies at some states of a run: total and kinetic, shape (m,), and which states.
 
-    The total is without the work that was done.
+    ``work`` is what was done up to there; NaN behind a step of which that is not known.
     """
 
     total: Floats
     kinetic: Floats
     places: Places
+    work: Floats
 
     def at(self, chosen: NDArray[np.bool_]) -> Sampled:
         """Return those at some of the states."""
-        return Sampled(self.total[chosen], self.kinetic[chosen], self.places[chosen])
+        return Sampled(
+            self.total[chosen], self.kinetic[chosen], self.places[chosen], self.work[chosen]
+        )
 
-    def less(self, work: Floats) -> Sampled:
-        """Return energies without the work that was done up to each stored state."""
-        return replace(self, total=self.total - work[self.places])
+    def with_work(self, work: Floats) -> Sampled:
+        """Return them with the work that was done up to each stored state."""
+        return replace(self, work=work[self.places])
 
     @property
     def first_not_real(self) -> int | None:
@@ -89,22 +92,25 @@ class Sampled:
         In units of the kinetic energy, the largest median of a block; None if there is no such
         level.
         """
-        if self.total.size < FEWEST or not np.isfinite(self.total).all():
+        total = self.total - self.work
+        known = int(np.argmin(np.append(np.isfinite(total), False)))
+        if known < FEWEST:
             return None
-        start, change = self.total[0], abs(self.total - self.total[0])
-        blocks = np.array_split(np.arange(self.total.size), BLOCKS)
+        total, kinetic = total[:known], self.kinetic[:known]
+        start, change = total[0], abs(total - total[0])
+        blocks = np.array_split(np.arange(known), BLOCKS)
         # an energy that grows without bound must not hide itself in what it is compared with
-        floor = ROUNDING * max(abs(start), float(np.median(abs(self.total))))
-        unit = max(floor, *(float(np.median(self.kinetic[block])) for block in blocks))
+        floor = ROUNDING * max(abs(start), float(np.median(abs(total))))
+        unit = max(floor, *(float(np.median(kinetic[block])) for block in blocks))
         for block in blocks:
-            level = abs(float(np.median(self.total[block])) - start)
+            level = abs(float(np.median(total[block])) - start)
             # a fall that begins with the damage makes the kinetic energy of later blocks large
-            so_far = max(floor, float(self.kinetic[: block[-1] + 1].max()))
+            so_far = max(floor, float(kinetic[: block[-1] + 1].max()))
             off = level / min(unit, so_far)
             if off > LIMIT:
                 return int(self.places[block[0]]), off
-        end = self.total.size - LAST
-        off = float(np.median(change[end:])) / max(unit, float(np.median(self.kinetic[end:])))
+        end = known - LAST
+        off = float(np.median(change[end:])) / max(unit, float(np.median(kinetic[end:])))
         return (int(self.places[end]), off) if off > LAST_LIMIT else None
 
 
@@ -119,7 +125,7 @@ def energies_at(
     if run.header.retimed:  # K = g (H - E0) is what does not drift
         rate = np.asarray(evaluate_in(run.W, stepper, "energy", "RATE", 1, *states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
-    return Sampled(total, kinetic, places)
+    return Sampled(total, kinetic, places, np.zeros(len(total)))
 
 
 def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
@@ -191,11 +197,11 @@ def _explained(
         steps=int(every[-1]), newton_iterations=np.zeros(whole, dtype=np.int64), _tangents=None,
     )  # fmt: skip
     seen = seen.at(seen.places < whole)
-    roughly = seen.less(_rough_work(states))
+    roughly = seen.with_work(_rough_work(states))
     if roughly.left_at is None or "work" not in header.functions:
         return roughly
     done, lost = integrals(states)
-    return seen.less(np.asarray(done[TOTAL] - lost, dtype=np.float64))
+    return seen.with_work(np.asarray(done[TOTAL] - lost, dtype=np.float64))
 
 
 def _rough_work(states: Trajectory) -> Floats:

@@ -15,7 +15,6 @@ from symsimpson.runtime.runs.driving import since
 from symsimpson.runtime.runs.integrate import (
     begin_run,
     look_at_step,
-    looked_at,
     new_run,
     raise_failure,
     trajectory_of,
@@ -23,6 +22,7 @@ from symsimpson.runtime.runs.integrate import (
 from symsimpson.runtime.runs.resolution import sampling_stride
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.verdict import looked_at
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -1,0 +1,235 @@
+"""Passages near singular points of the coordinates: whether the steps of a run resolved them.
+
+At a pole, as that of spherical angles, det M vanishes. A motion that passes it closely turns there
+within a time that may be a small part of a step, and its energy need not show that. So steps near
+a small det M are taken again, much finer.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Hashable, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import SymsimpsonError
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Value
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.reference.first_order import Lines
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["at_pole", "regular_box", "unresolved_pole"]
+
+Reals = NDArray[np.float64]
+#: In larger systems det M is not looked at.
+MOST_COORDINATES = 12
+#: First so many states are looked at: where det M is nowhere small, no others are.
+SAMPLES, LITTLE = 128, 0.3
+#: A passage is close where det M falls below this part of its median, and doubles within a step.
+CLOSE = 0.05
+#: So many states of a box are looked at to tell that there is no pole in it.
+IN_BOX = 2000
+#: So many passages are looked at, from so many steps before to so many behind, each so much finer.
+PASSAGES, BEFORE, BEHIND, FINER = 3, 2, 3, 16
+#: The ends may be so far apart, squared, in units of what a step moves; and so many times as far
+#: as where det M is ordinary.
+APART, ORDINARY = 1e-3, 100.0
+
+
+@lru_cache(maxsize=64)
+def _mass(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[int, ...]]:
+    """Return a function of q, t and parameters for the entries of M, and what M depends on."""
+    plain, n = system.plain, system.n
+    entries: dict[tuple[Hashable, ...], Value] = {
+        ("M", i, j): plain.entry(i, j) for i in range(n) for j in range(n)
+    }
+    names = plain.numbers(plain.q)
+    inside = frozenset().union(*(plain.graph.nodes[m].symbols for _, m in entries.values()))
+    depends = tuple(i for i, name in enumerate(names) if name in inside)
+    if not depends or n > MOST_COORDINATES or system.constraints:
+        return None, ()
+    lines = Lines(plain, entries)
+    arguments = [*plain.q, plain.t, *plain.parameters, *plain.u]
+    return lines.function(arguments, [lines.value(*key) for key in entries], "numpy"), depends
+
+
+def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
+    """Return M at states, shape (N, n, n)."""
+    function, n = _mass(system)[0], system.n
+    assert function is not None
+    with np.errstate(all="ignore"):
+        found = np.broadcast_arrays(q[:, 0], *function(*q.T, t, *values))[1:]
+    return np.stack([np.asarray(x, dtype=np.float64) for x in found], axis=1).reshape(-1, n, n)
+
+
+def _sizes(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
+    return np.abs(np.linalg.det(_masses(system, t, q, values)))
+
+
+def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
+    """Return which singular point of the coordinates the last state of a run is at, or "".
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    run : Trajectory
+    """
+    if _mass(system)[0] is None or len(run) < 2:
+        return ""
+    some = np.unique(np.linspace(0, len(run) - 1, SAMPLES).astype(int))
+    t, q, values = _states(run)
+    sizes = _sizes(system, t[some], q[some], values)
+    return _named(system, run, -1) if sizes[-1] < CLOSE * np.median(sizes) else ""
+
+
+def unresolved_pole(
+    stepper: Stepper, system: MechanicalSystem, run: Trajectory
+) -> tuple[float, str] | None:
+    """Return when a run passed a singular point of the coordinates unresolved, and which.
+
+    Parameters
+    ----------
+    stepper : Stepper
+    system : MechanicalSystem
+    run : Trajectory
+        One that stored all its states.
+
+    Returns
+    -------
+    (float, str) or None
+        The time, and the coordinates there in words.
+    """
+    if _mass(system)[0] is None:
+        return None
+    t, q, values = _states(run)
+    stride = max(1, len(t) // SAMPLES)
+    sizes = _sizes(system, t[::stride], q[::stride], values)
+    if not sizes.min() < LITTLE * np.median(sizes):
+        return None
+    sizes = sizes if stride == 1 else _sizes(system, t, q, values)
+    inner = sizes[1:-1]
+    least = (inner <= sizes[:-2]) & (inner <= sizes[2:])
+    close = least & (inner < CLOSE * np.median(sizes))
+    close &= np.maximum(sizes[:-2], sizes[2:]) > 2 * inner
+    places = np.flatnonzero(close) + 1
+    plain = int(np.argsort(sizes)[len(sizes) // 2])
+    for place in sorted(places[np.argsort(sizes[places])[:PASSAGES]]):
+        apart = _apart(stepper, system, run, int(place))
+        if apart > APART and apart > ORDINARY * _apart(stepper, system, run, plain):
+            return float(t[place]), _named(system, run, int(place))
+    return None
+
+
+def regular_box(
+    system: MechanicalSystem, values: Sequence[float], low: Reals, high: Reals, t: float
+) -> tuple[Reals, Reals] | None:
+    """Return a box of positions in which no run comes close to a singular point; None if not known.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    values : sequence of float
+        Of parameters, then of inputs.
+    low, high : ndarray, shape (n,)
+    t : float
+
+    Returns
+    -------
+    (ndarray, ndarray) or None
+        The box that was asked about, or all of space where M is constant.
+    """
+    depends = list(_mass(system)[1])
+    if not depends:
+        return np.full(system.n, -np.inf), np.full(system.n, np.inf)
+    q = np.tile((low + high) / 2, (IN_BOX, 1))
+    places = np.linspace(0, 1, IN_BOX)[:, None]
+    if len(depends) > 1:
+        places = np.random.default_rng(2).uniform(size=(IN_BOX, len(depends)))
+    q[:, depends] = low[depends] + places * (high - low)[depends]
+    sizes = _sizes(system, np.full(IN_BOX, t), q, values)
+    return (low, high) if sizes.min() > 2 * CLOSE * sizes.max() else None
+
+
+def _states(run: Trajectory) -> tuple[Reals, Reals, list[float]]:
+    inputs = np.asarray(run._inputs, dtype=np.float64)[0, 0, 0]
+    values = [*map(float, run._values), *map(float, inputs)]
+    return run.t.astype(np.float64), run.q.astype(np.float64), values
+
+
+def _named(system: MechanicalSystem, run: Trajectory, place: int) -> str:
+    names, q = run._stepper.coordinates, run.q[place]
+    return ", ".join(f"{names[i]}={float(q[i]):.6g}" for i in _mass(system)[1])
+
+
+def _apart(stepper: Stepper, system: MechanicalSystem, run: Trajectory, place: int) -> float:
+    """Return how far from the run much finer steps past a state lead, in moves of a step, squared.
+
+    Nothing is known where inputs are polynomials of the steps: 0.
+    """
+    first, last = max(0, place - BEFORE), min(len(run) - 1, place + BEHIND)
+    inputs: Any = None
+    if stepper.inputs:
+        if run._inputs.shape[2] > 1:
+            return 0.0
+        own = run._inputs[0, min(first, run._inputs.shape[1] - 1) : last, 0]
+        inputs = {
+            name: own[0, k] if len(own) == 1 else np.repeat(own[:, k], FINER)
+            for k, name in enumerate(stepper.inputs)
+        }
+    free = {name: run.parameters[name] for name in stepper._free_values()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            finer = stepper.integrate(
+                run.q[first], p0=run.p[first], h=run.h / FINER, steps=FINER * (last - first),
+                t0=run.t[first], parameters=free, every=None, progress=False,
+                on_failure="return", inputs=inputs,
+            )  # fmt: skip
+        except SymsimpsonError:
+            return np.inf
+    if not finer.success:
+        return np.inf
+    turn = np.where(_periodic(system), 2 * np.pi, np.inf)
+    gap = _within(np.asarray(run.q[last] - finer.q[-1], dtype=np.float64), turn)
+    t, q, values = _states(run)
+    masses = _masses(system, t[first:last], q[first:last], values)
+    moves = _within(np.diff(q[first : last + 1], axis=0), turn)
+    moved = np.einsum("ki,kij,kj->k", moves, masses, moves).max()
+    end = _masses(system, t[last : last + 1], q[last : last + 1], values)[0]
+    return float(gap @ end @ gap / moved) if moved > 0 else 0.0
+
+
+def _within(moves: Reals, turn: Reals) -> Reals:
+    """Leave whole turns out of moves."""
+    whole = np.where(np.isfinite(turn), turn * np.round(moves / turn), 0.0)
+    return moves - whole
+
+
+@lru_cache(maxsize=64)
+def _periodic(system: MechanicalSystem) -> tuple[bool, ...]:
+    """Return which coordinates are angles: L and forces do not change by a turn of them."""
+    plain, n = system.plain, system.n
+    roots = [plain.L[1], *(m for _, m in plain.f)]
+    names = plain.numbers([*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t])
+    numbers = np.random.default_rng(1)
+    state = numbers.uniform(0.3, 1.2, 2 * n)
+    rest = [*map(float, system.parameters.values()), *numbers.uniform(0.3, 1.2, len(plain.u) + 1)]
+
+    def value(turned: int | None) -> Reals:
+        q = state.copy()
+        if turned is not None:
+            q[turned] += 2 * np.pi
+        given = dict(zip(names, map(float, (*q, *rest)), strict=True))
+        found = evaluated(plain.graph, roots, given, mpmath.fp)
+        return np.array([found[m] for m in roots], dtype=np.float64)
+
+    plainly = value(None)
+    return tuple(np.allclose(value(i), plainly, rtol=1e-10, atol=1e-12) for i in range(n))
