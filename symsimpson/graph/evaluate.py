@@ -55,9 +55,12 @@ def moduli(graph: Graph, roots: Iterable[int], values: Mapping[int, float]) -> d
         if kind == "sum":
             sizes[n] = sum(abs(float(c)) * sizes[m] for c, m in parts)
         elif kind == "product":  # a quotient is as exact as what it is divided by
-            sizes[n] = math.prod(
-                sizes[m] ** float(e) if e > 0 else abs(values[m]) ** float(e) for m, e in parts
-            )
+            try:
+                sizes[n] = math.prod(
+                    sizes[m] ** float(e) if e > 0 else abs(values[m]) ** float(e) for m, e in parts
+                )
+            except (ZeroDivisionError, OverflowError):
+                sizes[n] = math.nan
         else:
             sizes[n] = abs(values[n])
     return sizes

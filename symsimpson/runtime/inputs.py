@@ -94,7 +94,9 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
             "Pass t_end=10.0 or steps=1000."
         )
     if steps is not None:
-        return h, read_count("steps", steps, least=0), t0
+        number = read_count("steps", steps, least=0)
+        _check_times(h, t0, number, numbers)
+        return h, number, t0
     end = read_number("t_end", t_end, numbers)
     exact = float((end - t0) / h)
     if exact < 0:
@@ -111,7 +113,27 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
             f"t0={float(t0):g}: it is {exact:.6g}.\nA fixed step keeps the method symplectic. Use "
             f"h={float(end - t0) / max(number, 1):.17g}, or steps={number}."
         )
+    _check_times(h, t0, number, numbers)
     return h, number, t0
+
+
+def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:
+    """Refuse steps that are lost in rounding where they are added to times.
+
+    Raises
+    ------
+    InputError
+        If some of the times t0 + k h are the same number.
+    """
+    farthest, digits = max(abs(t0), abs(t0 + h * steps)), getattr(numbers, "digits", None)
+    spacing = farthest * (2.0**-52 if digits is None else 10.0 ** (1 - digits))
+    if steps and abs(h) < spacing:
+        raise InputError(
+            f"steps of h={float(h):g} are lost in rounding at t={float(farthest):g}, where numbers "
+            f"are {float(spacing):.2g} apart: times would not move, and what depends on them would "
+            "stand still.\nTake t0=0 and put the time of the start into the functions of time, or "
+            "take larger steps."
+        )
 
 
 def read_times(

@@ -34,7 +34,7 @@ def force_terms(
     Returns
     -------
     ndarray, shape (n,)
-        Zeros where they have no value, or where the system is too large to be looked at.
+        NaN where they have no value; zeros where the system is too large to be looked at.
     """
     n, plain = system.n, system.plain
     if n > MOST_COORDINATES:
@@ -46,5 +46,4 @@ def force_terms(
     given = dict(zip(names, map(float, (*q, *np.zeros(n), *values, t)), strict=True))
     roots = [m for _, m in forces]
     sizes = moduli(graph, roots, evaluated(graph, roots, given, mpmath.fp))
-    found = np.array([abs(float(c)) * sizes[m] for c, m in forces])
-    return found if np.isfinite(found).all() else np.zeros(n)
+    return np.array([abs(float(c)) * sizes[m] for c, m in forces])

@@ -16,7 +16,7 @@ from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.nodes import Value
+from symsimpson.graph.nodes import Value, scaled
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
@@ -24,7 +24,13 @@ from symsimpson.schemes.named import read_scheme
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["largest_damping", "largest_frequency", "largest_stable", "warn_of_step"]
+__all__ = [
+    "fastest_rotation",
+    "largest_damping",
+    "largest_frequency",
+    "largest_stable",
+    "warn_of_step",
+]
 
 Reals = NDArray[np.float64]
 #: Limits beyond this are as good as none.
@@ -58,6 +64,49 @@ def largest_frequency(
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0
     return math.sqrt(max(0.0, float(squares.max())))
+
+
+def fastest_rotation(
+    system: MechanicalSystem, q: Iterable[float], parameters: Iterable[float], t: float = 0.0
+) -> float:
+    """Return the largest |Im lambda| of M x'' + (A - A^T - D) x' + K x = 0 at rest, A = da/dq.
+
+    So fast does the motion beside q turn or swing: also that of a charge in a magnetic field, of
+    which V knows nothing. It is 0 where one of the matrices has no value.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    q : iterable of float, n of them
+    parameters : iterable of float
+        Values of all parameters, in the order of the system, then those of inputs.
+    t : float
+    """
+    n = system.n
+    try:
+        stiffness, turning, mass = _turning(system)(*map(float, (*q, *[0.0] * n, *parameters, t)))
+        solved = np.linalg.solve(mass, np.concatenate([-stiffness, turning], axis=1))
+        rates = np.linalg.eigvals(np.vstack([np.eye(2 * n)[n:], solved]))
+    except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+        return 0.0
+    return float(np.abs(rates.imag).max())
+
+
+@lru_cache(maxsize=64)
+def _turning(system: MechanicalSystem) -> Callable[..., Any]:
+    """Return a function of q, v, the parameters and t for K, A^T - A + D, and M."""
+    plain, n = system.plain, system.n
+    graph, derivatives = plain.graph, Derivatives(plain.graph)
+    q, v = plain.numbers(plain.q), plain.numbers(plain.v)
+    slopes = [[derivatives(a, x) for x in q] for a in plain.a]
+    stiffness = [derivatives(derivatives(plain.V, x), y) for x in q for y in q]
+    turning = [
+        graph.add([slopes[j][i], scaled(-1, slopes[i][j]), derivatives(plain.f[i], v[j])])
+        for i in range(n) for j in range(n)
+    ]  # fmt: skip
+    return _function(
+        system, {"K": stiffness, "G": turning}, (*plain.q, *plain.v), [(n, n)] * 3
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=64)
@@ -165,19 +214,31 @@ def warn_of_step(
     if not system.constraints:  # else M says little of what damps
         _warn_of_damping(stepper, system, (q, v, values, t), h)
     omega = largest_frequency(system, q, values, t)
-    if abs(h) * omega < ALWAYS_STABLE:
-        return
-    limit = largest_stable(stepper.scheme)
-    if abs(h) * omega > limit:
-        warnings.warn(
-            f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear stability. "
-            f"The fastest oscillation at the start has omega={omega:.4g}; h omega is "
-            f"{abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
-            f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which is "
-            "linearly stable for every h.",
-            StabilityWarning,
-            stacklevel=6,  # where integrate is called
+    if abs(h) * omega >= ALWAYS_STABLE:
+        limit = largest_stable(stepper.scheme)
+        if abs(h) * omega > limit:
+            _warn(
+                f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear "
+                f"stability. The fastest oscillation at the start has omega={omega:.4g}; h omega "
+                f"is {abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
+                f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), "
+                "which is linearly stable for every h."
+            )
+            return
+    if not system.constraints:
+        omega = fastest_rotation(system, q, values, t)
+    if abs(h) * omega > math.pi:
+        _warn(
+            f"{stepper.system}, {stepper.scheme}: what turns or swings fastest at the start, of "
+            f"omega={omega:.4g}, turns by {abs(h) * omega:.3g} rad in a step of h={h:g}. From pi "
+            "on states one step apart cannot show that: it looks slower, or as if it turned the "
+            f"other way, and is not resolved.\nTake h below {math.pi / omega:.3g}, and well below "
+            "for accuracy; or leave it so, if only slow parts of the motion matter."
         )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, StabilityWarning, stacklevel=7)  # where integrate is called
 
 
 def _warn_of_damping(

@@ -12,6 +12,7 @@ from symsimpson.runtime.ensembles.arrivals import with_ends
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.cluster import check_client, run_on_cluster
 from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.ensembles.judged import look_at_ends, look_at_steps
 from symsimpson.runtime.ensembles.store import open_store, run_missing
 from symsimpson.runtime.ensembles.task import Task
 
@@ -22,7 +23,21 @@ __all__ = ["run_ensemble"]
 
 
 def run_ensemble(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
-    """Run an ensemble; tells whether Ctrl-C stopped it."""
+    """Run an ensemble; tells whether Ctrl-C stopped it.
+
+    Raises
+    ------
+    InputError
+        If no member could begin, or it cannot be kept or computed there.
+    """
+    look_at_steps(stepper, task)
+    found, stopped = _run(stepper, task, store, client)
+    if not stopped:
+        look_at_ends(stepper, task, found)
+    return found, stopped
+
+
+def _run(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
     if store is not None and task.retimed:
         raise InputError(
             f"{stepper.system} is retimed: its members have times of their own, and a store has "

@@ -27,7 +27,7 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
-from symsimpson.runtime.runs.resolution import check_start, sampling_stride
+from symsimpson.runtime.runs.resolution import check_forces, check_start, sampling_stride
 from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
@@ -90,6 +90,8 @@ def integrate(
             except StorageError as error:
                 problem = error
         status = run.status if problem is None else Status.FILE_ERROR
+        if status is Status.NOT_FINITE and run.step == 0:
+            check_forces(stepper, spec)
         count = run.step if run.arrived else count
         stored_states = keeper.states() if keeper is not None and run.every else run.stored()
         trajectory = trajectory_of(
@@ -174,8 +176,10 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
             f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
             f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
         )
-    position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
-    check_start(stepper, spec.t0, position, momentum, spec.parameters)
+    run.apply("energy")
+    if not numbers.all_finite(run.rows("ENERGY", 1)):  # but for angles that fast sines do not take
+        position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
+        check_start(stepper, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
         begin_variations(stepper, run, spec.tangents, velocity=spec.velocities)
 

@@ -22,9 +22,11 @@ from symsimpson.runtime.results.work import TOTAL, energy_lost, integrals, power
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.runs.run import Run
+    from symsimpson.runtime.runs.spec import RunSpec
 
 __all__ = [
     "Sampled",
+    "check_forces",
     "check_start",
     "count_looked_at",
     "energies_at",
@@ -129,22 +131,45 @@ def energies_at(
 
 
 def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
-    """Refuse a state at which the energy is not real, if there may be such states.
+    """Refuse a state at which the energy is not a finite real number.
 
     Raises
     ------
     InputError
     """
-    if stepper._module.header.real_everywhere:
-        return
     times = np.full(1, t, dtype=q.dtype)
     (energy,) = evaluate(stepper, "energy", "ENERGY", 1, times, q[None], p[None], values)[0]
     if not np.isfinite(float(energy)):
         raise InputError(
             f"{stepper.system}: the energy is not a finite real number at q0 = "
             f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
-            "(the logarithm or the root of a negative number, for example).\n"
+            "(the logarithm or the root of a negative number, or a division by zero, for "
+            "example).\n"
             "Start from a state at which both are defined, or check the formulas."
+        )
+
+
+def check_forces(stepper: Evaluator, spec: RunSpec) -> None:
+    """Refuse a start at which a force has no value, behind a first step that has none.
+
+    Raises
+    ------
+    InputError
+    """
+    tools, system = stepper._module.tools, stepper._module.declared
+    if tools is None or system is None:
+        return
+    values = [*map(float, spec.parameters), *map(float, spec.inputs[0, 0, 0])]
+    q = list(map(float, spec.q0))
+    terms = tools.force_terms(system, q, values, float(spec.t0))
+    bad = np.flatnonzero(~np.isfinite(terms))
+    if bad.size:
+        name = stepper.coordinates[bad[0]]
+        raise InputError(
+            f"{stepper.system}: the force on {name} has no finite value at q0 = "
+            f"({', '.join(f'{x:g}' for x in q)}), though T and V have.\nA derivative of a root at "
+            "zero or a quotient 0/0 makes it so. Start beside it, or write V in a form that is "
+            "smooth there."
         )
 
 

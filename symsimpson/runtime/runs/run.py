@@ -307,7 +307,7 @@ class Run:
         terms = self._tools.force_terms(self._declared, q, values, t)
         masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
         size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
-        larger = size > 4 * float(self._column[-1])
+        larger = 4 * float(self._column[-1]) < size < np.inf
         if larger:
             self._column[-1:] = size
         return larger

@@ -1,0 +1,129 @@
+"""What members of an ensemble tell of their steps, before they run and behind it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.runtime.ensembles.blocks import run_blocks
+from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.ensembles.task import Task
+from symsimpson.runtime.evaluator import evaluate, evaluate_members, velocities_by
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.resolution import FEWEST, LAST_LIMIT
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["look_at_ends", "look_at_steps"]
+
+#: Of so many members, spread over all, the step is looked at, and the energy at the end.
+LOOKED_AT, MEASURED = 8, 256
+#: So many of those whose energy changed most are run once more, each by itself.
+AGAIN = 2
+#: A run of more steps than this keeps some of its states alone.
+WHOLE = 100_000
+
+Floats = NDArray[np.float64]
+
+
+def _spread(members: int, most: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
+
+
+def look_at_steps(stepper: Stepper, task: Task) -> None:
+    """Warn of steps that do not resolve what is fast at the start of some members."""
+    tools, system = stepper._module.tools, stepper._module.declared
+    if tools is None or system is None:
+        return
+    for member in _spread(task.members, LOOKED_AT):
+        q, other, values = task.q0[member], task.other0[member], task.parameters[member]
+        key = task.h, values.tobytes()
+        if key in stepper._looked_at:
+            continue
+        v = other
+        if not task.velocities:
+            v = evaluate(
+                stepper, velocities_by(stepper._module.header), "VELOCITY", stepper.n,
+                np.full(1, task.t0), q[None], other[None], values,
+            )[0]  # fmt: skip
+        inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            own = np.concatenate([values, inputs])
+            tools.check_step(stepper, system, q, v, own, task.h, task.t0)
+        for warning in told:
+            if issubclass(warning.category, StabilityWarning):
+                warnings.warn(
+                    f"member {member}: {warning.message}", warning.category, stacklevel=4
+                )
+                return
+
+
+def look_at_ends(stepper: Stepper, task: Task, found: Ensemble) -> None:
+    """Say why, where no member could begin; warn of members whose motion was not resolved.
+
+    Raises
+    ------
+    InputError
+        If no member could begin.
+    """
+    status = np.asarray(found.status[:])
+    if (status == Status.BAD_INPUT).all():
+        _refuse(stepper, task)
+    if task.steps < FEWEST or task.of_variations:
+        return
+    some = _spread(task.members, MEASURED)
+    some = some[status[some] == Status.SUCCESS]
+    left = _energies_left(stepper, task, found, some)
+    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
+    for member in worst:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            stepper.integrate(
+                **task.of_member(member, stepper), every=1 if task.steps <= WHOLE else None,
+                progress=False, on_failure="return",
+            )  # fmt: skip
+        for warning in told:
+            if issubclass(warning.category, ResolutionWarning):
+                warnings.warn(
+                    f"member {member}, as others may: {warning.message}", ResolutionWarning,
+                    stacklevel=4,
+                )  # fmt: skip
+                return
+
+
+def _refuse(stepper: Stepper, task: Task) -> None:
+    """Raise what a run of the first member raises."""
+    try:
+        stepper.integrate(**task.of_member(0, stepper), every=None, progress=False)
+    except InputError as error:
+        raise InputError(f"no member could begin. Of the first: {error}") from None
+    except SymsimpsonError:
+        return
+
+
+def _energies_left(
+    stepper: Stepper, task: Task, found: Ensemble, some: NDArray[np.int64]
+) -> Floats:
+    """Return how far energies are from those at the start, in units of the kinetic energy."""
+    if not some.size:
+        return np.zeros(0)
+    part = replace(task.part(some), steps=0, every=0, reductions=(), tangents=None, t_end=None)
+    begun, _ = run_blocks(stepper, part, lambda done: None)
+    last = (slice(None), -1) if task.every else (slice(None),)
+    ends: list[Any] = [np.asarray(x[:][some])[last] for x in (found.q, found.p)]
+    q, p = (np.stack([a, b], axis=1) for a, b in zip((begun.q, begun.p), ends, strict=True))
+    t = task.t0 + task.h * np.array([0.0, task.steps])
+    values = np.array(part.parameters)
+    energies = evaluate_members(stepper, "energy", "ENERGY", 2, t, q, p, values)
+    change = np.abs(energies[:, 1, 0] - energies[:, 0, 0])
+    scale = energies[..., 1].max(axis=1)
+    with np.errstate(all="ignore"):
+        left = np.where(scale > 0, change / scale, 0.0)
+    return np.where(np.isfinite(left), left, 0.0)
