@@ -53,11 +53,11 @@ def driver(
 ) -> Callable[..., Any]:
     """Return a function of the driver for a number of lanes, compiled by itself."""
 
-    def build(module: ModuleType) -> Callable[..., Any]:
+    def build(module: ModuleType, keep: bool) -> Callable[..., Any]:
         from numba import njit
 
         function = getattr(module, name).py_func
-        options = {**module.DRIVER_OPTIONS, "cache": True, "no_cpython_wrapper": False}
+        options = {**module.DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
         made: Callable[..., Any] = njit(module.SIGNATURES[name], **options)(function)
         return made
 

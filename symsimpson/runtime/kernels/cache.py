@@ -62,9 +62,11 @@ def cache_folder() -> Path:
     except OSError as error:
         return _temporary_folder(folder, str(error.strerror or error))
     foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
-    if not stat.S_ISDIR(found.st_mode) or foreign or (os.name == "posix" and found.st_mode & 0o077):
+    shared = os.name == "posix" and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if not stat.S_ISDIR(found.st_mode) or foreign or shared:
+        what = "belongs to another user" if foreign else "is one that others may write to"
         raise GenerationError(
-            f"the cache folder {folder} is not private to you (mode {found.st_mode & 0o777:04o}).\n"
+            f"the cache folder {folder} {what} (mode {found.st_mode & 0o777:04o}).\n"
             "Files in it are executed, so nobody else may write there. "
             f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
         )
@@ -86,6 +88,18 @@ def _temporary_folder(folder: Path, why: str) -> Path:
 
 
 @cache
+def _without_cache(folder: Path, why: str) -> None:
+    """Say once that what is compiled is not kept."""
+    warnings.warn(
+        f"nothing can be written to the cache folder {folder} ({why}): what is compiled now is not "
+        f"kept, and each process compiles anew.\nMake room, or name another folder in "
+        f"${_VARIABLE}.",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+
+
+@cache
 def _machine() -> str:
     """Name everything besides its text that compiled code depends on."""
     parts = (
@@ -96,7 +110,7 @@ def _machine() -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def compiled(text: str, label: str, use: Callable[[ModuleType], Result]) -> Result:
+def compiled(text: str, label: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Import a module from its text and compile what is used of it, or load that from disk.
 
     Parameters
@@ -106,7 +120,7 @@ def compiled(text: str, label: str, use: Callable[[ModuleType], Result]) -> Resu
     label : str
         Names what ``use`` takes of it; part of the key.
     use : callable
-        Takes the module and compiles what it needs, with numba's ``cache=True``.
+        Takes the module, and whether numba is to keep on disk what it compiles of it.
 
     Returns
     -------
@@ -132,7 +146,7 @@ def _content(text: str, label: str) -> str:
     return hashlib.sha256(f"{_machine()}\n{label}\n{text}".encode()).hexdigest()
 
 
-def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> Result:
+def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     folder = cache_folder()
     entry = folder / key
     name = f"symsimpson_compiled_{key}"
@@ -144,10 +158,15 @@ def _load_or_build(text: str, key: str, use: Callable[[ModuleType], Result]) -> 
                 sys.modules.pop(name, None)
         shutil.rmtree(entry, ignore_errors=True)
     with waiting("compiling, once for this machine"), rarely_collected():
-        return _build(folder, key, text, use)
+        try:
+            return _build(folder, key, text, use)
+        except OSError as error:  # a disk that is full
+            sys.modules.pop(name, None)
+            _without_cache(folder, str(error.strerror or error))
+            return _in_memory(name, text, use)
 
 
-def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType], Result]) -> Result:
+def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Compile in a folder of its own, and rename it into place."""
     entry, name = folder / key, f"symsimpson_compiled_{key}"
     building = Path(tempfile.mkdtemp(prefix=".building-", dir=folder))
@@ -181,7 +200,7 @@ def _intact(entry: Path) -> bool:
         return False
 
 
-def _import(path: Path, name: str, use: Callable[[ModuleType], Result]) -> Result:
+def _import(path: Path, name: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     """Import a file under a name, registered before it runs: numba finds its cache by it."""
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
@@ -190,7 +209,15 @@ def _import(path: Path, name: str, use: Callable[[ModuleType], Result]) -> Resul
     sys.modules[name] = module
     with _own_numba_cache():
         spec.loader.exec_module(module)
-        return use(module)
+        return use(module, True)
+
+
+def _in_memory(name: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:
+    """Make a module of its text alone."""
+    module = ModuleType(name)
+    sys.modules[name] = module
+    exec(compile(text, f"<{name}>", "exec"), module.__dict__)
+    return use(module, False)
 
 
 @contextlib.contextmanager

@@ -90,11 +90,11 @@ class Kernels(KernelSets):
         return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
 
     def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
-        def compile_kernels(module: ModuleType) -> tuple[list[Any], list[int]]:
+        def compile_kernels(module: ModuleType, keep: bool) -> tuple[list[Any], list[int]]:
             from numba import cfunc
 
             kernels: list[Any] = [
-                cfunc(module.SIGNATURE, cache=True, **module.OPTIONS)(getattr(module, name))
+                cfunc(module.SIGNATURE, cache=keep, **module.OPTIONS)(getattr(module, name))
                 for name in names if name
             ]  # fmt: skip
             found = iter(kernels)
