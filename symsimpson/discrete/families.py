@@ -157,7 +157,7 @@ def _too_many(graph: Graph, n: int) -> bool:
     """Return whether sums of sums have far more terms than nodes, as what is shared is repeated."""
     terms: dict[int, int] = {}
     for m in graph.reached([n]):
-        kind, parts, _ = graph.nodes[m]
+        kind = graph.nodes[m].kind
         below = [terms[k] for k in graph.arguments(m)] if kind in ("sum", "product") else [1]
         terms[m] = sum(below) if kind == "sum" else max(below)
     return terms[n] > max(MANY_TERMS, 4 * len(terms))
