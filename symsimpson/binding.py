@@ -60,7 +60,7 @@ def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
     """
     tree = ast.parse(source)
     tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
-    if "power" in arithmetic:
+    if "raised" in arithmetic:
         tree = ast.fix_missing_locations(_Operators(arithmetic).visit(tree))
     namespace: dict[str, Any] = dict(arithmetic)
     exec(compile(tree, "<generated module>", "exec"), namespace)
@@ -154,8 +154,8 @@ def bind_mpmath(
     functions["pi"] = +context.pi
     functions |= {"EULER_GAMMA": +context.euler, "CATALAN": +context.catalan}
     functions["sincos"] = lambda x: context.cos_sin(x)[::-1]
-    functions["power"] = real_valued(lambda a, b: a**b)
-    functions["divide"] = divide
+    functions["raised"] = real_valued(lambda a, b: a**b)
+    functions["divided"] = divide
     functions |= _tables(context.mpf, context.dps)
     digits = context.dps if checking else None
     return bind(source, plain_arithmetic(functions, context.mpf, digits))
@@ -173,7 +173,7 @@ def bind_arb(source: str, *, checking: bool = False) -> SimpleNamespace:
     functions |= {"EULER_GAMMA": arb.const_euler(), "CATALAN": arb.const_catalan()}
     functions["atan2"] = lambda y, x: arb.atan2(arb(y), arb(x))
     functions["sincos"] = method("sin_cos")
-    functions["power"] = _power
+    functions["raised"] = _power
     functions |= _tables(arb, ctx.dps)
 
     def checked(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -213,10 +213,13 @@ def _power(base: Any, exponent: Any) -> Any:
 
 
 class _Operators(ast.NodeTransformer):
-    """Writes a**b as power(a, b) and a/b as divide(a, b), where an arithmetic has these names."""
+    """Writes a**b as raised(a, b) and a/b as divided(a, b), where an arithmetic has these names.
+
+    No kernel has one of them: what stands in an arithmetic replaces what a module defines.
+    """
 
     def __init__(self, arithmetic: Mapping[str, Any]) -> None:
-        named = {ast.Pow: "power", ast.Div: "divide"}
+        named = {ast.Pow: "raised", ast.Div: "divided"}
         self._named = {kind: name for kind, name in named.items() if name in arithmetic}
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:

@@ -28,6 +28,8 @@ __all__ = ["SHORT", "Subject", "with_inputs"]
 
 #: Steps that are taken in many digits.
 SHORT = 50
+#: The local error of the exact motion, and the most steps that it is given.
+LOCAL, MOST = mpmath.mpf("1e-30"), 100
 
 
 def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
@@ -97,7 +99,7 @@ class Subject:
         if timed:
             rates_and_t = self.precise.rates_and_time
             start = [*(mpmath.mpf(x) for x in self.z), mpmath.mpf(0)]
-            return list(extrapolate(rates_and_t, start, [end], mpmath.mpf(10) ** -30)[0])
+            return list(extrapolate(rates_and_t, start, [end], LOCAL, MOST)[0])
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
         declared = self.stepper._module.declared
@@ -114,7 +116,7 @@ class Subject:
 
             rates = forced
         # with constraints p has a part that has no effect, of which the last line gets rid
-        found = extrapolate(rates, start, [end], mpmath.mpf(10) ** -30)[0][: 2 * self.n]
+        found = extrapolate(rates, start, [end], LOCAL, MOST)[0][: 2 * self.n]
         return list(self.precise.placed(found))
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -289,21 +289,30 @@ class Lowering:
             if self.graph.levels[symbol] == level
         ]
 
-    def moved(self, symbol: sp.Symbol, to: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-        """Return the value that a step-level symbol takes when q and p move on as in ``to``."""
-        if symbol in to:
-            return to[symbol]
-        if self.graph.levels[symbol] != Level.STEP:
-            return symbol
-        definition = self.graph.definitions[symbol]
-        before = sorted(definition.value.free_symbols, key=str)  # the order of the lines
-        replaced = {s: self.moved(s, to) for s in before}
-        value = definition.value.xreplace(replaced)
-        if definition.is_sincos:
-            hint = value.name if value.is_Symbol else f"angle_{symbol.name}_next"
-            pair = self.graph.define_sincos(hint, value, "the next left node")
-            return pair[definition.targets.index(symbol)]
-        return self.graph.define(f"{symbol.name}_next", value, "the next left node")
+    def moved(self, symbol: sp.Symbol, to: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
+        """Return the value that a step-level symbol takes when q and p move on as in ``to``.
+
+        What it is made of is added to ``to``, so that shared definitions are followed once.
+        """
+        levels, section, work = self.graph.levels, "the next left node", [symbol]
+        while work:
+            last = work[-1]
+            if last in to or levels[last] != Level.STEP:
+                work.pop()
+                continue
+            definition = self.graph.definitions[last]
+            before = sorted(definition.value.free_symbols, key=str)  # the order of the lines
+            if later := [s for s in before if s not in to and levels[s] == Level.STEP]:
+                work += reversed(later)
+                continue
+            value = definition.value.xreplace({s: to.get(s, s) for s in before})
+            if definition.is_sincos:
+                hint = value.name if value.is_Symbol else f"angle_{last.name}_next"
+                pair = self.graph.define_sincos(hint, value, section)
+                to[last] = pair[definition.targets.index(last)]
+            else:
+                to[last] = self.graph.define(f"{last.name}_next", value, section)
+        return to.get(symbol, symbol)
 
     def moved_on(self, a: int, change: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
         """Add to a coordinate, and to what rounding took from it."""

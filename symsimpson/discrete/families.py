@@ -14,10 +14,16 @@ import sympy as sp
 
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ONE, ZERO, Exact, Graph, Value, exact, scaled
+from symsimpson.graph.read import tree_size
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 
 __all__ = ["Family", "band_of", "constraint_families", "families", "neighbours", "ordering"]
+
+#: Terms of more nodes than this, written as trees, are written with what they share.
+LARGE_TREE = 10_000
+#: Sums of sums are split into so many terms at least.
+MANY_TERMS = 10_000
 
 
 @dataclass(frozen=True)
@@ -124,6 +130,10 @@ def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value
 def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value]:
     """Return the terms of a sum, and of sums that only constants are multiplied with."""
     work = [value]
+    if _too_many(graph, value[1]):
+        if value[0]:
+            yield value
+        return
     while work:
         c, n = work.pop()
         kind, parts, _ = graph.nodes[n]
@@ -143,6 +153,16 @@ def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value
             yield c, n
 
 
+def _too_many(graph: Graph, n: int) -> bool:
+    """Return whether sums of sums have far more terms than nodes, as what is shared is repeated."""
+    terms: dict[int, int] = {}
+    for m in graph.reached([n]):
+        kind = graph.nodes[m].kind
+        below = [terms[k] for k in graph.arguments(m)] if kind in ("sum", "product") else [1]
+        terms[m] = sum(below) if kind == "sum" else max(below)
+    return terms[n] > max(MANY_TERMS, 4 * len(terms))
+
+
 class _Reader:
     """Writes terms in slots, in an order that does not depend on names."""
 
@@ -156,6 +176,7 @@ class _Reader:
         self._numbers: dict[Any, int] = {}
         self.coordinates: list[int] = []
         self.coefficients: list[Value] = []
+        self._written: dict[tuple[int, bool], Value] | None = None
 
     def moves(self, n: int) -> bool:
         """Return whether a node contains a coordinate or a velocity."""
@@ -165,6 +186,8 @@ class _Reader:
         """Return the shape of a term, and the term in slots q_s, v_s, c_s."""
         self.coordinates, self.coefficients = [], []
         c, n = term
+        large = tree_size(self._source, term) > LARGE_TREE
+        self._written = {} if large else None
         kind, parts, _ = self._source.nodes[n]
         still = [(1, m, e) for m, e in parts if not self.moves(m)] if kind == "product" else []
         sign, body = self._node(n, without_constants=True)
@@ -197,7 +220,15 @@ class _Reader:
         return self._numbers.setdefault(key, len(self._numbers)), places
 
     def _node(self, n: int, *, without_constants: bool = False) -> Value:
-        """Write a node in slots."""
+        """Write a node in slots; of large terms once, with the same coefficients everywhere."""
+        if self._written is None:
+            return self._new_node(n, without_constants)
+        key = n, without_constants
+        if key not in self._written:
+            self._written[key] = self._new_node(n, without_constants)
+        return self._written[key]
+
+    def _new_node(self, n: int, without_constants: bool) -> Value:
         kind, parts, _ = self._source.nodes[n]
         if n in self._place:
             return self._slot(n)

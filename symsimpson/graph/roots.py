@@ -50,8 +50,12 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
         Nodes that hold the square roots.
     """
     roots = list(roots)
-    found = radicands(graph, graph.reached(roots))
-    nested = {m for m in found if radicands(graph, graph.reached([m]))}
+    order = graph.reached(roots)
+    found, holding = radicands(graph, order), set[int]()  # roots, or what is made of some
+    for n in order:
+        if radicands(graph, [n]) or not holding.isdisjoint(graph.arguments(n)):
+            holding.add(n)
+    nested = holding.intersection(found)
     plain = [m for m in found if m not in nested]
     dependent = set(nested)
     having: dict[int, list[int]] = {}
@@ -59,7 +63,7 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
         for x in graph.nodes[m].symbols:
             having.setdefault(x, []).append(m)
     # all symbols vary, and then each alone: k x^2 is a square but for a constant
-    angles = Angles(graph, graph.reached(roots))
+    angles = Angles(graph, order)
     if plain:
         dependent |= _dependent(graph, plain, angles, None)
     for x in sorted(having):

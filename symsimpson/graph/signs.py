@@ -40,7 +40,7 @@ class Signs:
         coefficient, n = value
         if not coefficient:
             return 1, False
-        for m in self._graph.reached([n]):
+        for m in self._graph.reached([n]) if n not in self._done else ():
             if m not in self._done:
                 self._done[m] = self._node(m)
         sign, strict = self._done[n]

@@ -6,7 +6,7 @@ H is: L~ = T(q, q')/g + a.q' - g (V - E0) is a system of the same kind, with the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -29,6 +29,10 @@ first_rate = sp.Symbol("g_start", positive=True)
 #: Keeps the rate finite at rest.
 rest = sp.Symbol("c_rest", positive=True)
 OWN = (energy, first_rate)
+#: Functions that are finite for all real numbers.
+FINITE = (
+    sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -125,8 +129,7 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     of_level: sp.Expr | None = None
     g = rate
     if isinstance(rate, str):
-        of_level, more = _named(system, rate)
-        g = of_level.subs(level, V)
+        g, of_level, more = _named(system, rate)
         parameters |= more
     for symbol in OWN:
         if str(symbol) in map(str, parameters):
@@ -197,20 +200,18 @@ def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
     return value
 
 
-def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Symbol, float]]:
-    """Return the rate of a name as a function of V, and the parameters that it adds."""
+def _named(
+    system: MechanicalSystem, rate: str
+) -> tuple[sp.Expr, sp.Expr | None, Mapping[sp.Symbol, float]]:
+    """Return the rate of a name, the same as a function of V, and the parameters that it adds."""
     V = system.potential
     if rate == "encounters":
-        if not attracts(system):
-            raise fail(
-                system.name,
-                f"V = {spell(V)} is not a sum of -(positive number)/distance, as "
-                'retimed("encounters") takes it.',
-                "Give g as an expression: positive, and small where the motion is fast.",
-            )
-        return (-level) ** sp.Rational(-3, 2), {}
+        near = _encounters(system)
+        of_near = (-level) ** sp.Rational(-3, 2)
+        return of_near.subs(level, near), of_near if near == V else None, {}
     if rate == "kinetic":
-        return 1 / sp.sqrt(rest + energy - level), {rest: 1.0}
+        of_level = 1 / sp.sqrt(rest + energy - level)
+        return of_level.subs(level, V), of_level, {rest: 1.0}
     raise fail(
         system.name, f"there is no rate named {rate!r}.",
         'Give an expression of positions, or "encounters" or "kinetic".',
@@ -219,12 +220,58 @@ def _named(system: MechanicalSystem, rate: str) -> tuple[sp.Expr, Mapping[sp.Sym
 
 def attracts(system: MechanicalSystem) -> bool:
     """Return whether V is a sum of negative multiples of inverse distances."""
+    near, _, wrong = _parted(system)
+    return not wrong and bool(near) and sp.Add(*near) == system.potential
+
+
+def _encounters(system: MechanicalSystem) -> sp.Expr:
+    """Return the terms of V that are -(positive number)/distance; others must have no pole."""
+    near, _, wrong = _parted(system)
+    if near and not wrong:
+        return sp.Add(*near)
+    why = f"{spell(wrong[0], 300)} is neither" if wrong else "no term of it is the first"
+    raise fail(
+        system.name,
+        "V is not a sum of -(positive number)/distance and of terms without a pole, as "
+        f'retimed("encounters") takes it: {why}.',
+        "Give g as an expression: positive, and small where the motion is fast.",
+    )
+
+
+def _parted(system: MechanicalSystem) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
+    """Part V into negative multiples of inverse distances, terms without a pole, and others."""
     coordinates = set(system.coordinates)
-    for term in sp.Add.make_args(system.potential):
-        constant, moving = term.as_independent(*coordinates)
+    near: list[sp.Expr] = []
+    smooth: list[sp.Expr] = []
+    wrong: list[sp.Expr] = []
+    work = list(reversed(sp.Add.make_args(system.potential)))
+    while work:
+        term = work.pop()
+        constant, moving = term.as_independent(*coordinates, as_Add=False)
         base, exponent = moving.as_base_exp()
         distance = exponent == -1 and base in coordinates
         distance |= exponent == -sp.S.Half and not base.could_extract_minus_sign()
-        if not distance or constant.is_nonnegative:
+        if distance and not constant.is_nonnegative:
+            near.append(term)
+        elif _without_pole(moving, coordinates):
+            smooth.append(term)
+        elif term.is_Mul and (several := sp.expand_mul(term, deep=False)).is_Add:
+            work += reversed(several.args)
+        else:
+            wrong.append(term)
+    return near, smooth, wrong
+
+
+def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
+    """Return whether a term is finite wherever the coordinates are, as far as its form tells."""
+    work, seen = [term], {term}
+    while work:
+        one = work.pop()
+        if one in coordinates or not one.has(*coordinates):
+            continue
+        power = one.is_Pow and one.exp.is_nonnegative and not one.exp.has(*coordinates)
+        if not (one.is_Add or one.is_Mul or power or isinstance(one, FINITE)):
             return False
+        work += [x for x in one.args if x not in seen]
+        seen.update(one.args)
     return True

@@ -377,10 +377,16 @@ def _angle(plain: Plain, x: int) -> bool:
 
 def _whole(graph: Graph, angle: Value, x: int) -> bool:
     """Return whether an angle holds a whole multiple of x, and x nowhere else."""
-    c, n = angle
-    if x not in graph.nodes[n].symbols:
-        return True
-    if n == x:
-        return Fraction(c).denominator == 1
-    kind, parts, _ = graph.nodes[n]
-    return kind == "sum" and all(_whole(graph, (c * d, m), x) for d, m in parts)
+    shares = {angle[1]: Fraction(angle[0])}
+    for n in reversed(graph.reached([angle[1]])):  # each node once, behind all that hold it
+        kind, parts, symbols = graph.nodes[n]
+        share = shares.get(n)
+        if not share or x not in symbols:
+            continue
+        if n == x:
+            return share.denominator == 1
+        if kind != "sum":
+            return False
+        for d, m in parts:
+            shares[m] = shares.get(m, Fraction(0)) + share * d
+    return True

@@ -15,12 +15,18 @@ __all__ = ["extrapolate"]
 
 #: Columns of the extrapolation table before the step is halved.
 MOST_COLUMNS = 24
+#: Steps on trial, before it is told how many the whole way would take.
+TRIAL = 12
 
 Vector = list[Any]
 
 
 def extrapolate(
-    f: Callable[[Vector], Vector], y: Vector, times: Sequence[Any], tolerance: Any
+    f: Callable[[Vector], Vector],
+    y: Vector,
+    times: Sequence[Any],
+    tolerance: Any,
+    most: int | None = None,
 ) -> list[Vector]:
     """Solve y' = f(y) from t = 0, at the working precision of mpmath.
 
@@ -31,9 +37,11 @@ def extrapolate(
     y : list of mpf
         The state at 0.
     times : sequence of mpf
-        Increasing.
+        Further and further from 0, all ahead or all behind.
     tolerance : mpf
         Bound of the local error, relative in components larger than 1.
+    most : int, optional
+        The most steps to take, those that are taken again with half their length included.
 
     Returns
     -------
@@ -43,25 +51,41 @@ def extrapolate(
     Raises
     ------
     ArithmeticError
-        If no step is small enough: the solution has a singularity.
+        If no step is small enough: the solution has a singularity. Also if it takes more than
+        ``most`` steps, which is told early on.
     """
     found = []
-    t, H = mpmath.mpf(0), mpmath.mpf(1) / 16
+    t, H, taken = mpmath.mpf(0), mpmath.mpf(1) / 16, 0
     for end in times:
-        while t < end:
-            whole = min(H, end - t)
+        while t != end:
+            if most is not None:
+                _check_steps(taken, t, end, H, most)
+            taken += 1
+            whole = end - t if abs(end - t) <= H else mpmath.sign(end - t) * H
             new, columns = _step(f, y, whole, tolerance)
             if new is None:
-                H = whole / 2
+                H = abs(whole) / 2
                 if abs(end) * mpmath.eps > H:
                     raise ArithmeticError(f"no step is small enough at t = {mpmath.nstr(t, 8)}")
                 continue
             t, y = t + whole, new
             if columns < MOST_COLUMNS // 2:
-                H = whole * 2
-        t = end
+                H = abs(whole) * 2
         found.append(y)
     return found
+
+
+def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:
+    """Give up where steps are too many, told by those that are taken and the length of the last.
+
+    Their product is at most (most/2)^2 on a way of ``most`` equal steps.
+    """
+    left = abs(end - t) / max(H, abs(t) / max(taken, 1))
+    if taken >= most or (taken >= TRIAL and 4 * taken * left > most**2):
+        raise ArithmeticError(
+            f"the exact solution needs more than {most} steps to t = {mpmath.nstr(end, 8)}, of "
+            f"which {taken} lead to t = {mpmath.nstr(t, 8)}: choose a smaller h"
+        )
 
 
 def _step(

@@ -220,6 +220,33 @@ def test_what_cannot_be_measured_has_not_passed():
     assert row.failure in repr(certificate)
 
 
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::symsimpson.errors.ResolutionWarning")
+@pytest.mark.parametrize("h", [1e5, -1e9])
+def test_a_step_that_is_far_too_large_has_not_passed(h):
+    """The exact motion is not followed without end: that it takes too many steps is told."""
+    certificate = ss.compile(ss.systems.pendulum()).certify(h=h)
+    assert not certificate.passed
+    row = next(check for check in certificate.checks if check.name == "order")
+    assert "needs more than 100 steps" in row.failure
+
+
+def test_steps_backwards_are_certified():
+    """Simpson's scheme is symmetric: it has its order in both directions."""
+    certificate = ss.compile(ss.systems.pendulum()).certify(h=-0.1)
+    assert certificate.passed
+    row = next(check for check in certificate.checks if check.name == "order")
+    assert row.measured == pytest.approx(4, abs=0.15)
+
+
+def test_a_damped_system_is_certified_backwards_and_forwards():
+    """Kernels that many digits run have the names of no arithmetic."""
+    damped = ss.systems.damped_oscillator()
+    stepper = ss.compile(damped, "simpson")
+    for h in (0.05, -0.05):
+        assert stepper.certify([1.0], [0.0], h=h).passed
+
+
 @pytest.mark.slow
 def test_it_is_written_and_read(tmp_path):
     certificate = ss.compile(ss.systems.pendulum()).certify()

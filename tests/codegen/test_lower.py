@@ -30,6 +30,42 @@ def test_values_move_to_the_next_step_in_the_order_of_their_names():
     assert names == [*(f"part_{k}_next" for k in range(8)), "total_next"]
 
 
+def test_values_that_share_much_move_in_as_many_visits_as_there_are(monkeypatch):
+    """Two paths lead down from each level of a diamond: there are 2^200 of them."""
+    low = Lowering(discretise(ss.systems.pendulum(), ss.SIMPSON))
+    (top,) = low.q
+    for k in range(200):
+        left = low.graph.define(f"left_{k}", top**2 + k, "some")
+        right = low.graph.define(f"right_{k}", top**3 + k, "some")
+        top = low.graph.define(f"top_{k}", left * right, "some")
+    following = low.graph.declare(sp.Symbol("q_next", real=True), Level.STEP)
+    made, define = [], low.graph.define
+    monkeypatch.setattr(low.graph, "define", lambda *given: made.append(given) or define(*given))
+    assert low.moved(top, {low.q[0]: following}).name == "top_199_next"
+    assert len(made) == 600
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_dampers_between_all_masses_are_compiled_at_once(n):
+    """Of x' = A x the end is exp(t A) x(0); lines that are shared are followed once."""
+    q = ss.coordinates(" ".join(f"x{i}" for i in range(n)))
+    c = sp.Symbol("c", positive=True)
+    pairs = [(i, j) for i in range(n) for j in range(i)]
+    system = ss.MechanicalSystem(
+        f"damped_{n}", coordinates=q, kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum((i + 1) * x**2 for i, x in enumerate(q)) / 2, parameters={c: 0.4},
+        dissipation=sum(c * (q[i].diff() - q[j].diff()) ** 2 for i, j in pairs) / 2,
+    )  # fmt: skip
+    run = ss.compile(system, "simpson").integrate(
+        [1.0, *[0.0] * (n - 1)], v0=[0.0] * n, h=0.01, t_end=1.0
+    )
+    damping = 0.4 * (n * np.eye(n) - 1)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(np.arange(1.0, n + 1)), -damping]])
+    w, E = np.linalg.eig(A)
+    right = (E * np.exp(w)) @ np.linalg.solve(E, np.eye(2 * n)[0])
+    assert abs(run.q[-1] - right[:n].real).max() < 1e-7
+
+
 def test_a_sum_of_known_angles_needs_no_sine_of_its_own():
     text = source(ss.systems.double_pendulum(), ss.SIMPSON)
     newton = text.partition("def newton(")[2].partition("\ndef ")[0]

@@ -8,7 +8,9 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
+from symsimpson.discrete import families as made
 from symsimpson.discrete.families import families, neighbours, ordering
+from symsimpson.mechanics.structure import _whole
 
 
 def lagrangian(plain):
@@ -115,3 +117,54 @@ def test_a_ladder_has_its_width_as_its_band():
     order, band = ordering(neighbours(families(plain), 40))
     assert sorted(order) == list(range(40))
     assert band == 3
+
+
+def test_what_is_shared_in_a_term_is_written_once(monkeypatch):
+    """There are 2^40 paths down such a V; a level has two nodes and a power or a sum of them."""
+    x, y = ss.coordinates("x y")
+    product = summed = x
+    for _ in range(40):
+        product = sp.sin(product) * sp.cos(product)
+        summed = sp.sin(summed) / 2 + sp.cos(summed) / 3
+    system = ss.MechanicalSystem(
+        "diamonds", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=product + y**2 + summed * y, parameters={},
+    )  # fmt: skip
+    visits, write = [], made._Reader._new_node
+    monkeypatch.setattr(
+        made._Reader, "_new_node", lambda *given: visits.append(given) or write(*given)
+    )
+    found = families(system.plain)
+    assert len(visits) < 3 * len(system.plain.graph)
+    assert sum(len(family.coordinates) for family in found) >= 4
+
+
+def test_sums_of_shared_sums_are_not_split_without_end():
+    x, y = ss.coordinates("x y")
+    plain = ss.MechanicalSystem(
+        "sums", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=y**2,
+        parameters={},
+    ).plain  # fmt: skip
+    graph, (first, second) = plain.graph, plain.numbers(plain.q)
+    value, moving = graph.power((1, first), 2), frozenset((first, second))
+    for k in range(200):  # s_k = s_(k-1) + (s_(k-1) + sin(y + k))
+        wave = graph.function("sin", graph.add([(1, second), (k + 1, 0)]))
+        inner = graph.add([value, wave])
+        value = graph.add([value, (1, graph.kept(inner))])
+    assert list(made._split(graph, value, moving)) == [value]
+
+
+def test_angles_of_shared_sums_are_whole_or_not():
+    x, y = ss.coordinates("x y")
+    graph = ss.MechanicalSystem(
+        "angles", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=y**2,
+        parameters={},
+    ).plain.graph  # fmt: skip
+    first, second = graph.symbol("q_0")[1], graph.symbol("q_1")[1]
+    value = (1, first)
+    for k in range(200):
+        wave = graph.function("sin", graph.add([(1, second), (k + 1, 0)]))
+        value = graph.add([value, (1, graph.kept(graph.add([value, wave])))])
+    assert _whole(graph, value, first)  # 2^200 turns
+    assert not _whole(graph, (0.5, graph.add([(1, first), (1, second)])[1]), first)
+    assert not _whole(graph, value, second)

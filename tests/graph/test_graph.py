@@ -1,17 +1,23 @@
 """Nodes, derivatives and programs stand for the expressions that they were made of."""
 
+from fractions import Fraction
+
 import mpmath as mp
 import pytest
 import sympy as sp
 
+from symsimpson.graph import nodes, program
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.evaluate import evaluated, line_value
+from symsimpson.graph.evaluate import evaluated, line_value, moduli
+from symsimpson.graph.findings import Findings
 from symsimpson.graph.merge import merged
 from symsimpson.graph.nodes import Graph
 from symsimpson.graph.program import Program
 from symsimpson.graph.read import Reader, tree_size, written
-from symsimpson.graph.rebuild import fixed, rebuilt
+from symsimpson.graph.rebuild import fixed, rebuilt, same
+from symsimpson.graph.roots import dependent_radicands
 from symsimpson.graph.share import share
+from symsimpson.graph.signs import Signs
 
 x, y, z = sp.symbols("x y z", real=True)
 a = sp.Symbol("a", positive=True)
@@ -157,3 +163,54 @@ def test_floats_are_exact():
     assert values[0] != values[1]
     _, values, _ = read(sp.Float(0.1) * x + sp.Float(0.2) * x, sp.Float(0.1 + 0.2) * x)
     assert abs(float(values[0][0]) - 0.3) < 1e-15
+
+
+def diamond(depth):
+    """Return x_depth of x_{k+1} = sqrt(1 + sin(x_k)^2) cos(x_k) + (x_k + y): many paths down."""
+    graph = Graph()
+    value, other = graph.symbol("x"), graph.symbol("y")
+    for _ in range(depth):
+        root = graph.power(
+            graph.add([(1, 0), graph.power(graph.function("sin", value), 2)]), Fraction(1, 2)
+        )
+        product = graph.multiply([root, graph.function("cos", value)])
+        value = graph.add([product, (1, graph.kept(graph.add([value, other])))])
+    return graph, value
+
+
+WALKS = {
+    "reached": lambda g, v: g.reached([v[1]]),
+    "Derivatives": lambda g, v: Derivatives(g)(v, g.symbol("x")[1]),
+    "gradient": lambda g, v: gradient(g, v, g.numbers("xy")),
+    "evaluated": lambda g, v: evaluated(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp),
+    "moduli": lambda g, v: moduli(
+        g, [v[1]], evaluated(g, [v[1]], dict.fromkeys(g.numbers("xy"), 0.5), mp.fp)
+    ),
+    "findings": lambda g, v: Findings(g, [v]),
+    "merged": lambda g, v: merged(g, [v], lambda n: 0),
+    "rebuilt": lambda g, v: rebuilt(g, [v], {g.symbol("x")[1]: g.symbol("z")}),
+    "fixed": lambda g, v: fixed(g, v, g.numbers("x")),
+    "same": lambda g, v: same(g, v, v),
+    "radicands": lambda g, v: dependent_radicands(g, [v[1]]),
+    "tree_size": tree_size,
+    "signs": lambda g, v: (Signs(g, {})(v), Signs(g, {}).never_real(v[1])),
+    "share": lambda g, v: share(Program.of(g, {"value": v}, lambda n: 0)),
+}
+
+
+@pytest.mark.parametrize("walk", WALKS)
+def test_shared_nodes_are_visited_once_and_not_on_every_path(walk, monkeypatch):
+    """Each of 200 levels is reached twice from the one above it: on 2^200 paths in all."""
+    graph, value = diamond(200)
+    size, visits = len(graph), [0]
+    look = nodes.arguments
+
+    def counted(*given):
+        visits[0] += 1
+        # linear walks take 13 at most, at any depth; quadratic ones take 89 and more
+        assert visits[0] < 20 * size
+        return look(*given)
+
+    monkeypatch.setattr(nodes, "arguments", counted)
+    monkeypatch.setattr(program, "arguments", counted, raising=False)
+    WALKS[walk](graph, value)

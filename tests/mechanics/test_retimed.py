@@ -86,6 +86,25 @@ def test_encounters_are_those_of_inverse_distances(potential):
         system(potential=potential).retimed("encounters")
 
 
+def test_terms_without_a_pole_do_not_matter_to_encounters():
+    """The restricted problem of three bodies, and Hill's, turn with their primaries."""
+    near = -k / sp.sqrt((x + 1) ** 2 + y**2) - m / sp.sqrt(x**2 + y**2)
+    for rest in (-(x**2 + y**2) / 2, 3 * x**2 * sp.cos(y) - 5, k * (x - sp.sqrt(1 + y**2)), m):
+        found = system(potential=near + rest).retimed("encounters")
+        assert sp.simplify(found.rate - (-near) ** sp.Rational(-3, 2)) == 0
+        assert found.of_level is None
+    held = system(potential=-k * (1 / sp.sqrt(x**2 + y**2) + x**2)).retimed("encounters")
+    assert sp.simplify(held.rate - (-ATTRACTS) ** sp.Rational(-3, 2)) == 0
+
+
+@pytest.mark.parametrize("other", [1 / x**2, k / sp.sqrt(x**2 + 1), sp.log(x**2 + y**2), sp.tan(x)])
+def test_the_term_that_is_no_encounter_is_told_in_full(other):
+    with pytest.raises(ss.ModelError, match=r"without a pole.* is neither") as told:
+        system(potential=ATTRACTS - x**2 + other).retimed("encounters")
+    assert "..." not in str(told.value)
+    assert str(other).replace("(t)", "") in str(told.value)
+
+
 def test_names_that_retiming_takes():
     own = sp.Symbol("E0", positive=True)
     other = ss.MechanicalSystem(

@@ -8,6 +8,7 @@ from workspace import sweep
 import symsimpson as ss
 from symsimpson.analysis.order import observed_orders
 from symsimpson.reference import ExactTop, canonical, reduced_top, rk4, second_order, truth
+from symsimpson.reference.extrapolation import extrapolate
 
 LENGTH = "0.24849020288283338446611438352185703441293989488368"
 PENDULUM = {"l1": LENGTH, "l2": LENGTH, "g": "9.81"}
@@ -99,3 +100,27 @@ def test_truth_gives_up_at_a_singularity():
     """A planet without angular momentum falls into its sun."""
     with pytest.raises(ArithmeticError, match="small enough at t = 1"):
         truth(canonical(ss.systems.kepler()), [1, 0, 0, 0], [2], digits=15)
+
+
+def test_extrapolation_goes_back_in_time():
+    with mp.workdps(40):
+        times = [mp.mpf(-1), mp.mpf(-3)]
+        found = extrapolate(lambda y: [y[1], -y[0]], [mp.mpf(1), mp.mpf(0)], times, 1e-30)
+        for t, (q, p) in zip(times, found, strict=True):
+            assert max(abs(q - mp.cos(t)), abs(p + mp.sin(t))) < 1e-28
+
+
+@pytest.mark.parametrize("end", [60, 1e5, -1e12, 1e300])
+def test_extrapolation_tells_soon_that_steps_are_too_many(end):
+    """A turn takes some six steps: ten turns are too many for 20, and 60 is enough for them."""
+    taken, origin = [], [mp.mpf(1), mp.mpf(0)]
+
+    def f(y):
+        taken.append(y)
+        return [y[1], -y[0]]
+
+    with mp.workdps(40):
+        with pytest.raises(ArithmeticError, match="more than 20 steps"):
+            extrapolate(f, origin, [mp.mpf(end)], 1e-30, 20)
+        assert len(taken) < 20 * 24 * 25
+        extrapolate(f, origin, [mp.mpf(3)], 1e-30, 20)

@@ -1,0 +1,277 @@
+"""Kinks of V and of forces: zeros of square roots, where a force jumps, that a motion has passed.
+
+The root of a sum of squares, r = sqrt(x**2 + y**2), is smooth but for r = 0, where its derivative
+changes its sign. A step across such a point has order one, whatever the scheme.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import reduce
+from operator import mul
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import mpmath
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Exact
+from symsimpson.mechanics.checks import spell
+from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["kink_passed"]
+
+Floats = NDArray[np.float64]
+
+#: A zero is passed if the line between two states misses it by less than this part of the line.
+NEAR = 0.1
+#: Passages of one root whose forces are looked at.
+PASSAGES = 8
+#: How far from the zero forces are compared, in parts of the step; and with how many digits.
+PARTS, DIGITS = (1e-2, 1e-3, 1e-4), 40
+#: A force that grows by more on the way to the zero has a pole there.
+GROWS = 2.0
+#: A jump is at least this part of the force, and keeps at least half of its height.
+LEAST, KEEPS = 1e-3, 0.5
+
+HALF = Fraction(1, 2)
+
+
+@dataclass(frozen=True)
+class _Root:
+    """A root of a sum of squares: each a constant factor times the square of what moves."""
+
+    text: str
+    squares: tuple[tuple[tuple[Exact, int], ...], ...]  # of bases with half their exponents
+    factors: tuple[tuple[Exact, tuple[tuple[Exact, int], ...]], ...]
+
+
+_FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = WeakKeyDictionary()
+
+
+def kink_passed(
+    system: MechanicalSystem, t: Floats, q: Floats, values: Sequence[float]
+) -> tuple[float, str] | None:
+    """Find where a motion first passed a zero of a root at which its force jumps.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    t : array_like, shape (N,)
+        Times of consecutive steps.
+    q : array_like, shape (N, n)
+        Coordinates at these times, after each step.
+    values : sequence of float
+        Of the parameters, then of the inputs, in the order in which they were declared.
+
+    Returns
+    -------
+    tuple of float and str, or None
+        The time, and the root as the user wrote it. None if no such point was passed between two
+        states. A pole, where the force is not finite, is no kink.
+
+    Examples
+    --------
+    >>> import numpy as np, sympy as sp, symsimpson as ss
+    >>> from symsimpson.analysis.stability.kinks import kink_passed
+    >>> x, y = ss.coordinates("x y")
+    >>> cone = ss.MechanicalSystem(
+    ...     "cone", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2,
+    ...     potential=sp.sqrt(x**2 + y**2))
+    >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])
+    (0.5, 'sqrt(x**2 + y**2)')
+    """
+    if system not in _FOUND:
+        _FOUND[system] = _roots(system)
+    plain, roots = _FOUND[system]
+    t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
+    if not roots or len(t) < 2:
+        return None
+    count, own = len(plain.parameters), len(system.parameters)  # retiming adds some at the end
+    given = [float(x) for x in (*values[:count], *values[own:])]
+    known = dict(zip(plain.numbers((*plain.parameters, *plain.u)), given, strict=True))
+    first: tuple[float, str] | None = None
+    for root in roots:
+        place = _distance(plain, root, known, t, q)
+        if place is None:
+            continue
+        near, part = place
+        for k in np.flatnonzero(near)[:PASSAGES]:
+            when = float(t[k] + part[k] * (t[k + 1] - t[k]))
+            if first is not None and not when < first[0]:
+                break
+            if _jumps(plain, root, known, t[k : k + 2], q[k : k + 2], float(part[k])):
+                first = when, root.text
+                break
+    return first
+
+
+def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
+    """List the roots of sums of squares in V and in the forces."""
+    retiming = system.retiming
+    plain = system.plain if retiming is None else retiming.plain
+    graph, moving = plain.graph, {*plain.numbers(plain.q), plain.time}
+    back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
+    bases: dict[int, None] = {}
+    for n in graph.reached([plain.V[1], *(n for _, n in plain.f)]):
+        factors = graph.factors(n)
+        late = [e for m, e in factors if graph.nodes[m].symbols & moving]
+        for m, e in factors:  # by a distance alone, a pole: what is divided by it must vanish, too
+            if e == HALF or (e == -HALF and max(late, default=0) > 0):
+                bases[m] = None
+    found = []
+    for n in bases:
+        terms = _squares(plain, n, moving)
+        if terms is not None:
+            text = spell(sp.sqrt(plain.written((1, n)).xreplace(back)), 200)
+            found.append(_Root(text, *(tuple(x) for x in zip(*terms, strict=True))))
+    return plain, tuple(found)
+
+
+def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | None:
+    """Part a node into (bases, half their exponents) and constant factors; None if it is no sum."""
+    graph, allowed = plain.graph, moving | {*plain.numbers((*plain.parameters, *plain.u))}
+    if graph.nodes[n].symbols.isdisjoint(moving) or not graph.nodes[n].symbols <= allowed:
+        return None
+    terms, seen = [], {n}
+    work: list[tuple[Exact, int]] = [(1, n)]
+    while work:
+        c, m = work.pop()
+        node = graph.nodes[m]
+        if node.kind == "sum" and c > 0:  # what stands in it twice has the zeros that it has once
+            work += [(d, k) for d, k in node.parts if k not in seen]
+            seen.update(k for _, k in node.parts)
+            continue
+        late = [(e, b) for b, e in graph.factors(m) if graph.nodes[b].symbols & moving]
+        still = [(e, b) for b, e in graph.factors(m) if not graph.nodes[b].symbols & moving]
+        if any(e <= 0 or Fraction(e) % 2 for e, _ in late):
+            return None
+        terms.append((tuple((e // 2, b) for e, b in late), (c, tuple(still))))
+    return terms
+
+
+def _distance(
+    plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats
+) -> tuple[NDArray[np.bool_], Floats] | None:
+    """Tell which lines between states pass near the zero, and at which part of them."""
+    u = _below(plain, root, known, _at(plain, t, q), _ARRAYS)
+    if u is None:
+        return None
+    with np.errstate(all="ignore"):
+        start, change = u[:, :-1], np.diff(u, axis=1)
+        length = (change**2).sum(axis=0)
+        part = np.clip(-(start * change).sum(axis=0) / length, 0.0, 1.0)
+        missed = ((start + part * change) ** 2).sum(axis=0)
+        return (missed < NEAR**2 * length) & (length > 0.0), part
+
+
+def _below(
+    plain: Plain, root: _Root, known: dict[int, float], at: dict[int, Any], context: Any
+) -> Any:
+    """Return what is squared below a root, one row each; None if the sum has no zero."""
+    graph, rows = plain.graph, []
+    symbols = {**known, **at}
+    for bases, (c, still) in zip(root.squares, root.factors, strict=True):
+        fixed = evaluated(graph, [b for _, b in still], symbols, mpmath.fp)
+        factor = float(c) * float(np.prod([fixed[b] ** float(e) for e, b in still]))
+        if not factor >= 0 or (factor > 0 and not bases):
+            return None
+        if factor > 0:
+            moved = evaluated(graph, [b for _, b in bases], symbols, context)
+            rows.append(factor**0.5 * context.fprod(moved[b] ** int(e) for e, b in bases))
+    return np.array(rows) if rows else None
+
+
+def _at(plain: Plain, t: Any, q: Any) -> dict[int, Any]:
+    return dict(zip(plain.numbers(plain.q), np.transpose(q), strict=True)) | {plain.time: t}
+
+
+def _jumps(
+    plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats, part: float
+) -> bool:
+    """Return whether the force is finite on both sides of the zero, and not the same."""
+    with mpmath.workdps(DIGITS):
+        begin, end = (mpmath.mpf(float(x)) for x in t)
+        start = [mpmath.mpf(float(x)) for x in q[0]]
+        way = [mpmath.mpf(float(x)) for x in np.subtract(q[1], q[0])]
+        when = begin + part * (end - begin)
+        zero = _zero(plain, root, known, when, _moved(start, part, way))
+        speed = [x / (end - begin) for x in way]
+        forces = [
+            [_force(plain, known, when, _moved(zero, share, way), speed) for share in (-s, s)]
+            for s in PARTS
+        ]
+    sizes = [max(map(_size, pair)) for pair in forces]
+    jumps = [_size([a - b for a, b in zip(*pair, strict=True)]) for pair in forces]
+    finite = bool(np.isfinite(sizes).all()) and sizes[-1] <= GROWS * sizes[0]
+    return finite and jumps[-1] > max(LEAST * sizes[-1], KEEPS * jumps[0])
+
+
+def _moved(point: Sequence[Any], share: float, way: Sequence[Any]) -> list[Any]:
+    return [a + share * b for a, b in zip(point, way, strict=True)]
+
+
+def _size(vector: Sequence[Any]) -> float:
+    return float(mpmath.norm(list(vector)))
+
+
+def _zero(plain: Plain, root: _Root, known: dict[int, float], t: Any, q: list[Any]) -> list[Any]:
+    """Move a point near a zero onto it: corrections of least squares with differences."""
+    small = mpmath.mpf(10) ** (-DIGITS // 2)
+
+    def below(point: list[Any]) -> list[Any]:
+        return list(_below(plain, root, known, _at(plain, t, point), mpmath.mp))
+
+    for _ in range(4):
+        u = below(q)
+        columns = []
+        for i in range(len(q)):
+            moved = below([*q[:i], q[i] + small, *q[i + 1 :]])
+            columns.append([float((a - b) / small) for a, b in zip(moved, u, strict=True)])
+        change = np.linalg.pinv(np.array(columns).T) @ np.array([float(x) for x in u])
+        q = [a - float(b) for a, b in zip(q, change, strict=True)]
+    return q
+
+
+def _force(plain: Plain, known: dict[int, float], t: Any, q: list[Any], v: list[Any]) -> list[Any]:
+    """Return -dV/dq + f, by differences in many digits: the graph stays as it is."""
+    graph, small = plain.graph, mpmath.mpf(10) ** (-DIGITS // 2)
+    symbols = {**known, **dict(zip(plain.numbers(plain.v), v, strict=True))}
+
+    def potential(point: list[Any]) -> Any:
+        values = evaluated(graph, [plain.V[1]], {**symbols, **_at(plain, t, point)}, mpmath.mp)
+        return values[plain.V[1]] * plain.V[0].numerator / plain.V[0].denominator
+
+    acting = evaluated(graph, [n for _, n in plain.f], {**symbols, **_at(plain, t, q)}, mpmath.mp)
+    found = []
+    for i, (c, n) in enumerate(plain.f):
+        ahead, behind = (potential([*q[:i], q[i] + x, *q[i + 1 :]]) for x in (small, -small))
+        found.append((behind - ahead) / (2 * small) + acting[n] * c.numerator / c.denominator)
+    return found
+
+
+class _Arrays:
+    """The functions that nodes are evaluated with, on arrays."""
+
+    mpf, mpc, nan, pi, euler = float, complex, np.nan, np.pi, np.euler_gamma
+    catalan = float(mpmath.fp.catalan)
+
+    @staticmethod
+    def fsum(terms: Iterable[Any]) -> Any:
+        return sum(terms)
+
+    @staticmethod
+    def fprod(factors: Iterable[Any]) -> Any:
+        return reduce(mul, factors, 1.0)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(np, name, None) or np.vectorize(getattr(mpmath.fp, name))
+
+
+_ARRAYS = _Arrays()
