@@ -40,23 +40,20 @@ def _certify(stepper: Stepper, *state: Any, **given: Any) -> Certificate:
     return certify(stepper, *state, **given)
 
 
-def _of_stability(module: str, name: str) -> Callable[..., Any]:
-    """Return a function of the analysis of stability, loaded when it is first called."""
-
-    def called(*given: Any) -> Any:
-        return getattr(import_module(f"symsimpson.analysis.stability.{module}"), name)(*given)
-
-    return called
+def _call(module: str, name: str, *given: Any) -> Any:
+    """Call a function of the analysis of stability, loaded when it is first asked for."""
+    return getattr(import_module(f"symsimpson.analysis.stability.{module}"), name)(*given)
 
 
 #: What steppers are given of the layers above them.
 TOOLS = Tools(
     certify=_certify,
-    check_step=_of_stability("frequency", "warn_of_step"),
-    force_terms=_of_stability("cancelling", "force_terms"),
-    at_pole=_of_stability("passages", "at_pole"),
-    unresolved_pole=_of_stability("passages", "unresolved_pole"),
-    regular_box=_of_stability("passages", "regular_box"),
+    check_step=partial(_call, "frequency", "warn_of_step"),
+    force_terms=partial(_call, "cancelling", "force_terms"),
+    at_pole=partial(_call, "passages", "at_pole"),
+    unresolved_pole=partial(_call, "passages", "unresolved_pole"),
+    kink_passed=partial(_call, "kinks", "kink_passed"),
+    regular_box=partial(_call, "passages", "regular_box"),
 )
 
 

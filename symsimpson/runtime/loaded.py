@@ -33,8 +33,10 @@ class Tools:
         Takes a system and a run; returns at which singular point of the coordinates that ended.
     unresolved_pole : callable
         Takes a stepper, its system and a run; returns when that passed such a point unresolved.
+    kink_passed : callable
+        Takes a system, times, positions and values; returns when a force jumped at which root.
     regular_box : callable
-        Takes a system, values, two corners and a time; returns a box without such points.
+        Takes a system, values, two corners and a time; returns a box without either.
     """
 
     certify: Callable[..., Any]
@@ -42,6 +44,7 @@ class Tools:
     force_terms: Callable[..., Any]
     at_pole: Callable[..., str]
     unresolved_pole: Callable[..., Any]
+    kink_passed: Callable[..., Any]
     regular_box: Callable[..., Any]
 
 

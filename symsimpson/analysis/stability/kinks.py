@@ -25,7 +25,7 @@ from symsimpson.mechanics.checks import spell
 from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 
-__all__ = ["kink_passed"]
+__all__ = ["has_kinks", "kink_passed"]
 
 Floats = NDArray[np.float64]
 
@@ -53,6 +53,18 @@ class _Root:
 
 
 _FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = WeakKeyDictionary()
+
+
+def _found(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
+    """Return the roots of a system, looked for once."""
+    if system not in _FOUND:
+        _FOUND[system] = _roots(system)
+    return _FOUND[system]
+
+
+def has_kinks(system: MechanicalSystem) -> bool:
+    """Return whether forces of a system may jump at zeros of roots."""
+    return bool(_found(system)[1])
 
 
 def kink_passed(
@@ -87,9 +99,7 @@ def kink_passed(
     >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])
     (0.5, 'sqrt(x**2 + y**2)')
     """
-    if system not in _FOUND:
-        _FOUND[system] = _roots(system)
-    plain, roots = _FOUND[system]
+    plain, roots = _found(system)
     t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
     if not roots or len(t) < 2:
         return None

@@ -16,6 +16,7 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.analysis.stability.kinks import has_kinks
 from symsimpson.errors import SymsimpsonError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
@@ -131,7 +132,7 @@ def unresolved_pole(
 def regular_box(
     system: MechanicalSystem, values: Sequence[float], low: Reals, high: Reals, t: float
 ) -> tuple[Reals, Reals] | None:
-    """Return a box of positions in which no run comes close to a singular point; None if not known.
+    """Return a box of positions without singular points; None if there may be some, or kinks.
 
     Parameters
     ----------
@@ -147,6 +148,8 @@ def regular_box(
         The box that was asked about, or all of space where M is constant.
     """
     depends = list(_mass(system)[1])
+    if has_kinks(system):
+        return None
     if not depends:
         return np.full(system.n, -np.inf), np.full(system.n, np.inf)
     q = np.tile((low + high) / 2, (IN_BOX, 1))

@@ -80,6 +80,15 @@ def _unresolved(
                 "regular there, such as Cartesian ones held by a constraint (see the guide to "
                 "constraints); a smaller h helps only where the passage is wide enough."
             )
+        inputs = np.asarray(trajectory._inputs)[0, 0, 0]
+        values = [*map(float, trajectory._values), *map(float, inputs)]
+        jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
+        if jumped is not None:
+            return (
+                f"about t={jumped[0]:g} the motion passes a zero of {jumped[1]}, where the force "
+                "jumps: no scheme keeps its order there, and energies do not tell.\nSmooth the "
+                "root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged."
+            )
         _remember_box(stepper, trajectory)
     left = None if energies is None else energies.left_at
     if left is None:
