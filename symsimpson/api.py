@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from symsimpson.calling import explained
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
@@ -49,6 +50,7 @@ def _check_step(*given: Any) -> None:
 TOOLS = Tools(certify=_certify, check_step=_check_step)
 
 
+@explained()
 def compile(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -147,6 +149,7 @@ def _compiled(
 
 
 @waiting("deriving")
+@explained()
 def generate(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -206,6 +209,7 @@ def generate(
     return path
 
 
+@explained()
 def load(path: str | os.PathLike[str]) -> Stepper:
     """Make a stepper from a generated file.
 
@@ -240,6 +244,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     return read_stepper(text, os.fspath(path), TOOLS)
 
 
+@explained()
 def resume(
     path: str | os.PathLike[str],
     *,
@@ -299,6 +304,14 @@ def resume(
 
 def _check_system(system: object) -> None:
     if not isinstance(system, MechanicalSystem):
+        from symsimpson.systems import EVERY  # only a message needs the catalogue
+
+        name = getattr(system, "__name__", "")
+        if EVERY.get(name) is system:
+            raise GenerationError(
+                f"{name} is the function that makes the system.\n"
+                f"Call it: symsimpson.systems.{name}()."
+            )
         raise GenerationError(
             f"{type(system).__name__} is not a MechanicalSystem.\n"
             "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
+from symsimpson.calling import explaining
 from symsimpson.derivation import Report
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.derivatives import Differentiating
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Stepper"]
 
 
+@explaining()
 class Stepper(Differentiating):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
@@ -118,9 +120,9 @@ class Stepper(Differentiating):
 
         Parameters
         ----------
-        q0 : array_like, shape (n,)
-            Initial positions, in the order of the coordinates.
-        v0, p0 : array_like, shape (n,)
+        q0 : array_like, shape (n,), or mapping
+            Initial positions: in the order of the coordinates, or by name or symbol.
+        v0, p0 : as q0
             Initial velocities or conjugate momenta: exactly one of them.
         h : float
             Step; negative to run backwards.
@@ -228,8 +230,9 @@ class Stepper(Differentiating):
 
         Parameters
         ----------
-        q0, v0, p0 : array_like, shape (K, n) or (n,)
-            Initial positions, and velocities or momenta; one row stands for all members.
+        q0, v0, p0 : array_like, shape (K, n) or (n,), or mapping
+            Initial positions, and velocities or momenta, one row for all members; numbers or arrays
+            of shape (K,) by name.
         h, t_end, steps, t0
             As for :meth:`integrate`.
         parameters : mapping, optional
@@ -237,13 +240,12 @@ class Stepper(Differentiating):
         inputs : mapping, optional
             As for :meth:`integrate`; with an axis of K members before the others, each has its own.
         every : int or None
-            Number of steps between stored states; None stores only the last state.
+            As for :meth:`integrate`.
         reduce : mapping from str to (kind, expression) or kind, optional
             Quantities to evaluate without storing states. The kinds "min", "max" and "mean" are
             taken over the states after each step. "first" is the time at which the expression first
-            becomes positive, by linear interpolation over a step, and NaN if it never does. To
-            find zeros to rounding, use :meth:`Trajectory.events` of single members. The expression
-            is a string or a SymPy expression in the names that :meth:`Trajectory.events` allows.
+            becomes positive, by linear interpolation over a step, and NaN if it never does; zeros
+            to rounding are found by :meth:`Trajectory.events`, which says what expressions may be.
             "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
             motion grow, as :meth:`lyapunov` does.
         tangents, sensitivities
@@ -360,9 +362,7 @@ class Stepper(Differentiating):
     ) -> Certificate:
         """Verify by measurement that this stepper has the properties of its scheme.
 
-        Order, symplecticity, reversibility, momenta, invariants, the Jacobian and Newton's method
-        are measured in 50 digits on the source of the module. Then the compiled code is compared
-        with that source, and run for 100,000 steps.
+        All are measured in 50 digits on its source, which compiled code is then compared with.
 
         Parameters
         ----------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
+from symsimpson.calling import warn
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import Value
@@ -169,14 +169,13 @@ def warn_of_step(
         return
     limit = largest_stable(stepper.scheme)
     if abs(h) * omega > limit:
-        warnings.warn(
+        warn(
             f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear stability. "
             f"The fastest oscillation at the start has omega={omega:.4g}; h omega is "
             f"{abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
             f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), which is "
             "linearly stable for every h.",
             StabilityWarning,
-            stacklevel=6,  # where integrate is called
         )
 
 
@@ -190,11 +189,10 @@ def _warn_of_damping(
     scheme = read_scheme(stepper.scheme)
     if abs(h) * rate <= 2 * scheme.degree or not scheme.symmetric:
         return
-    warnings.warn(
+    warn(
         f"{stepper.system}, {stepper.scheme}: h={h:g} does not resolve the strongest damping at "
         f"the start, of rate {rate:.4g}: the damped part of the momenta hardly decays, or "
         f"alternates in sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' "
         "or 'radau5', with which it decays.",
         StabilityWarning,
-        stacklevel=7,  # where integrate is called
     )

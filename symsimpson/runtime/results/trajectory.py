@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Trajectory"]
 
 
+@explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Trajectory(Energies, Differentiated):
     """States of a run, and how it ended.
