@@ -50,13 +50,14 @@ class Evaluator:
         derivation: Derivation | None = None,
         tools: Tools | None = None,
         differentiate: Callable[[tuple[str, ...], Any], Evaluator] | None = None,
+        names: Names | None = None,
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
         kernels = numbers.kernels(source, header)
         self._module = Loaded(header, numbers, kernels, declared, derivation, tools)
         self.system, self.scheme, self.order = header.system, header.scheme, header.order
-        self._names = names = Names(header, declared, defaults)
+        self._names = names = names or Names(header, declared, defaults)
         self.coordinates, self.parameters = names.coordinates.shown, names.parameters.shown
         self.inputs, self.invariants = names.inputs.shown, names.invariants.shown
         self.reference_state = reference_state
@@ -88,6 +89,7 @@ class Evaluator:
             "defaults": self._given and dict(self._given), "declared": self._module.declared,
             "reference_state": state and dict(state), "numbers": self._module.numbers,
             "tools": self._module.tools, "differentiate": self._differentiate,
+            "names": self._names,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
@@ -34,6 +33,8 @@ __all__ = [
 
 #: The end of a run may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6
+#: Squares of smaller steps are hardly numbers any more, and masses divided by them may be infinite.
+LEAST_STEP = 1e-150
 #: More steps than this cannot be counted exactly in a float.
 MOST_STEPS = 2**53
 
@@ -148,10 +149,11 @@ def read_step(h: Any, numbers: Numbers) -> Any:
         raise InputError(
             "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
         )
-    if isinstance(h, float) and math.isinf(1 / h):
+    if isinstance(h, float) and abs(h) < LEAST_STEP:
         raise InputError(
-            f"the step h is {h!r}, so small that 1/h is no number of double precision.\n"
-            "Pass a larger h, or another unit of time; steps of many digits have no such limit."
+            f"the step h is {h!r}, so small that what is divided by it, or its square, leaves the "
+            f"range of double precision.\nPass h above {LEAST_STEP:g}, or take another unit of "
+            "time; steps of many digits have no such limit."
         )
     return h
 

@@ -47,11 +47,13 @@ class Stepper(Differentiating):
     declared : MechanicalSystem, optional
         The system that the module was generated from; needed to warn of too large steps.
     derivation : Derivation, optional
-        Record of the generation of the module.
+        Record of its generation.
     tools : Tools, optional
         Functions that certify the stepper and check the step size.
     differentiate : callable, optional
         Returns a stepper that also differentiates its steps by the named parameters and inputs.
+    names : Names, optional
+        What users call things, if another stepper knows.
 
     Attributes
     ----------
@@ -131,25 +133,23 @@ class Stepper(Differentiating):
         steps : int, optional
             Number of steps; exactly one of ``t_end`` and ``steps``.
         t0 : float
-            Initial time.
         parameters : mapping, optional
             Values by symbol or by name, in place of the defaults.
         inputs : mapping, optional
             Values of the system's inputs, by symbol or by name: a number; an array of shape
-            (steps,), held constant over each step; an array of shape (steps, s), at the nodes of
-            each step (see :meth:`node_times`); or :func:`symsimpson.samples`.
+            (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); or
+            :func:`symsimpson.samples`.
         every : int or None
             Number of steps between stored states; None stores only the last state.
         tangents : int or array_like, shape (2 n, k), optional
-            Variations (dq, dp) of the initial state, one per column; an integer k stands for the
-            first k unit vectors. ``run.tangent`` holds them, propagated by the exact derivative.
+            Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
+            vectors. ``run.tangent`` holds them.
         sensitivities : name, symbol or sequence of them, optional
-            Parameters and inputs to differentiate by, with q0 and the given v0 or p0 held fixed.
-            ``run.sensitivity`` has the result. An input is varied equally at all steps.
+            Parameters and inputs to differentiate by, with q0 and v0 or p0 held fixed; gives
+            ``run.sensitivity``. An input is varied equally at all steps.
         checkpoint : path, optional
-            A file from which an interrupted run can be resumed, with bitwise the same result:
-            repeat the same call, or use :func:`symsimpson.resume`. Stored states go to a file
-            beside it, not into memory.
+            A file from which an interrupted run is resumed, to the same bits, by the same call or
+            :func:`symsimpson.resume`. Stored states go to a file beside it.
         checkpoint_every : int, optional
             Steps between checkpoints; about ten seconds unless given.
         progress : bool, optional
@@ -396,5 +396,5 @@ class Stepper(Differentiating):
                 f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
-        return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters,
-                                          inputs=inputs)  # fmt: skip
+        more: dict[str, Any] = {"h": h, "parameters": parameters, "inputs": inputs}
+        return self._module.tools.certify(self, q0, v0, p0=p0, **more)

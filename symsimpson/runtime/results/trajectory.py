@@ -74,7 +74,9 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
-        return super()._names_varied if self._varied_by is None else self._varied_by
+        if self._varied_by is None:
+            return super()._names_varied
+        return self._stepper._names.varied(self._varied_by)
 
     @property
     def tau(self) -> NDArray[Any]:

@@ -58,7 +58,7 @@ def look_at_folds(
     Where one follows from others the run ended before; where that may have been so between two
     states, it is warned of.
     """
-    names = stepper._module.header.constraints
+    names = stepper._names.constraints.shown
     if len(names) < 2 or not run.every or len(q) < 2:
         return trajectory
     header = stepper._module.header
