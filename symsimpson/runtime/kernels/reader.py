@@ -58,6 +58,7 @@ class Reader:
         shown = coordinates.shown
         self._listed = [*shown, *(f"{x}_{q}" for x in "pv" for q in shown), *parameters.shown]
         self._listed += ["t", "energy", "pi"]
+        self._used: set[str] = set()
         #: What stands for names that no text can have in it, and these names.
         self._standing: dict[str, str] = {}
 
@@ -75,9 +76,14 @@ class Reader:
 
         Those are the module's own; ``text`` is what was written of the expression.
         """
-        if not self._standing:
-            return str(expression)
         own = {"q": self._header.coordinates, "a": self._header.parameters}
+        known = {"t": "t", "pi": self._known["pi"], "energy": "energy"}
+        for kind in "qpva":
+            before = f"{kind}_" if kind in "pv" else ""
+            names = own.get(kind, self._header.coordinates)
+            known |= {f"{before}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
+        if all(known.get(name) == self._known[name] for name in self._used):
+            return str(expression)
 
         def name(found: re.Match[str]) -> str:
             kind, place = found[1], int(found[2])
@@ -185,6 +191,7 @@ class Reader:
                 return repr(float(number))
             case ast.Name(id=name) if name in self._known:
                 self._check_single(name)
+                self._used.add(name)
                 self.energetic |= self._known[name].startswith(("energy", "v_"))
                 return self._known[name]
             case ast.Call(
@@ -195,7 +202,7 @@ class Reader:
             case ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")], keywords=[]) if (
                 name in self._moving
             ):
-                return self._known[name]  # SymPy writes q1(t)
+                return self._write(ast.Name(id=name))  # SymPy writes q1(t)
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if (
                 _SPELLED.get(name, name) in _FUNCTIONS and arguments
             ):
