@@ -22,9 +22,10 @@ class Case:
         self.q, self.other = sp.Function(name)(t), sp.Function("q0")(t)
         self.m, self.u = sp.Symbol(f"{name}_m", positive=True), sp.Symbol(f"{name}_u")
         m, q, other = self.m, self.q, self.other
+        square = q.diff() ** 2 + other.diff() ** 2
         self.stepper = ss.compile(
             ss.MechanicalSystem(
-                "named", coordinates=(q, other), kinetic=m * (q.diff() ** 2 + other.diff() ** 2) / 2,
+                "named", coordinates=(q, other), kinetic=m * square / 2,
                 potential=-m * sp.cos(q) + other**2 / 2, parameters={m: 1.3},
                 forces={q: self.u}, inputs=(self.u,), invariants={f"{name} v": q.diff()},
             )
