@@ -89,10 +89,7 @@ class StateCost:
         self._symbols = list(symbols.values())
         varied, own = stepper._module.header.varied_by or (), stepper._module.header.parameters
         #: Which of the parameters are varied; inputs are none of them.
-        self._varied = [
-            own.index(name) if name in own else None
-            for name in varied
-        ]
+        self._varied = [own.index(name) if name in own else None for name in varied]
 
     @cached_property
     def _evaluate(self) -> Callable[..., list[Reals]]:

@@ -39,9 +39,7 @@ LEAST_STEP = 1e-150
 MOST_STEPS = 2**53
 
 
-def read_vector(
-    name: str, value: Any, coordinates: Named, numbers: Numbers
-) -> NDArray[Any]:
+def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> NDArray[Any]:
     """Read one finite number for each coordinate: in their order, or a mapping by name."""
     vector = read_array(name, coordinates.in_order(name, value), numbers)
     n = len(coordinates)

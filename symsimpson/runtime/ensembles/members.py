@@ -66,8 +66,7 @@ def read_task(
     second, other0 = read_given("an ensemble", how, v0, p0)
     names = ("q0", second)
     states = [
-        _states(name, given, stepper)
-        for name, given in zip(names, (q0, other0), strict=True)
+        _states(name, given, stepper) for name, given in zip(names, (q0, other0), strict=True)
     ]
     columns = _parameters(stepper, parameters)
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
@@ -124,8 +123,7 @@ def _states(name: str, value: Any, stepper: Stepper) -> NDArray[np.float64]:
     if isinstance(value, Mapping):
         rows = names.in_order(name, value)
         columns = [
-            read_array(f"{name} of {q}", x, FLOAT64)
-            for q, x in zip(names.shown, rows, strict=True)
+            read_array(f"{name} of {q}", x, FLOAT64) for q, x in zip(names.shown, rows, strict=True)
         ]
         try:
             value = np.stack(np.broadcast_arrays(*columns), axis=-1)
