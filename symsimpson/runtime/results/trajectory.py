@@ -155,8 +155,8 @@ class Trajectory(Energies, Differentiated):
         ----------
         expression : SymPy expression, equation or str
             In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
-            or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an angle
-            in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
+            or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an
+            angle in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
         direction : {0, 1, -1}
             0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
         wrap : True, or names of coordinates
