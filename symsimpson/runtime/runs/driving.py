@@ -187,7 +187,7 @@ def _one(
         bad = tuple(np.argwhere(~numbers.finite(array))[0].tolist())
         where = f" at {name}{list(bad)}" if bad else ""
         raise InputError(
-            f"input {name} is {float(array[bad])}{where}, not a finite number.\n"
+            f"input {name} is {float(array[bad])}{where}, not finite.\n"
             "Look where the number comes from."
         )
     return array.reshape(fitting.get(shape, shape))
