@@ -20,12 +20,14 @@ from .errors import GenerationError as GenerationError
 from .errors import InputError as InputError
 from .errors import Interrupted as Interrupted
 from .errors import ModelError as ModelError
+from .errors import ModelWarning as ModelWarning
 from .errors import ResolutionWarning as ResolutionWarning
 from .errors import SchemeError as SchemeError
 from .errors import StabilityWarning as StabilityWarning
 from .errors import StaleKernelError as StaleKernelError
 from .errors import StorageError as StorageError
 from .errors import SymsimpsonError as SymsimpsonError
+from .errors import UnknownNameError as UnknownNameError
 from .mechanics.arms import Link as Link
 from .mechanics.arms import serial_arm as serial_arm
 from .mechanics.bodies import RigidBody as RigidBody

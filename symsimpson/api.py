@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from symsimpson.calling import explained
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
@@ -57,6 +58,7 @@ TOOLS = Tools(
 )
 
 
+@explained()
 def compile(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -155,6 +157,7 @@ def _compiled(
 
 
 @waiting("deriving")
+@explained()
 def generate(
     system: MechanicalSystem,
     scheme: str | Scheme = "simpson",
@@ -214,6 +217,7 @@ def generate(
     return path
 
 
+@explained()
 def load(path: str | os.PathLike[str]) -> Stepper:
     """Make a stepper from a generated file.
 
@@ -248,6 +252,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
     return read_stepper(text, os.fspath(path), TOOLS)
 
 
+@explained()
 def resume(
     path: str | os.PathLike[str],
     *,
@@ -307,6 +312,14 @@ def resume(
 
 def _check_system(system: object) -> None:
     if not isinstance(system, MechanicalSystem):
+        from symsimpson.systems import EVERY  # only a message needs the catalogue
+
+        name = getattr(system, "__name__", "")
+        if EVERY.get(name) is system:
+            raise GenerationError(
+                f"{name} is the function that makes the system.\n"
+                f"Call it: symsimpson.systems.{name}()."
+            )
         raise GenerationError(
             f"{type(system).__name__} is not a MechanicalSystem.\n"
             "Declare one: symsimpson.MechanicalSystem(name, coordinates=..., kinetic=..., ...)."

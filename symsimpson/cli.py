@@ -22,6 +22,7 @@ from symsimpson.errors import (
     SymsimpsonError,
 )
 from symsimpson.files import check_folder
+from symsimpson.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -374,7 +375,7 @@ def _named(name: str) -> MechanicalSystem:
     path, separator, attribute = name.rpartition(":")
     if not separator:
         raise InputError(
-            f"there is no system {name!r} in the catalogue.\n"
+            f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}\n"
             "symsimpson list shows it. For your own system give path/to/file.py:attribute."
         )
     try:

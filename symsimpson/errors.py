@@ -19,12 +19,14 @@ __all__ = [
     "InputError",
     "Interrupted",
     "ModelError",
+    "ModelWarning",
     "ResolutionWarning",
     "SchemeError",
     "StabilityWarning",
     "StaleKernelError",
     "StorageError",
     "SymsimpsonError",
+    "UnknownNameError",
 ]
 
 
@@ -64,6 +66,10 @@ class StaleKernelError(SymsimpsonError):
     """A generated file belongs to another version of the kernel interface, or was edited."""
 
 
+class ModelWarning(UserWarning):
+    """A declared system is probably not the one that was meant."""
+
+
 class StabilityWarning(UserWarning):
     """A step is so large that oscillations may grow without bound."""
 
@@ -78,6 +84,12 @@ class ConstraintWarning(UserWarning):
 
 class InputError(SymsimpsonError, ValueError):
     """An argument, such as a state, a step or a parameter, is invalid."""
+
+
+class UnknownNameError(InputError, KeyError):
+    """There is no quantity of this name in a result."""
+
+    __str__ = Exception.__str__  # as it is written: a KeyError shows a text in quotes
 
 
 class StorageError(SymsimpsonError):

@@ -16,6 +16,7 @@ from symsimpson.analysis.pilot import any_step, choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api import compile as compile_system
+from symsimpson.calling import explained
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed
 from symsimpson.mechanics.system import MechanicalSystem
@@ -71,6 +72,7 @@ class Choice:
 
 @waiting("choosing a scheme and a step")
 @any_step()
+@explained()
 def choose(
     system: MechanicalSystem,
     q0: ArrayLike,

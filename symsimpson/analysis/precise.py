@@ -38,7 +38,9 @@ class Precise:
     def __init__(self, stepper: Stepper, parameters: Mapping[str, float], digits: int) -> None:
         arithmetic = "arb" if importlib.util.find_spec("flint") else "mpmath"
         numbers = read_precision(digits, arithmetic)
-        self.stepper = Stepper(stepper.source, stepper.system, numbers=numbers)
+        self.stepper = Stepper(
+            stepper.source, stepper.system, numbers=numbers, names=stepper._names
+        )  # fmt: skip
         self.stepper._held = stepper._held
         self.n, self.parameters = stepper.n, parameters
         assert isinstance(numbers, Digits)

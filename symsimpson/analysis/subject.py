@@ -44,8 +44,7 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
         return stepper
     held = dict.fromkeys(stepper.inputs, 1.0)
     for key, value in (given or {}).items():
-        place = stepper._input_names.get(str(key), len(held))
-        name = stepper.inputs[place] if place < len(held) else str(key)
+        name = stepper.inputs[stepper._names.inputs.found(key)]
         held[name] = read_number(f"input {name}", value, stepper._module.numbers)
     fixed = copy.copy(stepper)
     fixed._held = held

@@ -39,7 +39,7 @@ def _with(stepper: Stepper, changes: Mapping[str, str]) -> Stepper:
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
     return Stepper(
         text, f"{stepper.system}, changed", reference_state=stepper.reference_state,
-        tools=stepper._module.tools,
+        tools=stepper._module.tools, names=stepper._names,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from symsimpson.bench.contender import Contender, Runnable
 from symsimpson.bench.peers import ours, peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
+from symsimpson.calling import explained
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
@@ -47,9 +48,10 @@ class _Entry:
 
 
 @waiting("measuring run time against error")
+@explained()
 def work_precision(
     system: MechanicalSystem,
-    schemes: Sequence[str | Scheme] = ("midpoint", "simpson"),
+    schemes: str | Scheme | Sequence[str | Scheme] = ("midpoint", "simpson"),
     peers: str | Sequence[str] = "installed",
     errors: Sequence[float] = (1e-3, 1e-6, 1e-9, 1e-12),
     *,
@@ -67,7 +69,7 @@ def work_precision(
     ----------
     system : MechanicalSystem
         If it is retimed, schemes run in both times, and other programs in the user's.
-    schemes : sequence of str or Scheme
+    schemes : str, Scheme or sequence of them
     peers : "installed" or sequence of str
         "runge-kutta" (compiled RK4 and DOP853 of our own), "scipy", "heyoka",
         "numbalsoda", "diffrax"; () for none.
@@ -98,6 +100,7 @@ def work_precision(
     True
     """
     _check(errors, t_end, repeats)
+    schemes = (schemes,) if isinstance(schemes, (str, Scheme)) else tuple(schemes)
     problem = make_problem(system, state, t_end)
     entries, seconds, calls = [], {}, []
     with warnings.catch_warnings():

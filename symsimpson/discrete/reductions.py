@@ -36,6 +36,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import MOST_AFFINE, Structure, Subsystem
+from symsimpson.names import did_you_mean
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
@@ -190,7 +191,8 @@ def read_exploit(exploit: str | Iterable[str]) -> frozenset[str]:
         if name not in EXPLOITABLE:
             choices = ", ".join(repr(choice) for choice in EXPLOITABLE)
             raise GenerationError(
-                f"exploit names {name!r}, which is nothing that can be exploited.\n"
+                f"exploit names {name!r}, which is nothing that can be exploited."
+                f"{did_you_mean(name, EXPLOITABLE)}\n"
                 f"Choose 'all', () for the general path, or some of {choices}."
             )
     return frozenset(wanted)

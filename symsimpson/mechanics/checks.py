@@ -30,7 +30,7 @@ __all__ = [
 
 def spell(expression: object, width: int = 60) -> str:
     """Write an expression on one line, velocities as q', for use in a message."""
-    text = re.sub(r"Derivative\((\w+)\(t\), t\)", r"\1'", str(expression)).replace("(t)", "")
+    text = re.sub(r"Derivative\(([^()]+)\(t\), t\)", r"\1'", str(expression)).replace("(t)", "")
     text = " ".join(text.split())
     return text if len(text) <= width else text[: width - 3] + "..."
 
@@ -73,6 +73,8 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
     if not coordinates:
         raise fail(system, "there are no coordinates.", "Give at least one function of time.")
     for q in coordinates:
+        if isinstance(q, AppliedUndef) and [str(t) for t in q.args] == [str(dynamicsymbols._t)]:
+            _check_time(system, q)
         if not isinstance(q, AppliedUndef) or q.args != (dynamicsymbols._t,):
             raise fail(
                 system,
@@ -98,6 +100,20 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
             )
     check_names(system, names)
     return coordinates
+
+
+def _check_time(system: str, q: AppliedUndef) -> None:
+    """Refuse a function of a time of one's own, which SymPy holds apart by its assumptions."""
+    (t,) = q.args
+    if t != dynamicsymbols._t:
+        assumed = ", ".join(sorted(key for key, is_so in t.assumptions0.items() if is_so))
+        raise fail(
+            system,
+            f"the coordinate {q.func.__name__} is a function of a symbol {t} with assumptions "
+            f"({assumed}), which SymPy holds apart from the time.",
+            f"The time has no assumptions: write t = symsimpson.time, or t = sympy.Symbol('{t}'), "
+            "and make coordinates, forces and energies with that.",
+        )
 
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:

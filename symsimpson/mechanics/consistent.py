@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
+from symsimpson.names import Named, spelled
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -32,9 +33,13 @@ def consistent(
     parameters: Mapping[Any, Any] | None,
 ) -> tuple[Reals, Reals]:
     """Return the nearest q and v with phi(q) = 0 and Phi v = 0, measured by M(q0)."""
-    names = [q.func.__name__ for q in system.coordinates]
-    q, v = (_vector(name, given, names) for name, given in (("q0", q0), ("v0", v0)))
-    held = {str(x).removesuffix("(t)") for x in fixed}
+    table = Named("coordinate", [q.func.__name__ for q in system.coordinates])
+    names = table.shown
+    q, v = (
+        _vector(name, table.in_order(name, given), names)
+        for name, given in (("q0", q0), ("v0", v0))
+    )
+    held = {spelled(x) for x in fixed}
     unknown = held - set(names)
     if unknown:
         raise InputError(
@@ -43,7 +48,7 @@ def consistent(
         )
     if not system.constraints:
         return q, v
-    free = [i for i, name in enumerate(names) if name not in held]
+    free, start = [i for i, name in enumerate(names) if name not in held], q
     at = _functions(system, parameters)
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
@@ -54,7 +59,7 @@ def consistent(
             break
     if not left <= 1e-12:
         raise InputError(
-            f"{system.name}: there is no state near q0={np.round(np.asarray(q0), 6).tolist()} "
+            f"{system.name}: there is no state near q0={np.round(start, 6).tolist()} "
             "that satisfies the constraints"
             + (f" with {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
@@ -132,13 +137,10 @@ def _functions(
 ) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
     """Return phi, Phi and M as a function of q."""
     plain, n = system.plain, system.n
-    values = {str(a): float(x) for a, x in system.parameters.items()}
+    values = {a.name: float(x) for a, x in system.parameters.items()}
+    table = Named("parameter", [*values])
     for key, value in (given or {}).items():
-        if str(key) not in values:
-            raise InputError(
-                f"{system.name} has no parameter {str(key)!r}: it has {', '.join(values)}."
-            )
-        values[str(key)] = float(value)
+        values[table.shown[table.found(key)]] = float(value)
     graph, places = plain.graph, plain.numbers(plain.q)
     phi = list(plain.constraints.values())
     slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]

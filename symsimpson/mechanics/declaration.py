@@ -112,7 +112,7 @@ def read_energies(
         name, coordinates, given.forces, given.dissipation, s, read_force
     )  # fmt: skip
     check_used(name, given.inputs, s, forces)
-    positions = _read_positions(name, given, read)
+    positions = _read_positions(name, given, s, read)
     watch = s.known | {
         user: s.graph.symbol(own.name)
         for user, own in zip(momenta(*coordinates), s.p, strict=True)
@@ -156,7 +156,7 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
 
 
 def _read_positions(
-    name: str, given: MechanicalSystem, read: Callable[[str, Any], Value]
+    name: str, given: MechanicalSystem, symbols: Symbols, read: Callable[..., Value]
 ) -> dict[str, tuple[Any, ...]]:
     """Check what is to be drawn."""
     positions: dict[str, tuple[Any, ...]] = {}
@@ -174,7 +174,7 @@ def _read_positions(
                     "A point has one to three Cartesian components.",
                 )  # fmt: skip
             for component in components:
-                read(f"position {key!r}", component)
+                read(f"position {key!r}", component, (symbols.t,))
             found.append(tuple(sp.sympify(c) for c in components))
         positions[str(key)] = tuple(found) if body else found[0]
     return positions

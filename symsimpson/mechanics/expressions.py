@@ -6,7 +6,6 @@ matters and what to do; none of them changes anything.
 
 from __future__ import annotations
 
-import difflib
 import sys
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -21,6 +20,7 @@ from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
+from symsimpson.names import did_you_mean
 
 __all__ = ["read_expression"]
 
@@ -30,7 +30,9 @@ SMOOTH = (
     sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh, sp.exp, sp.log, sp.erf, sp.erfc,
 )  # fmt: skip
 #: Functions with corners or jumps.
-ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac)
+ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac, sp.Mod)
+#: What is defined by cases.
+CASES = (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)
 UNEVALUATED = (
     sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs, sp.UnevaluatedExpr,
 )  # fmt: skip
@@ -137,7 +139,9 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
                 f"the {what} contains {spell(node)}, "
                 + (f"a derivative of order {order}." if order > 1 else "an unknown velocity."),
                 "Energies and forces depend on the declared coordinates and their first "
-                "derivatives. Declare the coordinate, or drop the term.",
+                f"derivatives. Declare the coordinate, or drop the term; if {spell(node.expr)} is "
+                f"a given function of time, put in its expression: L.subs({spell(node.expr)}, "
+                "...).doit().",
             )
         raise fail(
             system,
@@ -149,7 +153,9 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             system,
             f"the {what} contains {spell(node)}, which is neither a declared coordinate nor a "
             "function with a known form.",
-            "Add it to the coordinates, or replace it by an expression.",
+            f"Add it to the coordinates. If its values are given to each run, as those of a motor, "
+            f"it is an input of forces: inputs=({spell(node)},). If it is a given function of "
+            f"time, put in its expression: .subs({spell(node)}, ...).doit().",
         )
     if node in NOT_FINITE:
         raise fail(
@@ -187,6 +193,19 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
         )
     if known:
         return
+    if _of_time_alone(node):
+        name = type(node).__name__
+        jumps = isinstance(node, (*CASES, *ROUGH))
+        raise fail(
+            system,
+            f"the {what} contains {spell(node)}, a function of time "
+            + ("with jumps or corners." if jumps else f"that compiled code does not have: {name}."),
+            "A step across a jump loses the order of the scheme, and the equations are "
+            "differentiated. Let a force have an input in its place, forces={q: u}, inputs=(u,): "
+            "its values are given to each run, integrate(..., inputs={'u': "
+            "symsimpson.samples(values, period=...)}). Or run from jump to jump, each run from "
+            "the end of the one before; or write a smooth step, (1 + tanh((t - t1)/eps))/2.",
+        )
     if not node.atoms(AppliedUndef):
         of = "parameters" if node.free_symbols else "numbers"
         raise fail(
@@ -196,7 +215,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             "Evaluate it first: replace it by its value, "
             + ("in a parameter of its own." if node.free_symbols else f"{spell(sp.N(node, 17))}."),
         )
-    if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
+    if isinstance(node, CASES):
         raise fail(
             system,
             f"the {what} contains {spell(node)}, which is defined by cases.",
@@ -219,9 +238,17 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
     )
 
 
+def _of_time_alone(node: sp.Basic) -> bool:
+    """Return whether the time decides what a function is, and no coordinate does."""
+    deciding = [case for _, case in node.args] if isinstance(node, sp.Piecewise) else [node]
+    return any(dynamicsymbols._t in part.free_symbols for part in deciding) and not any(
+        part.atoms(AppliedUndef) for part in deciding
+    )
+
+
 def _differentiable(node: sp.Basic) -> bool:
     """Return whether a node can be differentiated twice and compiled, if its arguments can."""
-    if isinstance(node, (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)):
+    if isinstance(node, CASES):
         return False
     return not isinstance(node, sp.Function) or isinstance(node, SMOOTH)
 
@@ -264,8 +291,7 @@ def check_declared(
             "SymPy holds them apart, so the value would not arrive. "
             "Make the symbol once and use it everywhere.",
         )
-    close = difflib.get_close_matches(symbol.name, declared, n=1)
-    hint = f" Did you mean {close[0]}?" if close else ""
+    hint = did_you_mean(symbol.name, declared)
     raise fail(
         system,
         f"the {what} contains the unknown symbol {symbol.name}: it is neither a coordinate "

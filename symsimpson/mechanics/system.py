@@ -14,13 +14,11 @@ import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
+from symsimpson.calling import explaining
+from symsimpson.errors import ModelError
 from symsimpson.garbage import rarely_collected
 from symsimpson.graph.read import tree_size
-from symsimpson.mechanics.checks import (
-    read_coordinates,
-    read_name,
-    read_parameters,
-)
+from symsimpson.mechanics.checks import read_coordinates, read_name, read_parameters
 from symsimpson.mechanics.constraints import names_of
 from symsimpson.mechanics.declaration import LARGE, energies, read_energies
 from symsimpson.mechanics.digest import fingerprint
@@ -52,6 +50,7 @@ def _stage(stage: str, name: str) -> Iterator[dict[str, float]]:
         yield seconds
 
 
+@explaining(ModelError, also=("__init__",))
 @dataclass(frozen=True, eq=False, repr=False)
 class MechanicalSystem:
     """A mechanical system, declared by its kinetic and its potential energy.

@@ -120,10 +120,14 @@ def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats
     """Return what evaluates points at all states, shape (N, points, dimension)."""
     import sympy as sp
 
+    from symsimpson.mechanics.coordinates import time
+
     declared = some._stepper._module.declared
-    # coordinates are functions of time: plain symbols stand for them
-    plain = {q: sp.Dummy() for q in declared.coordinates}
+    # coordinates are functions of time: plain symbols stand for them, and for the time
+    plain = {q: sp.Dummy() for q in (*declared.coordinates, time)}
     values = [float(some.parameters[name]) for name in some._stepper.parameters]
+
+    q, t = np.asarray(some.q, dtype=float).T, np.asarray(some.t, dtype=float)
 
     def at(corners: Iterable[Any]) -> Floats:
         corners = list(corners)
@@ -133,7 +137,7 @@ def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats
                 function = sp.lambdify(
                     [*plain.values(), *declared.parameters], expression.xreplace(plain), "numpy"
                 )
-                out[:, k, axis] = function(*np.asarray(some.q, dtype=float).T, *values)
+                out[:, k, axis] = function(*q, t, *values)
         return out
 
     return at

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from symsimpson.names import spelled
 from symsimpson.plotting.axes import axes
 
 if TYPE_CHECKING:
@@ -18,39 +18,50 @@ __all__ = ["plot", "plot_energy", "plot_exponents", "plot_phase"]
 DOTS = {"ls": "none", "marker": ".", "ms": 2.5}
 
 
+def label(name: Any) -> str:
+    """Return a name as matplotlib writes it as it is.
+
+    It would read what is between dollars as a formula, and hide what begins with a line.
+    """
+    text = spelled(name).replace("$", r"\$")
+    return f" {text}" if text.startswith("_") else text
+
+
 def plot(
     some: States,
-    names: str | Sequence[str] | None = None,
+    names: Any = None,
     *,
     connected: bool = True,
     ax: Any = None,
 ) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
-    wanted = (names,) if isinstance(names, str) else names or some._stepper.coordinates
-    found = {name: some[name] for name in wanted}
+    single = isinstance(names, str) or hasattr(names, "free_symbols")
+    wanted = [names] if single else list(names or some._stepper.coordinates)
+    found = {label(name): some[name] for name in wanted}
     ax = axes(ax, (7, 3.5))
     for name, values in found.items():
         ax.plot(some.t, values, label=name, **({"lw": 1.2} if connected else DOTS))
     ax.set(xlabel="t", title=f"{some._stepper.system}, {some._stepper.scheme}")
     ax.grid(lw=0.4, alpha=0.6)
     if len(wanted) == 1:
-        ax.set_ylabel(wanted[0])
+        ax.set_ylabel(*found)
     else:
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     return ax
 
 
 def plot_phase(
-    some: States, x: str | None = None, y: str | None = None, *, connected: bool = True,
+    some: States, x: Any = None, y: Any = None, *, connected: bool = True,
     ax: Any = None,
 ) -> Any:  # fmt: skip
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
-    x = x or some._stepper.coordinates[0]
-    y = y or f"p_{x}"
+    x = some._stepper.coordinates[0] if x is None else x
+    y = f"p_{spelled(x)}" if y is None else y
     found = some[x], some[y]
     ax = axes(ax, (4.5, 4.5))
     ax.plot(*found, **({"lw": 0.8} if connected else DOTS))
-    ax.set(xlabel=x, ylabel=y, title=f"{some._stepper.system}, {some._stepper.scheme}")
+    title = f"{some._stepper.system}, {some._stepper.scheme}"
+    ax.set(xlabel=label(x), ylabel=label(y), title=title)
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 

@@ -71,36 +71,40 @@ class StateCost:
         n, self._stepper = stepper.n, stepper
         names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
         names += [f"a_{j}" for j in range(len(stepper.parameters))] + ["t"]
-        own = {name: sp.Symbol(name, real=True) for name in names}
+        symbols = {name: sp.Symbol(name, real=True) for name in names}
         functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "energy": sp.Symbol("energy")}
         # the text was written anew from a list of what is allowed; numbers are what they say
-        self._expression = sp.sympify(found.text, locals={**own, **functions}, rational=True)
+        self._expression = sp.sympify(found.text, locals={**symbols, **functions}, rational=True)
         if self._expression.has(functions["energy"]):
             raise InputError(
                 f"{what} contains the energy, whose derivatives are not known here.\n"
                 "Write it with coordinates, velocities and parameters."
             )
-        self._moving = self._expression.has(*(own[f"v_{i}"] for i in range(n)))
+        self._moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
         if self._moving and stepper._module.header.constraints:
             raise InputError(
                 f"{what} contains velocities, whose derivatives are not known with constraints.\n"
                 "Write it with coordinates and momenta, or as running=."
             )
-        self._symbols = list(own.values())
-        varied = stepper._module.header.varied_by or ()
+        self._symbols = list(symbols.values())
+        varied, own = stepper._module.header.varied_by or (), stepper._module.header.parameters
         #: Which of the parameters are varied; inputs are none of them.
-        self._varied = [
-            stepper.parameters.index(name) if name in stepper.parameters else None
-            for name in varied
-        ]
+        self._varied = [own.index(name) if name in own else None for name in varied]
 
     @cached_property
     def _evaluate(self) -> Callable[..., list[Reals]]:
         import sympy as sp
 
-        slopes = [sp.diff(self._expression, symbol) for symbol in self._symbols[:-1]]
+        class Whole(sp.Function):
+            """The largest whole number below: constant but where it jumps."""
+
+            def fdiff(self, argindex: int = 1) -> Any:
+                return sp.S.Zero
+
+        value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
+        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
         numbers = self._stepper._module.numbers
-        return numbers.lambdified(self._symbols, [self._expression, *slopes])
+        return numbers.lambdified(self._symbols, [one.replace(Whole, sp.floor) for one in every])
 
     def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
         """Return the quantity at states, and its derivatives by q, p and what is varied.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.errors import InputError
 from symsimpson.runtime.gradients import Wanted, gradient_of
 from symsimpson.runtime.kernels.observed import read_reductions
@@ -28,6 +29,7 @@ __all__ = ["Differentiating"]
 Reals = NDArray[Any]
 
 
+@explaining()
 class Differentiating(Stepping):
     """Derivatives of steps and of runs, exact ones of what is computed."""
 

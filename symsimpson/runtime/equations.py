@@ -48,8 +48,9 @@ def evaluate_equations(
             "Ask a stepper of another scheme, as 'simpson'."
         )
     with numbers.working():
-        q = read_vector("q0", q0, stepper.coordinates, numbers)
-        p = read_vector("p0", p0, stepper.coordinates, numbers)
+        names = stepper._names.coordinates
+        q = read_vector("q0", q0, names, numbers)
+        p = read_vector("p0", p0, names, numbers)
         h, t = read_number("h", h, numbers), read_number("t", t, numbers)
         points = read_array("nodes", nodes, numbers)
         if points.shape != (d, n):

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.derivation import Derivation
 from symsimpson.errors import InputError
+from symsimpson.names import spelled
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_array, read_parameters
 from symsimpson.runtime.kernels.compiled import Kernels
@@ -18,6 +20,7 @@ from symsimpson.runtime.kernels.header import Header, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.loaded import Loaded, Tools
+from symsimpson.runtime.names import Names
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import workspace
 
@@ -28,6 +31,7 @@ Reals = NDArray[Any]
 Parameters = Mapping[Any, Any]
 
 
+@explaining()
 class Evaluator:
     """The kernels of one module, and what they give at states of any origin.
 
@@ -46,19 +50,17 @@ class Evaluator:
         derivation: Derivation | None = None,
         tools: Tools | None = None,
         differentiate: Callable[[tuple[str, ...], Any], Evaluator] | None = None,
+        names: Names | None = None,
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
         kernels = numbers.kernels(source, header)
         self._module = Loaded(header, numbers, kernels, declared, derivation, tools)
         self.system, self.scheme, self.order = header.system, header.scheme, header.order
-        self.coordinates, self.parameters = header.coordinates, header.parameters
-        self.invariants, self.reference_state = header.invariants, reference_state
-        self.inputs = header.inputs
-        #: Names of inputs, those that a user gave beside those of the module.
-        self._input_names = {name: i for i, name in enumerate(header.inputs)}
-        #: Names of constraints, those that a user gave beside those of the module.
-        self._constraint_names = {name: i for i, name in enumerate(header.constraints)}
+        self._names = names = names or Names(header, declared, defaults)
+        self.coordinates, self.parameters = names.coordinates.shown, names.parameters.shown
+        self.inputs, self.invariants = names.inputs.shown, names.invariants.shown
+        self.reference_state = reference_state
         self._differentiate = differentiate
         #: Steppers that differentiate by these parameters and inputs, and a running cost.
         self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
@@ -73,21 +75,11 @@ class Evaluator:
         self._prepared: list[Any] | None = [] if free and numbers is FLOAT64 else None
         #: Steps and lengths of runs that are not short, though it did not seem so.
         self._long: set[tuple[float, float]] = set()
-        #: Names of coordinates; those that a user gave come before those of the module.
-        self._coordinate_names = {name: i for i, name in enumerate(header.coordinates)}
         #: What inputs are in runs that are given none.
         self._held: Mapping[str, float] | None = None
-        if declared is not None:
-            users = {q.func.__name__: i for i, q in enumerate(declared.coordinates)}
-            self._coordinate_names |= users
-            self._constraint_names = {name: i for i, name in enumerate(declared.constraints)}
-            self._input_names |= {str(u): i for i, u in enumerate(declared.inputs)}
-            self._input_names |= {u.name: i for i, u in enumerate(declared.inputs)}
-        self._aliases = {name: i for i, name in enumerate(header.parameters)}
         self._defaults = numbers.read(header.defaults)
         self._given = defaults
         if defaults is not None:
-            self._aliases |= {name: i for i, name in enumerate(defaults)}
             self._defaults = numbers.read(list(defaults.values()))
 
     @property
@@ -101,6 +93,7 @@ class Evaluator:
             "defaults": self._given and dict(self._given), "declared": self._module.declared,
             "reference_state": state and dict(state), "numbers": self._module.numbers,
             "tools": self._module.tools, "differentiate": self._differentiate,
+            "names": self._names,
         }  # fmt: skip
         return partial(type(self), self.source, self._where, **given), ()
 
@@ -227,23 +220,27 @@ class Evaluator:
         InputError
         """
         own = self._module.header.from_start
-        if isinstance(given, Mapping) and not own.isdisjoint(map(str, given)):
+        if own and isinstance(given, Mapping) and not own.isdisjoint(map(spelled, given)):
             raise InputError(
                 f"parameters give {', '.join(sorted(own))}, or one of them, which follow from the "
                 "start of a run.\nLeave them out: E0 is the energy there."
             )
 
     def _values(self, given: Parameters | None) -> Reals:
+        if given is None:
+            return self._defaults.copy()
         header = self._module.header
         self._check_given(given)
-        return read_parameters(
-            self.parameters,
-            self._aliases,
+        values = read_parameters(
+            self._names.parameters,
             header.signs,
             self._defaults,
             given,
             self._module.numbers,
         )
+        if self._names.idle:
+            self._names.warn_of_idle(self.system, np.flatnonzero(values != self._defaults))
+        return values
 
 
 def evaluate(

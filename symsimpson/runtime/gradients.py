@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.names import spelled
 from symsimpson.runtime.costs import read_cost, read_samples
 from symsimpson.runtime.inputs import read_count
 from symsimpson.runtime.results.gradient import Gradient
@@ -60,7 +61,8 @@ def gradient_of(
     ------
     InputError, ConvergenceError, Interrupted
     """
-    asked = [wanted.wrt] if isinstance(wanted.wrt, str) else [str(one) for one in wanted.wrt]
+    several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
+    asked = [spelled(one) for one in (wanted.wrt if several else [wanted.wrt])]
     names = [name for name in asked if name not in STATE]
     _check(wanted, asked, velocities=start[1] is not None)
     stepper = varied_stepper(stepper, read_varied(stepper, names), wanted.running)
@@ -70,8 +72,9 @@ def gradient_of(
         read_cost(stepper, wanted.cost),
         read_samples(stepper, wanted.samples, spec.steps, every), every,
     )  # fmt: skip
-    varied = stepper._module.header.varied_by or ()
-    of_inputs = [j for j, name in enumerate(varied) if name in stepper.inputs]
+    header = stepper._module.header
+    varied = header.varied_by or ()
+    of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
     found = differentiate_back(stepper, spec, objective, of_inputs, progress)
     given = given_inputs(stepper, inputs) if of_inputs else {}
     n, parts = stepper.n, {}
@@ -80,9 +83,10 @@ def gradient_of(
             parts[name] = found.state[:n] if name == "q" else found.state[n:]
             continue
         own = varied[names.index(name)]
-        if own in stepper.inputs:
+        if own in header.inputs:
             slopes = found.by_step[:, of_inputs.index(names.index(name))]
-            parts[name] = _of_input(own, slopes, given[own], spec, stepper._module.numbers)
+            key = stepper.inputs[header.inputs.index(own)]
+            parts[name] = _of_input(key, slopes, given[key], spec, stepper._module.numbers)
         else:
             parts[name] = np.asarray(found.parameters[names.index(name)])
     return Gradient(found.value, parts)

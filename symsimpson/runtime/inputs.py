@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.names import Named
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
@@ -32,23 +33,24 @@ __all__ = [
 
 #: The end of a run may miss a whole number of steps by so much of a step.
 STEP_FRACTION = 1e-6
+#: Squares of smaller steps are hardly numbers any more, and masses divided by them may be infinite.
+LEAST_STEP = 1e-150
 #: More steps than this cannot be counted exactly in a float.
 MOST_STEPS = 2**53
 
 
-def read_vector(
-    name: str, value: ArrayLike, coordinates: tuple[str, ...], numbers: Numbers
-) -> NDArray[Any]:
-    """Read one finite number for each coordinate."""
-    vector = read_array(name, value, numbers)
+def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> NDArray[Any]:
+    """Read one finite number for each coordinate: in their order, or a mapping by name."""
+    vector = read_array(name, coordinates.in_order(name, value), numbers)
     n = len(coordinates)
     if vector.shape != (n,):
         raise InputError(
             f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
-            f"{', '.join(coordinates)}.\nThe order is that of the coordinates in the declaration."
+            f"{', '.join(coordinates.shown)}.\nThe order is that of the coordinates in the "
+            f"declaration; or name them: {{{coordinates.shown[0]!r}: ...}}."
         )
     if not numbers.all_finite(vector):
-        where = coordinates[int(np.argmin(numbers.finite(vector)))]
+        where = coordinates.shown[int(np.argmin(numbers.finite(vector)))]
         raise InputError(
             f"{name} is not finite for {where}: {value!r}.\n"
             "A run must begin at a finite state. Look where the number comes from."
@@ -167,6 +169,12 @@ def read_step(h: Any, numbers: Numbers) -> Any:
         raise InputError(
             "the step h is 0.\nTime would stand still. Pass h > 0, or h < 0 backwards."
         )
+    if isinstance(h, float) and abs(h) < LEAST_STEP:
+        raise InputError(
+            f"the step h is {h!r}, so small that what is divided by it, or its square, leaves the "
+            f"range of double precision.\nPass h above {LEAST_STEP:g}, or take another unit of "
+            "time; steps of many digits have no such limit."
+        )
     return h
 
 
@@ -202,8 +210,7 @@ def whole_number(value: Any) -> int | None:
 
 
 def read_parameters(
-    names: tuple[str, ...],
-    aliases: Mapping[str, int],
+    names: Named,
     signs: tuple[str, ...],
     defaults: NDArray[Any],
     given: Mapping[Any, Any] | None,
@@ -219,23 +226,19 @@ def read_parameters(
         )
     seen: set[int] = set()
     for key, value in given.items():
-        slot = aliases.get(str(key))
-        if slot is None:
-            raise InputError(
-                f"there is no parameter {_short(str(key))}.\n"
-                f"The system has {', '.join(names) or 'none'}."
-            )
+        slot = names.found(key)
+        name = names.shown[slot]
         if slot in seen:
             raise InputError(
-                f"parameter {names[slot]} is given twice, by name and by symbol.\nGive it once."
+                f"parameter {name} is given twice, by name and by symbol.\nGive it once."
             )
         seen.add(slot)
-        number = read_number(f"parameter {names[slot]}", value, numbers)
+        number = read_number(f"parameter {name}", value, numbers)
         if (signs[slot] == "positive" and number <= 0) or (
             signs[slot] == "negative" and number >= 0
         ):
             raise InputError(
-                f"parameter {names[slot]} is declared {signs[slot]} and given as "
+                f"parameter {name} is declared {signs[slot]} and given as "
                 f"{float(number):g}.\nThe equations were simplified with that sign. "
                 "Change the value or the declaration."
             )
@@ -260,8 +263,20 @@ def read_given(
     raise InputError(f"{who} needs exactly one of v0 and p0, and has {given}.\n{how}")
 
 
-def refused_start(system: str, where: str, pivot: float, finite: bool) -> InputError:
-    """Say why a run cannot begin at q0, from the smallest pivot of M there."""
+def refused_start(
+    system: str, where: str, pivot: float, finite: bool, *, zero: Sequence[str] | None = None
+) -> InputError:
+    """Say why a run cannot begin at q0, from the smallest pivot of M there.
+
+    Where M is singular at other positions, too, ``zero`` names the parameters that are 0.
+    """
+    if zero is not None:
+        which = f" {', '.join(zero)} {'are' if len(zero) > 1 else 'is'} 0." if zero else ""
+        return InputError(
+            f"{system}: the mass matrix is singular at {where}, and at other positions, too.\n"
+            "No velocity follows from a momentum without mass. Check the parameters that stand in "
+            f"the kinetic energy.{which}"
+        )
     if finite and not (np.isfinite(pivot) and pivot >= 0):
         return InputError(
             f"{system}: the mass matrix is not positive definite at {where}.\nKinetic energy must "

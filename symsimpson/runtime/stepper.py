@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
+from symsimpson.calling import explaining
 from symsimpson.derivation import Report
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.derivatives import Differentiating
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Stepper"]
 
 
+@explaining()
 class Stepper(Differentiating):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
@@ -45,11 +47,13 @@ class Stepper(Differentiating):
     declared : MechanicalSystem, optional
         The system that the module was generated from; needed to warn of too large steps.
     derivation : Derivation, optional
-        Record of the generation of the module.
+        Record of its generation.
     tools : Tools, optional
         Functions that certify the stepper and check the step size.
     differentiate : callable, optional
         Returns a stepper that also differentiates its steps by the named parameters and inputs.
+    names : Names, optional
+        What users call things, if another stepper knows.
 
     Attributes
     ----------
@@ -118,9 +122,9 @@ class Stepper(Differentiating):
 
         Parameters
         ----------
-        q0 : array_like, shape (n,)
-            Initial positions, in the order of the coordinates.
-        v0, p0 : array_like, shape (n,)
+        q0 : array_like, shape (n,), or mapping
+            Initial positions: in the order of the coordinates, or by name or symbol.
+        v0, p0 : as q0
             Initial velocities or conjugate momenta: exactly one of them.
         h : float
             Step; negative to run backwards.
@@ -129,25 +133,23 @@ class Stepper(Differentiating):
         steps : int, optional
             Number of steps; exactly one of ``t_end`` and ``steps``.
         t0 : float
-            Initial time.
         parameters : mapping, optional
             Values by symbol or by name, in place of the defaults.
         inputs : mapping, optional
             Values of the system's inputs, by symbol or by name: a number; an array of shape
-            (steps,), held constant over each step; an array of shape (steps, s), at the nodes of
-            each step (see :meth:`node_times`); or :func:`symsimpson.samples`.
+            (steps,), held over each step; (steps, s), at its nodes (:meth:`node_times`); or
+            :func:`symsimpson.samples`.
         every : int or None
             Number of steps between stored states; None stores only the last state.
         tangents : int or array_like, shape (2 n, k), optional
-            Variations (dq, dp) of the initial state, one per column; an integer k stands for the
-            first k unit vectors. ``run.tangent`` holds them, propagated by the exact derivative.
+            Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
+            vectors. ``run.tangent`` holds them.
         sensitivities : name, symbol or sequence of them, optional
-            Parameters and inputs to differentiate by, with q0 and the given v0 or p0 held fixed.
-            ``run.sensitivity`` has the result. An input is varied equally at all steps.
+            Parameters and inputs to differentiate by, with q0 and v0 or p0 held fixed; gives
+            ``run.sensitivity``. An input is varied equally at all steps.
         checkpoint : path, optional
-            A file from which an interrupted run can be resumed, with bitwise the same result:
-            repeat the same call, or use :func:`symsimpson.resume`. Stored states go to a file
-            beside it, not into memory.
+            A file from which an interrupted run is resumed, to the same bits, by the same call or
+            :func:`symsimpson.resume`. Stored states go to a file beside it.
         checkpoint_every : int, optional
             Steps between checkpoints; about ten seconds unless given.
         progress : bool, optional
@@ -228,8 +230,9 @@ class Stepper(Differentiating):
 
         Parameters
         ----------
-        q0, v0, p0 : array_like, shape (K, n) or (n,)
-            Initial positions, and velocities or momenta; one row stands for all members.
+        q0, v0, p0 : array_like, shape (K, n) or (n,), or mapping
+            Initial positions, and velocities or momenta, one row for all members; numbers or arrays
+            of shape (K,) by name.
         h, t_end, steps, t0
             As for :meth:`integrate`.
         parameters : mapping, optional
@@ -237,13 +240,12 @@ class Stepper(Differentiating):
         inputs : mapping, optional
             As for :meth:`integrate`; with an axis of K members before the others, each has its own.
         every : int or None
-            Number of steps between stored states; None stores only the last state.
+            As for :meth:`integrate`.
         reduce : mapping from str to (kind, expression) or kind, optional
             Quantities to evaluate without storing states. The kinds "min", "max" and "mean" are
             taken over the states after each step. "first" is the time at which the expression first
-            becomes positive, by linear interpolation over a step, and NaN if it never does. To
-            find zeros to rounding, use :meth:`Trajectory.events` of single members. The expression
-            is a string or a SymPy expression in the names that :meth:`Trajectory.events` allows.
+            becomes positive, by linear interpolation over a step, and NaN if it never does; zeros
+            to rounding are found by :meth:`Trajectory.events`, which says what expressions may be.
             "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
             motion grow, as :meth:`lyapunov` does.
         tangents, sensitivities
@@ -360,9 +362,7 @@ class Stepper(Differentiating):
     ) -> Certificate:
         """Verify by measurement that this stepper has the properties of its scheme.
 
-        Order, symplecticity, reversibility, momenta, invariants, the Jacobian and Newton's method
-        are measured in 50 digits on the source of the module. Then the compiled code is compared
-        with that source, and run for 100,000 steps.
+        All are measured in 50 digits on its source, which compiled code is then compared with.
 
         Parameters
         ----------
@@ -396,5 +396,5 @@ class Stepper(Differentiating):
                 f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
-        return self._module.tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters,
-                                          inputs=inputs)  # fmt: skip
+        more: dict[str, Any] = {"h": h, "parameters": parameters, "inputs": inputs}
+        return self._module.tools.certify(self, q0, v0, p0=p0, **more)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from symsimpson.calling import explaining
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_count, read_number, read_step
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Stepping"]
 
 
+@explaining()
 class Stepping(Evaluator):
     """What a stepper does step by step; :class:`Stepper` is one that also runs."""
 

@@ -12,6 +12,7 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
+from symsimpson.names import did_you_mean
 from symsimpson.schemes.quadrature import Quadrature
 from symsimpson.schemes.scheme import Scheme
 
@@ -159,7 +160,8 @@ def composition(name: str) -> Composition:
     """
     if name not in COMPOSITIONS:
         choices = ", ".join(repr(choice) for choice in COMPOSITIONS)
-        raise SchemeError(f"there is no composition {name!r}.\nChoose one of {choices}.")
+        hint = did_you_mean(name, COMPOSITIONS)
+        raise SchemeError(f"there is no composition {name!r}.{hint}\nChoose one of {choices}.")
     return _composition(name)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 from symsimpson.errors import SchemeError
+from symsimpson.names import did_you_mean
 from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
 
@@ -38,10 +39,13 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
                 return galerkin("radau", (order + 1) // 2, (order + 1) // 2)
         if found := re.fullmatch(r"(gauss|lobatto|radau)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
             return galerkin(found[1], int(found[2]), int(found[3]))
+    family = ["gauss4", "gauss6", "gauss8", "lobatto6", "lobatto8", "radau3", "radau5"]
+    known = [*named, *COMPOSITIONS, *family]
+    hint = did_you_mean(scheme, known) if isinstance(scheme, str) else ""
     raise SchemeError(
-        f"there is no scheme {scheme!r}.\nChoose 'midpoint', 'simpson', 'lobatto6', 'gauss4', ... "
-        "(the family by its even order), an explicit one as 'kahan_li8' (symsimpson.composition), "
-        "or make one with symsimpson.galerkin."
+        f"there is no scheme {scheme!r}.{hint}\nChoose 'midpoint', 'simpson', 'lobatto6', "
+        "'gauss4', ... (the family by its even order), an explicit one as 'kahan_li8' "
+        "(symsimpson.composition), or make one with symsimpson.galerkin."
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from symsimpson.names import did_you_mean
 from symsimpson.systems.argon import argon, argon_cluster
 from symsimpson.systems.cart_pole import cart_pole, driven_cart_pole
 from symsimpson.systems.cloth import cloth
@@ -170,3 +171,9 @@ __all__ = [
     "van_der_pol",
     "water",
 ]
+
+
+def __getattr__(name: str) -> object:
+    raise AttributeError(
+        f"module 'symsimpson.systems' has no attribute {name!r}.{did_you_mean(name, EVERY)}"
+    )

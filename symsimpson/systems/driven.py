@@ -120,6 +120,7 @@ def kapitza() -> CatalogueSystem:
         kinetic=m * (x.diff(time) ** 2 + y.diff(time) ** 2) / 2,
         potential=m * g * y,
         parameters={m: 1.0, l: 1.0, g: 9.81, a: 0.1, w: 80.0},
+        positions={"pivot": (sp.S.Zero, pivot), "bob": (x, y)},
         reference_state={"q0": (3.0,), "v0": (0.0,)},
         source="L. D. Landau and E. M. Lifshitz, Mechanics, section 30",
     )

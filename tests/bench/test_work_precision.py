@@ -199,3 +199,9 @@ def test_time_is_an_unknown_where_something_depends_on_it():
         run, read = contender.make(1e-10 if contender.what == "tolerance" else 2000)
         outcome = read(run())
         assert problem.error(outcome.q, outcome.p) < 1e-6
+
+
+@pytest.mark.parametrize("scheme", sweep(["simpson", ss.SIMPSON]))
+def test_a_single_scheme_is_taken_as_one(scheme):
+    given = {"peers": (), "errors": [1e-3], "t_end": 0.5, "repeats": 1}
+    assert ss.work_precision(ss.systems.pendulum(), scheme, **given).names == ("simpson",)

@@ -137,3 +137,56 @@ def test_a_system_is_frozen_and_known_by_its_equations():
     assert system.digest != declare(potential=V**2).digest
     assert (system.n, system.mass_matrix[0, 0]) == (1, m)
     assert sp.simplify(system.lagrangian - (T - V)) == 0
+
+
+JUMPS = {
+    "step": sp.Heaviside(ss.time - 1), "stairs": sp.floor(ss.time),
+    "corner": sp.Abs(sp.sin(ss.time)), "larger": sp.Max(ss.time, 1),
+    "sign": sp.sign(sp.cos(ss.time)), "saw": sp.Mod(ss.time, 2),
+    "cases": sp.Piecewise((1, ss.time > 1), (0, True)),
+    "cases of the time": sp.Piecewise((y, ss.time > m), (x, True)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_functions_of_time_with_jumps(name):
+    """Neither is made of parameters alone; an input has such values."""
+    for changes in ({"forces": {x: JUMPS[name]}}, {"potential": V + x * JUMPS[name]}):
+        with pytest.raises(
+            ss.ModelError, match=r"a function of time with jumps.*\n.*inputs=\(u,\)"
+        ):
+            declare(coordinates=(x, y), kinetic=T2 + T, **changes)
+    smooth = (1 + sp.tanh((ss.time - 1) / sp.Rational(1, 100))) / 2
+    assert declare(forces={x: smooth}).plain.forces
+
+
+def test_functions_that_compiled_code_does_not_have():
+    with pytest.raises(ss.ModelError, match="of time that compiled code does not have: besselj"):
+        declare(forces={x: sp.besselj(0, ss.time)})
+
+
+def test_functions_of_time_that_are_not_declared():
+    length = sp.Function("ell")(ss.time)
+    for given, message in (
+        (length, r"inputs=\(ell,\).*\.subs\(ell, \.\.\.\)\.doit\(\)"),
+        (length.diff(), r"ell', an unknown velocity.*given function of time.*L\.subs\(ell"),
+        (sp.Function(r"\dot{q}")(ss.time).diff(), r"\\dot\{q\}', an unknown velocity"),
+    ):
+        with pytest.raises(ss.ModelError, match=f"(?s){message}"):
+            ss.MechanicalSystem.from_lagrangian("crane", T - V + x * given, (x,), {m: 1.0, k: 2.0})
+    taken = (T - V + x * length.diff()).subs(length, sp.cos(ss.time)).doit()
+    assert ss.MechanicalSystem.from_lagrangian("crane", taken, (x,), {m: 1.0, k: 2.0}).n == 1
+
+
+def test_a_time_with_assumptions():
+    own = sp.Symbol("t", positive=True)
+    q = sp.Function("theta")(own)
+    with pytest.raises(ss.ModelError, match=r"theta is a function of a symbol t with assumptions"):
+        ss.MechanicalSystem.from_lagrangian("own", q.diff(own) ** 2 / 2, (q,))
+    other = sp.Function("theta")(sp.Symbol("s"))
+    with pytest.raises(ss.ModelError, match="is not a function of time"):
+        ss.MechanicalSystem.from_lagrangian("own", other.diff() ** 2 / 2, (other,))
+
+
+def test_points_may_move_with_the_time():
+    assert declare(positions={"bob": (x + sp.cos(ss.time), 0)}).positions["bob"][1] == 0

@@ -47,7 +47,7 @@ WRONG = {
     "whole input": ({"inputs": (sp.Symbol("n", integer=True),)}, "declared an integer"),
     "acceleration of an input": ({"forces": {x: me.dynamicsymbols("u").diff()},
                                   "inputs": (me.dynamicsymbols("u"),)}, "an unknown velocity"),
-    "position of time": ({"positions": {"bob": (x + t, y)}}, "depends on the symbol t"),
+    "position of a velocity": ({"positions": {"bob": (x + y.diff(), y)}}, "on the velocity y'"),
 }  # fmt: skip
 
 

@@ -113,3 +113,27 @@ def test_a_film_has_its_own_layout(recwarn):
     assert not recwarn
     assert len(page) < 100_000
     assert page.count("\n") < 1000
+
+
+def test_points_that_move_with_the_time(tmp_path):
+    """A pivot that is shaken by hand is drawn, filmed, and where it is at each time."""
+    import sympy as sp
+
+    (theta,), a = ss.coordinates("theta"), sp.Symbol("a")
+    pivot = a * sp.cos(3 * ss.time)
+    shaken = ss.MechanicalSystem(
+        "shaken", coordinates=(theta,), kinetic=theta.diff() ** 2 / 2, potential=-sp.cos(theta),
+        parameters={a: 0.3},
+        positions={"pivot": (pivot, 0), "bob": (pivot + sp.sin(theta), -sp.cos(theta)),
+                   "table": [(pivot, 0), (pivot + 1, 0), (pivot, 1)]},
+    )  # fmt: skip
+    run = ss.compile(shaken).integrate([1.0], v0=[0.0], h=0.1, steps=30, parameters={a: 0.5})
+    moved = 0.5 * np.cos(3 * run.t)
+    scene = scene_of(run)
+    assert scene.points[:, 0, 0] == pytest.approx(moved)
+    assert scene.points[:, 1, 0] == pytest.approx(moved + np.sin(run["theta"]))
+    assert scene.bodies[0][:, 1, 0] == pytest.approx(moved + 1)
+    assert [(link.first, link.second) for link in scene.links if link.rigid] == [(0, 1)]
+    path = run[3:9].plot_path().lines[0].get_xdata()  # some states have their own times
+    assert path == pytest.approx(moved[3:9])
+    assert run.animate(fps=5, seconds=1).save(tmp_path / "film.html").stat().st_size > 1000

@@ -79,3 +79,30 @@ def test_without_matplotlib(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
     with pytest.raises(ss.InputError, match=r"needs matplotlib.*\n.*symsimpson\[plot\]"):
         run.plot()
+
+
+def test_names_one_by_one_and_symbols(run):
+    q1, q2 = ss.systems.double_pendulum().coordinates
+    ax = run.plot("q1", q2, q1.diff())
+    assert [line.get_label() for line in ax.lines] == ["q1", "q2", "v_q1"]
+    assert run.plot(q1).get_ylabel() == "q1"
+    ax = run.plot_phase(q2)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("q2", "p_q2")
+    with pytest.raises(ss.InputError, match=r"there is no 'v_q3'. Did you mean v_q[12]\?"):
+        run.plot("q1", "v_q3")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"), [("$a$b$", r"\$a\$b\$"), ("_x", " _x"), (r"\mu", r"\mu")]
+)
+def test_names_are_written_as_they_are(name, shown):
+    from matplotlib.figure import Figure
+
+    from symsimpson.plotting.states import label
+
+    assert label(name) == shown
+    figure = Figure()
+    ax = figure.add_subplot()
+    ax.plot([0, 1], label=label(name))
+    assert len(ax.legend().get_texts()) == 1
+    figure.canvas.draw()  # dollars are no formula

@@ -213,3 +213,32 @@ def test_what_a_gradient_cannot_be_of_is_refused(double_pendulum):
         )
     with pytest.warns(ss.StabilityWarning), pytest.raises(ss.ConvergenceError):
         gradient(h=5.0)
+
+
+@pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "gauss8"], 1))
+def test_gradients_by_the_initial_state_alone(scheme):
+    stepper = ss.compile(ss.systems.pendulum(), scheme)
+    start = {"h": 0.01, "steps": 50}
+    x = np.array([1.0, 0.2])
+
+    def value(z):
+        return stepper.integrate(z[:1], v0=z[1:], **start).q[-1, 0] ** 2
+
+    for names, part in ((("q",), slice(0, 1)), ("v", slice(1, 2)), (["q", "v"], slice(0, 2))):
+        found = stepper.gradient(x[:1], v0=x[1:], **start, cost="theta**2", wrt=names)
+        assert found.gradient == pytest.approx(differences(value, x)[part], rel=1e-9)
+
+
+def test_the_slope_of_a_rest_is_that_of_what_is_divided(double_pendulum):
+    """But where it jumps: Mod(a, b) is a - b floor(a/b)."""
+    q1, _ = ss.systems.double_pendulum().coordinates
+    given = {"v0": [0.5, 1.0], "h": H, "steps": STEPS, "wrt": ("q", "l1")}
+    for rest, plain in (
+        (sp.Mod(3 * q1, 2) ** 2, lambda q: (3 * q - 2 * np.floor(1.5 * q), 3)),
+        ("(-q1 % 0.3)**2", lambda q: (-q - 0.3 * np.floor(-q / 0.3), -1)),
+    ):
+        found = double_pendulum.gradient([1.0, 2.0], **given, cost=rest)
+        of_q = double_pendulum.gradient([1.0, 2.0], **given, cost=q1)
+        value, slope = plain(of_q.value)
+        assert found.value == pytest.approx(value**2, rel=1e-12)
+        assert found.gradient == pytest.approx(2 * value * slope * of_q.gradient, rel=1e-12)

@@ -40,7 +40,8 @@ WRONG = {
     "boolean": ({"every": True}, "every is True, not a whole number"),
     "absurd": ({"steps": 10**15}, "do not fit into memory"),
     "more absurd": ({"steps": 10**30}, "Pass a whole number"),
-    "tiny step": ({"steps": None, "t_end": 1.0, "h": 1e-300}, "too many to count"),
+    "tiny step": ({"steps": None, "t_end": 1.0, "h": 1e-100}, "too many to count"),
+    "least step": ({"h": -1e-310}, "the step h is -1e-310, so small that"),
     "both": ({"v0": [0, 0]}, "exactly one of v0 and p0, and has both"),
     "neither": ({"p0": None}, "exactly one of v0 and p0, and has neither"),
     "name": ({"parameters": {"mass": 1.0}}, "no parameter 'mass'.\nThe system has m1, m2"),
@@ -132,3 +133,33 @@ def test_energy_error_is_relative_to_its_scale():
     assert np.isclose(run.energy_error[-1] * run.energy_scale, run.energy[-1] - run.energy[0])
     assert run.energy_scale > 1.0  # |H0| is 1e-16
     assert offset.energy_error.tolist() == [0.0, 0.0, 0.0]
+
+
+def test_without_mass_it_is_not_the_position_that_is_wrong():
+    (x,), m, k = ss.coordinates("x"), *sp.symbols("m k")
+    light = ss.compile(
+        ss.MechanicalSystem(
+            "light", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=k * x**2 / 2,
+            parameters={m: 1.0, k: 2.0},
+        ),
+        "midpoint",
+    )  # fmt: skip
+    for given in ({"v0": [0.0]}, {"p0": [1.0]}):
+        with pytest.raises(
+            ss.InputError, match=r"(?s)mass matrix is singular at.*m is 0\."
+        ) as told:
+            light.integrate([1.0], **given, h=0.1, steps=1, parameters={m: 0})
+        assert "Begin elsewhere" not in str(told.value)
+    pole = ss.compile(ss.systems.spherical_pendulum(), "midpoint")
+    with pytest.raises(ss.InputError, match="singular point of the coordinates"):
+        pole.integrate([0.0, 0.0], p0=[0.1, 0.1], h=0.01, steps=1)
+
+
+def test_inputs_that_are_no_numbers_say_where():
+    cart = ss.compile(ss.systems.driven_cart_pole(), "midpoint")
+    (name,) = cart.inputs
+    start = {"q0": [0.0, 0.1], "v0": [0.0, 0.0], "h": 0.01, "steps": 3}
+    with pytest.raises(ss.InputError, match=f"input {name} is nan, not finite"):
+        cart.integrate(**start, inputs={name: float("nan")})
+    with pytest.raises(ss.InputError, match=rf"input {name} is inf at {name}\[1\], not finite"):
+        cart.integrate(**start, inputs={name: [0.0, np.inf, 0.0]})

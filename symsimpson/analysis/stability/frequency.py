@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
+from symsimpson.calling import warn
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import Value, scaled
@@ -217,28 +217,26 @@ def warn_of_step(
     if abs(h) * omega >= ALWAYS_STABLE:
         limit = largest_stable(stepper.scheme)
         if abs(h) * omega > limit:
-            _warn(
+            warn(
                 f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear "
                 f"stability. The fastest oscillation at the start has omega={omega:.4g}; h omega "
                 f"is {abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
                 f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), "
-                "which is linearly stable for every h."
+                "which is linearly stable for every h.",
+                StabilityWarning,
             )
             return
     if not system.constraints:
         omega = fastest_rotation(system, q, values, t)
     if abs(h) * omega > math.pi:
-        _warn(
+        warn(
             f"{stepper.system}, {stepper.scheme}: what turns or swings fastest at the start, of "
             f"omega={omega:.4g}, turns by {abs(h) * omega:.3g} rad in a step of h={h:g}. From pi "
             "on states one step apart cannot show that: it looks slower, or as if it turned the "
             f"other way, and is not resolved.\nTake h below {math.pi / omega:.3g}, and well below "
-            "for accuracy; or leave it so, if only slow parts of the motion matter."
+            "for accuracy; or leave it so, if only slow parts of the motion matter.",
+            StabilityWarning,
         )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, StabilityWarning, stacklevel=7)  # where integrate is called
 
 
 def _warn_of_damping(
@@ -251,11 +249,10 @@ def _warn_of_damping(
     scheme = read_scheme(stepper.scheme)
     if abs(h) * rate <= 2 * scheme.degree or not scheme.symmetric:
         return
-    warnings.warn(
+    warn(
         f"{stepper.system}, {stepper.scheme}: h={h:g} does not resolve the strongest damping at "
         f"the start, of rate {rate:.4g}: the damped part of the momenta hardly decays, or "
         f"alternates in sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' "
         "or 'radau5', with which it decays.",
         StabilityWarning,
-        stacklevel=7,  # where integrate is called
     )

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import sympy as sp
 
+from symsimpson.calling import warn
 from symsimpson.errors import StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -54,11 +54,10 @@ def warn_of_turning(
     """Warn of a step in which a body turns too far."""
     speed = fastest_turn(system, v)
     if speed * abs(h) > LARGEST_TURN:
-        warnings.warn(
+        warn(
             f"{stepper.system}, {stepper.scheme}: a step of h={h:g} turns a body by "
             f"{speed * abs(h):.3g} rad, at {speed:.4g} rad/s; with quaternions a step "
             f"resolves about {LARGEST_TURN} rad.\nTake h below {LARGEST_TURN / speed:.3g}; or use "
             "Euler angles, where the spin of a symmetric body is cyclic and any step resolves it.",
             StabilityWarning,
-            stacklevel=7,  # where integrate is called
         )

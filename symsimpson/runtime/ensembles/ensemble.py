@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.extras import library
 from symsimpson.runtime.evaluator import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
@@ -31,6 +32,7 @@ RESERVED = (
 )  # fmt: skip
 
 
+@explaining()
 @dataclass(frozen=True, eq=False, repr=False)
 class Ensemble(Quantities, Differentiated):
     """The results of the members of an ensemble.
@@ -94,8 +96,8 @@ class Ensemble(Quantities, Differentiated):
 
         Raises
         ------
-        KeyError
-            With the names that there are.
+        UnknownNameError
+            With the names that there are; it is an InputError, and a KeyError.
         IndexError
             If there is no such member.
         """
@@ -165,8 +167,9 @@ class Ensemble(Quantities, Differentiated):
         ('member', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
-        reduced, parameters = names_in_dataset(self.reduced, self.parameters)
-        coordinates = {parameters[name]: values for name, values in self.parameters.items()}
+        own = self._stepper._names.parameters.own  # identifiers, as in a store
+        reduced, parameters = names_in_dataset(self.reduced, own)
+        coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
         if self.store is not None:
             found = xarray.open_zarr(self.store, chunks=None, consolidated=False)
             return found.set_coords(list(coordinates))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import warn
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble
@@ -59,9 +60,7 @@ def look_at_steps(stepper: Stepper, task: Task) -> None:
             tools.check_step(stepper, system, q, v, own, task.h, task.t0)
         for warning in told:
             if issubclass(warning.category, StabilityWarning):
-                warnings.warn(
-                    f"member {member}: {warning.message}", warning.category, stacklevel=4
-                )
+                warn(f"member {member}: {warning.message}", warning.category)
                 return
 
 
@@ -91,10 +90,7 @@ def look_at_ends(stepper: Stepper, task: Task, found: Ensemble) -> None:
             )  # fmt: skip
         for warning in told:
             if issubclass(warning.category, ResolutionWarning):
-                warnings.warn(
-                    f"member {member}, as others may: {warning.message}", ResolutionWarning,
-                    stacklevel=4,
-                )  # fmt: skip
+                warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)
                 return
 
 

@@ -66,8 +66,7 @@ def read_task(
     second, other0 = read_given("an ensemble", how, v0, p0)
     names = ("q0", second)
     states = [
-        _states(name, given, stepper.coordinates)
-        for name, given in zip(names, (q0, other0), strict=True)
+        _states(name, given, stepper) for name, given in zip(names, (q0, other0), strict=True)
     ]
     columns = _parameters(stepper, parameters)
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
@@ -119,13 +118,27 @@ def _columns(stepper: Stepper, tangents: Any) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.concatenate([own, np.zeros((len(own), varied))], axis=1))
 
 
-def _states(name: str, value: Any, coordinates: tuple[str, ...]) -> NDArray[np.float64]:
+def _states(name: str, value: Any, stepper: Stepper) -> NDArray[np.float64]:
+    names = stepper._names.coordinates
+    if isinstance(value, Mapping):
+        rows = names.in_order(name, value)
+        columns = [
+            read_array(f"{name} of {q}", x, FLOAT64) for q, x in zip(names.shown, rows, strict=True)
+        ]
+        try:
+            value = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        except ValueError:
+            sizes = ", ".join(f"{q} {x.shape}" for q, x in zip(names.shown, columns, strict=True))
+            raise InputError(
+                f"{name} has columns of different shapes: {sizes}.\n"
+                "Give each coordinate one number, or one for each member."
+            ) from None
     states = read_array(name, value, FLOAT64)
-    n = len(coordinates)
+    n = len(names)
     if states.ndim not in (1, 2) or states.shape[-1] != n or states.size == 0:
         raise InputError(
             f"{name} has shape {states.shape}, expected (K, {n}) or ({n},): one row for each "
-            f"member with a number for each of {', '.join(coordinates)}.\n"
+            f"member with a number for each of {', '.join(names.shown)}.\n"
             "A single coordinate needs a column: x[:, None]."
         )
     if not np.isfinite(states).all():
@@ -142,8 +155,8 @@ def _parameters(
 ) -> dict[str, NDArray[np.float64]]:
     """Read parameter values, one or K of each."""
     stepper._check_given(given)
-    names, aliases = stepper.parameters, stepper._aliases
-    found = dict(zip(names, (np.asarray(x) for x in stepper._defaults), strict=True))
+    names = stepper._names.parameters
+    found = dict(zip(names.shown, (np.asarray(x) for x in stepper._defaults), strict=True))
     if given is not None and not isinstance(given, Mapping):
         raise InputError(
             f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
@@ -158,13 +171,16 @@ def _parameters(
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(
                 names,
-                aliases,
                 stepper._module.header.signs,
                 stepper._defaults,
                 {key: extreme},
                 FLOAT64,
             )
-        found[names[aliases[str(key)]]] = column
+        found[names.shown[names.found(key)]] = column
+    if stepper._names.idle:
+        places = enumerate(zip(found.values(), stepper._defaults, strict=True))
+        changed = [i for i, (x, default) in places if (x != default).any()]
+        stepper._names.warn_of_idle(stepper.system, changed)
     return found
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import warn
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.ensembles.task import Results, Task
 from symsimpson.runtime.evaluator import evaluate_members, watching
@@ -137,13 +138,12 @@ def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool
     folded = (independence < SINGULAR).any(axis=1)
     near = np.flatnonzero(close(independence).any(axis=1) & ~folded)
     if near.size and task.every == 1:
-        warnings.warn(
+        warn(
             f"{stepper.system}, {stepper.scheme}: in {near.size} of {task.members} members, the "
             f"first of them {near[0]}, constraints may follow from one another between two steps, "
             f"as where bars of a linkage fold into a line. The linkage may continue along either "
             f"branch, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at "
             "which the linkage does not fold.",
             ConstraintWarning,
-            stacklevel=6,  # where ensemble is called
         )
     return np.asarray(~folded)

@@ -175,8 +175,9 @@ def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> 
         place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
     )
     given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
-    _, names = names_in_dataset([r.name for r in task.reductions], stepper.parameters)
-    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(stepper.parameters)}
+    own = stepper._names.parameters.own
+    _, names = names_in_dataset([r.name for r in task.reductions], own)
+    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(own)}
     for name, variable in template.variables.items():
         integers, text = variable.dtype.kind == "i", variable.dtype.kind not in "if"
         shape, chunks = variable.shape, variable.shape

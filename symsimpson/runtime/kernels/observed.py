@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.reader import Reader
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
@@ -32,18 +31,6 @@ __all__ = [
 KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali")
 OF_VARIATIONS = KINDS[4:]
 
-#: Functions, and how many arguments they take at least and at most.
-_FUNCTIONS = dict.fromkeys(
-    ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt",
-     "abs"), (1, 1),
-) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}  # fmt: skip
-_SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
-_SIGNS: dict[type[ast.AST], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**",
-}  # fmt: skip
-LONGEST = 2000
-LARGEST = 10**300
-
 
 @dataclass(frozen=True)
 class Observed:
@@ -59,12 +46,15 @@ class Observed:
         Whether it contains the energy or velocities, which come from the kernel of the energy.
     wrapped : tuple of int
         Coordinates of which the turn between -pi and pi is meant.
+    rest : bool
+        Whether it is a rest alone, as ``Mod(q1, 2*pi)``, which never changes its sign.
     """
 
     expression: str
     text: str
     energetic: bool
     wrapped: tuple[int, ...] = ()
+    rest: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,8 +79,9 @@ def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...
         If it contains something else than arithmetic, functions and the names of coordinates,
         momenta, velocities, parameters, t and energy.
     """
-    reader = _Reader(stepper, "the expression")
-    return Observed(str(expression), reader.read_any(expression), reader.energetic, wrapped)
+    reader = Reader(stepper, "the expression")
+    text = reader.read_any(expression)
+    return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
 
 
 def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
@@ -121,106 +112,11 @@ def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tupl
                 "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); or one of "
                 f"{', '.join(OF_VARIATIONS)}."
             )
-        reader = _Reader(stepper, f"reduce[{name!r}]")
+        reader = Reader(stepper, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
-        found.append(
-            Reduction(str(pair[1]), text, reader.energetic, name=str(name), kind=str(pair[0]))
-        )
+        told = reader.portable(pair[1], text)
+        found.append(Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0])))
     return tuple(found)
-
-
-class _Reader:
-    """Writes an expression anew from its syntax tree; what is not on the list is refused."""
-
-    def __init__(self, stepper: Evaluator, where: str) -> None:
-        self._where = where
-        self.energetic = False
-        self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
-        coordinates = stepper._coordinate_names
-        self._known |= {a: f"a_{i}" for a, i in stepper._aliases.items()}
-        of_state = {f"{x}_{q}": f"{x}_{i}" for x in "pv" for q, i in coordinates.items()}
-        self._double = set(stepper._aliases) & {"t", "energy", *of_state}
-        self._known |= of_state
-        self._known |= {q: f"q_{i}" for q, i in coordinates.items()}
-        self._moving = set(coordinates)
-
-    def read_any(self, expression: Any) -> str:
-        """Read a text, an expression of SymPy, or an equation."""
-        for k, symbol in enumerate(sorted(getattr(expression, "free_symbols", ()), key=str)):
-            name = str(symbol)
-            if name.isidentifier() and not iskeyword(name):
-                continue
-            if name not in self._known:  # a text with it could be read as something else
-                raise self._refuse(f"it contains the unknown name {name!r}")
-            plain = f"symbol_{k}_"
-            self._known[plain] = self._known[name]
-            expression = expression.xreplace({symbol: type(symbol)(plain)})
-        if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
-            return self.read(f"({expression.lhs}) - ({expression.rhs})")
-        return self.read(str(expression))
-
-    def read(self, text: str) -> str:
-        if len(text) > LONGEST:
-            raise self._refuse(f"it has {len(text)} characters, more than {LONGEST}")
-        try:
-            body = ast.parse(text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise self._refuse("it is no expression") from None
-        try:
-            return self._write(body)
-        except RecursionError:
-            raise self._refuse("it is nested too deeply") from None
-
-    def _refuse(self, why: str) -> InputError:
-        return InputError(
-            f"{self._where}: {why}.\nUse numbers, + - * / **, "
-            f"{', '.join(sorted(_FUNCTIONS))}, and the names {', '.join(self._known)}."
-        )
-
-    def _write(self, node: ast.expr) -> str:
-        match node:
-            case ast.Constant(value=bool()):
-                raise self._refuse("it contains a truth value")
-            case ast.Constant(value=int() | float() as number):
-                if not -LARGEST < number < LARGEST:
-                    raise self._refuse("it contains a number that is too large")
-                return repr(float(number))
-            case ast.Name(id=name) if name in self._known:
-                self._check_single(name)
-                self.energetic |= self._known[name].startswith(("energy", "v_"))
-                return self._known[name]
-            case ast.Call(
-                func=ast.Name(id="Derivative"),
-                args=[ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")]), ast.Name(id="t")],
-            ) if name in self._moving:
-                return self._write(ast.Name(id=f"v_{name}"))  # SymPy's velocity
-            case ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")], keywords=[]) if (
-                name in self._moving
-            ):
-                return self._known[name]  # SymPy writes q1(t)
-            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if (
-                _SPELLED.get(name, name) in _FUNCTIONS and arguments
-            ):
-                least, most = _FUNCTIONS[_SPELLED.get(name, name)]
-                if not least <= len(arguments) <= most:
-                    raise self._refuse(f"{name} is given {len(arguments)} arguments")
-                inner = ", ".join(map(self._write, arguments))
-                return f"{_SPELLED.get(name, name)}({inner})"
-            case ast.UnaryOp(op=op, operand=operand) if isinstance(op, (ast.USub, ast.UAdd)):
-                sign = "-" if isinstance(op, ast.USub) else "+"
-                return f"({sign}{self._write(operand)})"
-            case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)) if (
-                abs(power) < 100
-            ):
-                return f"({self._write(left)} ** {power})"
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _SIGNS:
-                return f"({self._write(left)} {_SIGNS[type(op)]} {self._write(right)})"
-        raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
-
-    def _check_single(self, name: str) -> None:
-        """Refuse a name that means a parameter and something else."""
-        if name in self._double:
-            raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
 
 
 def observing_kernel(header: Header, found: Sequence[Observed], first: int | None = None) -> str:

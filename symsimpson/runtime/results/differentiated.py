@@ -23,7 +23,7 @@ class Differentiated:
     @property
     def _names_varied(self) -> tuple[str, ...]:
         """Parameters and inputs that it was differentiated by."""
-        return self._stepper._module.header.varied_by or ()
+        return self._stepper._names.varied(self._stepper._module.header.varied_by or ())
 
     @property
     def tangent(self) -> NDArray[Any]:

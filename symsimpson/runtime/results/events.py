@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.evaluator import watching
 from symsimpson.runtime.kernels.observed import Observed, read_expression
 from symsimpson.runtime.results.interpolate import DenseOutput
@@ -92,18 +93,25 @@ def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> 
             f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "
             "way down, or 0 for both."
         )
-    names = stepper._coordinate_names
+    names = stepper._names.coordinates
     several = isinstance(wrap, (tuple, list, set, frozenset))
     given = stepper.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
-    wanted = [str(name).removesuffix("(t)") for name in given]
-    unknown = [name for name in wanted if name not in names]
-    if unknown:
+    places = [names.place(one) for one in given]
+    if None in places:
+        unknown = spelled(list(given)[places.index(None)])
         raise InputError(
-            f"wrap names {unknown[0]!r}, which is no coordinate.\n"
-            f"The system has {', '.join(stepper.coordinates)}; True wraps all."
+            f"wrap names {unknown!r}, which is no coordinate.{did_you_mean(unknown, names.shown)}\n"
+            f"The system has {', '.join(names.shown)}; True wraps all."
         )
-    wrapped = tuple(names[name] for name in wanted)
-    return read_expression(stepper, expression, wrapped), int(direction)
+    wrapped = tuple(place for place in places if place is not None)
+    found = read_expression(stepper, expression, wrapped)
+    if found.rest:
+        raise InputError(
+            f"{found.expression} is a rest alone, which jumps back to 0 and never changes its sign."
+            "\nWrite where it is to be: Mod(q1, 2*pi) - pi has a zero in each turn at q1 = pi, "
+            "Mod(q1 + pi, 2*pi) - pi at q1 = 0."
+        )
+    return found, int(direction)
 
 
 def find_events(run: Trajectory, expression: Any, direction: int, wrap: Any) -> Events:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import UnknownNameError
+from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.evaluator import velocities_by
 from symsimpson.runtime.kernels.header import slopes_of
 
@@ -100,11 +102,13 @@ class Quantities:
 
         Raises
         ------
-        KeyError
+        UnknownNameError
             With the names that there are.
         """
-        coordinates = self._stepper._coordinate_names
-        key = str(key).removesuffix("(t)")  # a coordinate of SymPy
+        names, key = self._stepper._names, spelled(key)
+        coordinates, held, watched = (
+            x.places for x in (names.coordinates, names.constraints, names.invariants)
+        )
         if key in coordinates:
             return np.asarray(self.q[..., coordinates[key]])
         if (found := self._own(key)) is not None:
@@ -112,14 +116,17 @@ class Quantities:
         for prefix in "pv":
             if key.startswith(f"{prefix}_") and key[2:] in coordinates:
                 return np.asarray(getattr(self, prefix)[..., coordinates[key[2:]]])
-        if key.startswith("lambda_") and key[7:] in self._stepper._constraint_names:
-            place = self._stepper._constraint_names[key[7:]]
-            return self.multipliers[..., place]
-        if key in self._stepper.invariants:
-            return self.invariants[key]
+        if key.startswith("lambda_") and key[7:] in held:
+            return self.multipliers[..., held[key[7:]]]
+        if key in watched:
+            return self.invariants[names.invariants.shown[watched[key]]]
         if key in ("t", "energy"):
             return cast(NDArray[Any], getattr(self, key))
-        every = [*coordinates, *(f"{x}_{q}" for x in "pv" for q in coordinates)]
-        every += [f"lambda_{name}" for name in self._stepper._constraint_names]
-        every += [*self._stepper.invariants, *self._own_names()]
-        raise KeyError(f"there is no {key!r}. There are {', '.join(every)}, t and energy")
+        every = [*names.coordinates.shown]
+        every += [f"{x}_{q}" for x in "pv" for q in names.coordinates.shown]
+        every += [f"lambda_{name}" for name in names.constraints.shown]
+        every += [*names.invariants.shown, *self._own_names(), "t"]
+        raise UnknownNameError(
+            f"there is no {key!r}.{did_you_mean(key, [*every, 'energy'])} "
+            f"There are {', '.join(every)} and energy."
+        )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar, overload
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.extras import library
 from symsimpson.runtime.results.quantities import Quantities
 
@@ -19,6 +21,12 @@ if TYPE_CHECKING:
 __all__ = ["States"]
 
 
+def stored(name: str, own: str) -> str:
+    """Return a name if files take it as that of an attribute; else that of the module."""
+    return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else own
+
+
+@explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class States(Quantities):
     """States of one system at some times: part of a run, or places between its steps.
@@ -74,8 +82,8 @@ class States(Quantities):
 
         Raises
         ------
-        KeyError
-            With the names that there are.
+        UnknownNameError
+            With the names that there are; it is an InputError, and a KeyError.
         IndexError
             If there is no such state.
         """
@@ -101,13 +109,17 @@ class States(Quantities):
     #: Iterating over quantities or over states: neither is what everybody expects.
     __iter__ = None
 
-    def plot(self, names: str | Sequence[str] | None = None, *, ax: Any = None) -> Any:
+    def plot(
+        self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None
+    ) -> Any:
         """Draw quantities over time.
 
         Parameters
         ----------
         names : str or sequence of str, optional
             As in ``run["q1"]``; all coordinates unless given.
+        *more : str
+            Further ones.
         ax : matplotlib axes, optional
             Drawn into; made if there are none.
 
@@ -124,12 +136,13 @@ class States(Quantities):
         --------
         >>> import symsimpson as ss
         >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
-        >>> run.plot(["theta", "energy"]).get_xlabel()
+        >>> run.plot("theta", "energy").get_xlabel()
         't'
         """
         from symsimpson.plotting.states import plot
 
-        return plot(self, names, connected=self._connected, ax=ax)
+        wanted = (names, *more) if more else names
+        return plot(self, wanted, connected=self._connected, ax=ax)
 
     def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
         """Draw one quantity over another.
@@ -239,7 +252,8 @@ class States(Quantities):
         return {
             "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
             "digest": stepper._module.header.digest,
-            **{f"parameter {name}": float(value) for name, value in self.parameters.items()},
+            **{f"parameter {stored(name, own)}": float(value) for (name, value), own
+               in zip(self.parameters.items(), stepper._names.parameters.own, strict=True)},
         }  # fmt: skip
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.calling import explaining
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Trajectory"]
 
 
+@explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Trajectory(Energies, Differentiated):
     """States of a run, and how it ended.
@@ -72,7 +74,9 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
-        return super()._names_varied if self._varied_by is None else self._varied_by
+        if self._varied_by is None:
+            return super()._names_varied
+        return self._stepper._names.varied(self._varied_by)
 
     @property
     def tau(self) -> NDArray[Any]:
@@ -151,7 +155,8 @@ class Trajectory(Energies, Differentiated):
         ----------
         expression : SymPy expression, equation or str
             In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
-            or ``q1.diff()``), parameters, ``t`` and ``energy``.
+            or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an
+            angle in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
         direction : {0, 1, -1}
             0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
         wrap : True, or names of coordinates

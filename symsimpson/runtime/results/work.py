@@ -57,7 +57,7 @@ def _at_states(run: Energies) -> Reals:
 
 def _named(run: Energies, found: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
-    names = run._stepper._module.header.forces
+    names = run._stepper._names.forces.shown
     own = {name: found[:, k] for k, name in enumerate(names)}
     return own | {TOTAL: sum(own.values(), 0 * run.t)}
 

@@ -164,7 +164,8 @@ class _Back:
         self._parameters = numbers.zeros(varied)
         #: Those through nodes, in all, and what rounding has taken from the sums.
         self._totals = numbers.zeros((2, varied * self._nodes))
-        self._chosen = np.arange(varied * self._nodes).reshape(varied, -1)[list(inputs)].ravel()
+        places = np.arange(varied * self._nodes).reshape(varied, self._nodes)
+        self._chosen = places[list(inputs)].ravel()
         held = self._nodes if spec.inputs.shape[2] > 1 else 1
         self._by_step = numbers.zeros((spec.steps, len(inputs), held))
 
@@ -195,7 +196,7 @@ class _Back:
             header.layout["COST_SLOPE"], first, records, jumps, self._totals,
             self._chosen, slopes, spec.inputs,
         )  # fmt: skip
-        by_node = slopes.reshape(count, -1, self._nodes)
+        by_node = slopes.reshape(count, len(self._chosen) // self._nodes, self._nodes)
         held = self._by_step.shape[2] < self._nodes
         self._by_step[first : first + count] = (
             by_node.sum(axis=2, keepdims=True) if held else by_node
@@ -232,7 +233,8 @@ class _Back:
         if self._objective.samples:
             self._state += self._sampled(np.zeros(1, dtype=np.int64), q0, p0)[0]
         state = self._state.copy()
-        through_nodes = (self._totals[0] + self._totals[1]).reshape(-1, self._nodes)
+        totals = self._totals[0] + self._totals[1]
+        through_nodes = totals.reshape(len(self._parameters), self._nodes)
         parameters = self._parameters + through_nodes.sum(axis=1)
         if spec.velocities:
             t = numbers.read([spec.t0])

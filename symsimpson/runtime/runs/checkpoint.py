@@ -12,7 +12,6 @@ import hashlib
 import json
 import os
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import warn
 from symsimpson.errors import InputError, StorageError
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.signals import undisturbed
@@ -254,10 +254,9 @@ def read_record(path: Path) -> Record:
     """
     record, problems = _first_whole(path, _read)
     if problems:
-        warnings.warn(
+        warn(
             f"{path}: the last checkpoint is damaged ({problems[0]}); the one before is used.",
             RuntimeWarning,
-            stacklevel=6,
         )
     return record
 

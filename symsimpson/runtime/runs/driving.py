@@ -127,19 +127,14 @@ def read_driving(
 
 
 def given_inputs(stepper: Evaluator, given: Any) -> dict[str, Any]:
-    """Return what is given for each input, by the module's name."""
+    """Return what is given for each input, by its name."""
     names, given = stepper.inputs, stepper._held if given is None else given
     if given is None:
         return {}
     if isinstance(given, Mapping):
         found: dict[str, Any] = {}
         for key, value in given.items():
-            place = stepper._input_names.get(str(key))
-            if place is None:
-                raise InputError(
-                    f"there is no input {str(key)!r}.\n"
-                    f"{stepper.system} has {', '.join(stepper._input_names)}."
-                )
+            place = stepper._names.inputs.found(key)
             if names[place] in found:
                 raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
             found[names[place]] = value
@@ -189,9 +184,11 @@ def _one(
             "stepper.node_times(h, steps) are the times of nodes."
         )
     if not numbers.all_finite(array):
-        bad = np.argwhere(~numbers.finite(array))[0].tolist()
+        bad = tuple(np.argwhere(~numbers.finite(array))[0].tolist())
+        where = f" at {name}{list(bad)}" if bad else ""
         raise InputError(
-            f"input {name} is not finite at {name}{bad}.\nLook where the number comes from."
+            f"input {name} is {float(array[bad])}{where}, not finite.\n"
+            "Look where the number comes from."
         )
     return array.reshape(fitting.get(shape, shape))
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import warn
 from symsimpson.errors import ConstraintWarning
 from symsimpson.runtime.evaluator import evaluate_in
 from symsimpson.runtime.kernels.header import slopes_of
@@ -58,7 +58,7 @@ def look_at_folds(
     Where one follows from others the run ended before; where that may have been so between two
     states, it is warned of.
     """
-    names = stepper._module.header.constraints
+    names = stepper._names.constraints.shown
     if len(names) < 2 or not run.every or len(q) < 2:
         return trajectory
     header = stepper._module.header
@@ -96,7 +96,7 @@ def look_at_folds(
         f"continue along either branch, and h={float(run.h):g} does not resolve which.\nTake a "
         "smaller h, or lengths at which the linkage does not fold."
     )
-    warnings.warn(message, ConstraintWarning, stacklevel=4)
+    warn(message, ConstraintWarning)
     return Trajectory(
         **trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"}
     )  # fmt: skip

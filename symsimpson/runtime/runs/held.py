@@ -95,7 +95,7 @@ def _check_rank(stepper: Evaluator, q: Reals, slopes: Reals, independence: Reals
     worst = int(np.argmin(independence.astype(np.float64)))
     if finite and independence[worst] >= DEPENDENT:
         return
-    names = stepper._module.header.constraints
+    names = stepper._names.constraints.shown
     rows = slopes[worst]
     size = np.linalg.norm(rows, axis=1)
     where = f"q0={[float(x) for x in q[worst]]}"
@@ -132,7 +132,7 @@ def _off(
     """Say which constraint is missed by how much, and what would satisfy them."""
     worst = np.nan_to_num(off, nan=np.inf)
     member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
-    name = stepper._module.header.constraints[int(c)]
+    name = stepper._names.constraints.shown[int(c)]
     which = f" of member {member}" if len(q) > 1 else ""
     text = (
         f"{stepper.system}: {what} the constraint {name!r}{which}: it is off by "

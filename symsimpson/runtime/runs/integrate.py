@@ -170,7 +170,11 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
         named = dict(zip(stepper.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
-        raise refused_start(stepper.system, where, pivot, numbers.all_finite(q))
+        zero = [name for name, value in named.items() if value == 0]
+        finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_beside(run, spec)
+        raise refused_start(
+            stepper.system, where, pivot, finite, zero=zero if everywhere else None
+        )  # fmt: skip
     if run.header.retimed and not run.parameters[-1] > 0:
         raise InputError(
             f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
@@ -182,6 +186,13 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         check_start(stepper, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
         begin_variations(stepper, run, spec.tangents, velocity=spec.velocities)
+
+
+def _singular_beside(run: Run, spec: RunSpec) -> bool:
+    """Return whether M is singular at a position beside the start, too; the run ends with this."""
+    beside = spec.q0 + run.h * 0 + np.sqrt(np.arange(2.0, run.header.n + 2)) / 7
+    run.begin(beside, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
+    return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
 
 
 def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:

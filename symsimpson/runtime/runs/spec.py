@@ -109,7 +109,7 @@ def read_run(
     InputError
         If it makes no sense.
     """
-    numbers, names = stepper._module.numbers, stepper.coordinates
+    numbers, names = stepper._module.numbers, stepper._names.coordinates
     with numbers.working():
         values = stepper._values(parameters)
         retimed = stepper._module.header.retimed

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.inputs import read_array, whole_number
 from symsimpson.runtime.runs.run import Kept
 
@@ -37,23 +38,26 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
         If there is no such parameter or input, or one is named twice.
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
+    names_of, header = stepper._names, stepper._module.header
     found: list[str] = []
     for name in given:
-        key = str(name)
-        if key in stepper._aliases:
-            found.append(stepper.parameters[stepper._aliases[key]])
-            if found[-1] in stepper._module.header.from_start:
+        place, driven = names_of.parameters.place(name), names_of.inputs.place(name)
+        key = spelled(name)
+        if place is not None:
+            found.append(header.parameters[place])
+            if found[-1] in header.from_start:
                 raise InputError(
                     f"{key} follows from the start of a run of {stepper.system}: nothing is "
                     "differentiated by it.\nDifferentiate by the state, tangents=, or by other "
                     "parameters."
                 )
-        elif key in stepper._input_names:
-            found.append(stepper.inputs[stepper._input_names[key]])
+        elif driven is not None:
+            found.append(header.inputs[driven])
         else:
-            known = ", ".join((*stepper.parameters, *stepper.inputs))
+            known = (*stepper.parameters, *stepper.inputs)
             raise InputError(
-                f"{key!r} is no parameter or input of {stepper.system}.\nIt has {known or 'none'}."
+                f"{key!r} is no parameter or input of {stepper.system}.{did_you_mean(key, known)}\n"
+                f"It has {', '.join(known) or 'none'}."
             )
     if len(set(found)) < len(found):
         raise InputError(

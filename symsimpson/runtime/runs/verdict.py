@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.calling import warn
 from symsimpson.errors import ResolutionWarning
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -59,7 +59,7 @@ def looked_at(
     if not message:
         return trajectory
     message = f"{stepper.system}, {stepper.scheme}: {message}"
-    warnings.warn(message, ResolutionWarning, stacklevel=4)
+    warn(message, ResolutionWarning)
     return replace(trajectory, message=f"{trajectory.message} {message}")
 
 

@@ -254,3 +254,31 @@ def test_symbols_of_any_name(name):
     assert many.reduced["a"][0] == pytest.approx(2.0)
     with pytest.raises(ss.InputError, match=r"contains|no expression"):
         run.events(sp.Symbol("__import__('os').getcwd()"))
+
+
+def test_sections_of_an_angle(pendulum):
+    """A turning pendulum passes theta = 1 once in each turn; the jump of the rest is no zero."""
+    theta = ss.systems.pendulum().coordinates[0]
+    run = pendulum.integrate([0.2], v0=[9.0], h=0.02, steps=500)
+    assert run.q[-1, 0] > 8 * np.pi
+    right = run.events(sp.sin((theta - 1) / 2)).t
+    for expression in (sp.Mod(theta, 2 * sp.pi) - 1, "Mod(theta, 2*pi) - 1", "theta % (2*pi) - 1",
+                       sp.Eq(sp.Mod(theta, 2 * sp.pi), 1)):  # fmt: skip
+        found = run.events(expression)
+        assert found.t == pytest.approx(right, abs=1e-12)
+        assert (found.direction == 1).all()
+    again = pendulum.poincare("theta % (2*pi) - 1", [0.2], v0=[9.0], h=0.02, steps=500)
+    assert again.t == pytest.approx(right, abs=1e-12)
+    at_zero = run.events("Mod(theta + pi, 2*pi) - pi").t
+    assert at_zero == pytest.approx(run.events("sin(theta/2)").t, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["text", "symbols", "equation"])
+def test_a_rest_that_never_changes_its_sign(pendulum, kind):
+    theta = ss.systems.pendulum().coordinates[0]
+    rest = sp.Mod(theta, 2 * sp.pi)
+    expression = {"text": "theta % 2", "symbols": rest, "equation": sp.Eq(rest, 0)}[kind]
+    with pytest.raises(
+        ss.InputError, match=r"never changes its sign.*\n.*Mod\(q1 \+ pi, 2\*pi\) - pi"
+    ):
+        swing(pendulum).events(expression)

@@ -1,0 +1,131 @@
+"""Calls of a user: arguments that a function does not have, and where a warning belongs."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import warnings
+from collections.abc import Callable
+from functools import wraps
+from types import FrameType, FunctionType
+from typing import Any, ParamSpec, TypeVar
+
+from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.names import did_you_mean
+
+__all__ = ["explained", "explaining", "warn"]
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
+Kind = TypeVar("Kind", bound=type)
+
+#: What arguments are called elsewhere, and here; those that a function does not have are left out.
+ELSEWHERE = {
+    "dt": "h", "step": "h", "step_size": "h", "stepsize": "h", "timestep": "h", "delta_t": "h",
+    "t_span": "t_end", "tf": "t_end", "t_final": "t_end", "t_max": "t_end", "tmax": "t_end",
+    "T": "t_end", "duration": "t_end", "n_steps": "steps", "num_steps": "steps", "N": "steps",
+    "t_eval": "every", "saveat": "every", "stride": "every", "t_start": "t0", "tol": "error",
+    "rtol": "error", "atol": "error", "args": "parameters", "params": "parameters", "y0": "q0",
+    "x0": "q0", "q": "q0", "v": "v0", "p": "p0", "u": "inputs", "method": "scheme",
+    "integrator": "scheme", "T_kin": "kinetic", "V": "potential", "q0": "q", "v0": "v", "p0": "p",
+}  # fmt: skip
+#: What times are called, told to who asks for another name of one of them.
+TIMES = {"h": "the step is h=", "t_end": "the end t_end= or steps=",
+         "every": "every= says which states are stored"}  # fmt: skip
+
+
+def explained(
+    kind: type[SymsimpsonError] = InputError,
+) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
+    """Have a function raise an error of the package for arguments that it does not have.
+
+    Parameters
+    ----------
+    kind : type of SymsimpsonError
+        What it raises in place of a TypeError.
+
+    Notes
+    -----
+    Nothing is looked at before a call has failed, so that calls take no longer.
+    """
+
+    def around(function: Callable[P, Result]) -> Callable[P, Result]:
+        @wraps(function)
+        def call(*given: P.args, **named: P.kwargs) -> Result:
+            try:
+                return function(*given, **named)
+            except TypeError as error:
+                # one that comes from within belongs to somebody else
+                within = error.__traceback__ is not None and error.__traceback__.tb_next
+                problem = None if within else _problem(function, given, named)
+                if problem is None:
+                    raise
+                raise kind(problem) from None
+
+        return call
+
+    return around
+
+
+def explaining(
+    kind: type[SymsimpsonError] = InputError, also: tuple[str, ...] = ()
+) -> Callable[[Kind], Kind]:
+    """Have the public methods of a class, and others by name, be :func:`explained`."""
+
+    def around(cls: Kind) -> Kind:
+        for name, member in list(vars(cls).items()):
+            if name.startswith("_") and name not in also:
+                continue
+            if isinstance(member, FunctionType):
+                setattr(cls, name, explained(kind)(member))
+            elif isinstance(member, classmethod):
+                setattr(cls, name, classmethod(explained(kind)(member.__func__)))
+        return cls
+
+    return around
+
+
+def warn(message: str, category: type[Warning]) -> None:
+    """Warn of what a call outside of the package has led to, there."""
+    level, frame = 0, sys._getframe().f_back
+    while frame is not None and _inside(frame):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level + 2)
+
+
+def _inside(frame: FrameType) -> bool:
+    """Return whether a frame is one of the package, or of contexts around its functions."""
+    module: Any = frame.f_globals.get("__name__", "")
+    return str(module).partition(".")[0] in ("symsimpson", "contextlib")
+
+
+def _problem(
+    function: Callable[..., object], given: tuple[object, ...], named: dict[str, object]
+) -> str | None:
+    """Say what is wrong with the arguments of a call; None where Python says it well."""
+    name = function.__qualname__.removesuffix(".__init__")
+    method = "." in function.__qualname__ and "<locals>" not in function.__qualname__
+    known = inspect.signature(function).parameters
+    own = [key for key in known if key not in ("self", "cls")]
+    placed = [key for key in own if known[key].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
+    for key in named:
+        if key not in own:
+            here = ELSEWHERE.get(key, "")
+            hint = f" Did you mean {here}=?" if here in own else ""
+            hint = hint or did_you_mean(key, own).replace("?", "=?")
+            times = [text for time, text in TIMES.items() if time in own]
+            about = here in TIMES and len(times) > 1
+            return (
+                f"{name} has no argument {key}=.{hint}\n"
+                + (f"{'; '.join(times).capitalize()}.\n" if about else "")
+                + f"It takes {', '.join(f'{other}=' for other in own)}."
+            )
+    count = len(given) - int(method)
+    if count > len(placed):
+        others = [key for key in own if key not in placed]
+        return (
+            f"{name} is given {count} arguments without a name, and takes at most {len(placed)}: "
+            f"{', '.join(placed)}.\nName the others: "
+            f"{name.rpartition('.')[2]}({', '.join([*placed, *(f'{key}=...' for key in others)])})."
+        )
+    return None

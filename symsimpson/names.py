@@ -1,0 +1,122 @@
+"""Names that users give and ask for: what a key means, what was probably meant, and in which place.
+
+A name of a symbol is any text; it is compared here, and shown, but never evaluated.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from symsimpson.errors import InputError
+
+__all__ = ["Named", "did_you_mean", "spelled"]
+
+#: How alike two names are that may have been mistaken for one another: as "th" and "theta".
+ALIKE = 0.55
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return a question that names the nearest of the known names, with a blank before it."""
+    close = difflib.get_close_matches(str(name), list(known), n=1, cutoff=ALIKE)
+    return f" Did you mean {close[0]}?" if close else ""
+
+
+def spelled(key: Any) -> str:
+    """Return the name that a key means: a text itself, symbols and functions of time by theirs.
+
+    The velocity of a coordinate, a derivative, is called ``v_`` and the coordinate.
+    """
+    if isinstance(key, str):
+        return key.removesuffix("(t)")
+    if getattr(key, "derivative_count", 0) == 1:
+        return f"v_{spelled(key.expr)}"
+    name = getattr(key, "name", None)
+    return name if isinstance(name, str) else str(key).removesuffix("(t)")
+
+
+class Named:
+    """Things in an order, by the names that a user gave them and by those of a module.
+
+    Parameters
+    ----------
+    what : str
+        What one of them is: "coordinate".
+    own : sequence of str
+        Their names in the module.
+    users : sequence of str, optional
+        Those that the user gave them, which come first.
+
+    Attributes
+    ----------
+    shown : tuple of str
+        The name of each in tables and messages.
+    places : dict from str to int
+        All names of them.
+    """
+
+    def __init__(self, what: str, own: Sequence[str], users: Iterable[str] | None = None) -> None:
+        self.what, self.own = what, tuple(own)
+        self.shown = self.own if users is None else tuple(users)
+        self.places = {name: i for i, name in enumerate(self.own)}
+        self.places |= {name: i for i, name in enumerate(self.shown)}
+
+    def __len__(self) -> int:
+        return len(self.shown)
+
+    def place(self, key: Any) -> int | None:
+        """Return the place of what a name or a symbol means; None if it is none of them."""
+        return self.places.get(spelled(key))
+
+    def found(self, key: Any) -> int:
+        """Return the place of what a name or a symbol means.
+
+        Raises
+        ------
+        InputError
+            If it is none of them.
+        """
+        place = self.place(key)
+        if place is None:
+            raise InputError(self.unknown(key))
+        return place
+
+    def unknown(self, key: Any) -> str:
+        """Say that there is no such thing, and which there are."""
+        name = spelled(key)
+        short = name if len(name) <= 60 else name[:57] + "..."
+        return (
+            f"there is no {self.what} {short!r}.{did_you_mean(name, self.shown)}\n"
+            f"The system has {', '.join(self.shown) or 'none'}."
+        )
+
+    def in_order(self, what: str, given: Any) -> Any:
+        """Return values that are given by name as a list in order; all others as they are.
+
+        Raises
+        ------
+        InputError
+            If a name is unknown, is given twice, or is missing.
+        """
+        if not isinstance(given, Mapping):
+            return given
+        values: dict[int, Any] = {}
+        for key, value in given.items():
+            try:
+                place = self.found(key)
+            except InputError as error:
+                raise InputError(f"{what}: {error}") from None
+            if place in values:
+                raise InputError(
+                    f"{what} gives the {self.what} {self.shown[place]} twice, by name and by "
+                    "symbol.\nGive it once."
+                )
+            values[place] = value
+        missing = [name for i, name in enumerate(self.shown) if i not in values]
+        if missing:
+            raise InputError(
+                f"{what} has no number for {', '.join(missing)}.\n"
+                f"Give one for each {self.what}: {', '.join(self.shown)}."
+            )
+        return [values[i] for i in range(len(self.shown))]

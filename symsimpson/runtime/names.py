@@ -1,0 +1,83 @@
+"""The one table of names of what a stepper computes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+from symsimpson.calling import warn
+from symsimpson.errors import ModelWarning
+from symsimpson.names import Named, spelled
+from symsimpson.runtime.kernels.header import Header
+
+__all__ = ["Names"]
+
+
+class Names:
+    """Names of all that a module has; a user's own names come before those of the module.
+
+    A module writes names as identifiers alone. Those that a user gave are known where the system
+    is that it was made of; a module from a file has none but its own.
+
+    Attributes
+    ----------
+    coordinates, parameters, inputs, constraints, forces, invariants : Named
+    """
+
+    def __init__(self, header: Header, declared: Any, defaults: Mapping[str, Any] | None) -> None:
+        def named(what: str, own: tuple[str, ...], users: Iterable[Any] | None) -> Named:
+            given = None if users is None else [spelled(one) for one in users]
+            fits = given is not None and len(given) == len(own)
+            return Named(what, own, given if fits else None)
+
+        self._declared, has = declared, declared is not None
+        self.coordinates = named(
+            "coordinate", header.coordinates, declared.coordinates if has else None
+        )
+        self.parameters = named("parameter", header.parameters, defaults)
+        self.inputs = named("input", header.inputs, declared.inputs if has else None)
+        self.constraints = named(
+            "constraint", header.constraints, declared.constraints if has else None
+        )
+        self.forces = named("force", header.forces, declared.plain.forces if has else None)
+        self.invariants = named(
+            "invariant", header.invariants, declared.plain.invariants if has else None
+        )
+
+    @cached_property
+    def idle(self) -> frozenset[int]:
+        """Places of parameters that stand in no expression, as far as the system is known."""
+        if self._declared is None:
+            return frozenset()
+        plain = self._declared.plain
+        rows = (plain.a, *plain.forces.values(), plain.constraints.values())
+        values = [plain.T, plain.V, *plain.M.values(), *plain.invariants.values(), *chain(*rows)]
+        used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
+        drawn: set[Any] = set()
+        for point in (self._declared.positions or {}).values():
+            corners = point if isinstance(point[0], tuple) else (point,)
+            drawn.update(*(x.free_symbols for x in chain(*corners)))
+        own = zip(self._declared.parameters, plain.numbers(plain.parameters), strict=True)
+        return frozenset(
+            i for i, (symbol, n) in enumerate(own) if n not in used and symbol not in drawn
+        )
+
+    def warn_of_idle(self, system: str, changed: Iterable[int]) -> None:
+        """Warn where values are given to parameters that stand in no expression."""
+        idle = [self.parameters.shown[i] for i in sorted(self.idle.intersection(changed))]
+        if idle:
+            verb = "stand" if len(idle) > 1 else "stands"
+            warn(
+                f"{system}: {', '.join(idle)} {verb} in no expression of the system, so that other "
+                "values have no effect.\nA term that was forgotten in T, V or the forces is the "
+                "usual cause.",
+                ModelWarning,
+            )
+
+    def varied(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Return what a user calls parameters and inputs that have these names in the module."""
+        tables = self.parameters, self.inputs
+        known = {own: shown for x in tables for own, shown in zip(x.own, x.shown, strict=True)}
+        return tuple(known.get(name, name) for name in names)

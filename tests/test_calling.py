@@ -1,0 +1,101 @@
+"""Calls of a user with arguments that there are not, and where warnings belong."""
+
+import inspect
+import warnings
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.calling import explained, warn
+
+(x,) = ss.coordinates("x")
+T, V = x.diff() ** 2 / 2, x**2 / 2
+START = {"q0": [1.0], "v0": [0.0]}
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(ss.systems.pendulum())
+
+
+WRONG = {
+    "dt": (lambda s: s.integrate(**START, dt=0.1, steps=2), "has no argument dt=. Did you mean h="),
+    "t_eval": (lambda s: s.integrate(**START, h=0.1, t_eval=[1]), "mean every=.*The step is h="),
+    "parameter": (lambda s: s.integrate(**START, h=0.1, steps=1, parameter={}), "parameters="),
+    "positional": (lambda s: s.integrate([1.0], [0.0], 0.1, 3), "at most 2: q0, v0.\nName the"),
+    "ensemble": (lambda s: s.ensemble([[1.0]], v0=[0.0], dt=0.1, steps=1), "mean h="),
+    "step": (lambda s: s.step([1.0], v0=[0.0], h=0.1), "no argument v0=. Did you mean v="),
+    "start": (lambda s: s.start([1.0], v0=[0.0], dt=0.1), "mean h="),
+    "poincare": (lambda s: s.poincare("theta", **START, h=0.1, tf=1), "mean t_end="),
+    "gradient": (lambda s: s.gradient(**START, h=0.1, steps=1, costs="theta", wrt="q"), "cost="),
+    "certify": (lambda s: s.certify(dt=0.1), "mean h="),
+    "choose": (lambda s: ss.choose(ss.systems.pendulum(), **START, t_end=1, tol=1), "mean error="),
+    "compile": (lambda s: ss.compile(ss.systems.pendulum(), method="simpson"), "mean scheme="),
+    "events": (lambda s: s.integrate(**START, h=0.1, steps=1).events("theta", wraps=1), "wrap="),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_arguments_that_there_are_not(stepper, name):
+    call, message = WRONG[name]
+    with pytest.raises(ss.InputError, match=f"(?s){message}"):
+        call(stepper)
+
+
+def test_declarations_name_their_keywords():
+    with pytest.raises(ss.ModelError, match=r"at most 1: name.\nName the others: .*kinetic="):
+        ss.MechanicalSystem("p", (x,), T, V)
+    with pytest.raises(ss.ModelError, match=r"no argument potental=. Did you mean potential="):
+        ss.MechanicalSystem("p", coordinates=(x,), kinetic=T, potental=V)
+    with pytest.raises(
+        ss.ModelError, match=r"from_lagrangian has no argument params=.*parameters="
+    ):
+        ss.MechanicalSystem.from_lagrangian("p", T - V, (x,), params={})
+
+
+def test_what_python_says_well_is_left_to_it(stepper):
+    with pytest.raises(TypeError, match="missing 1 required keyword-only argument: 'h'"):
+        stepper.integrate([1.0], v0=[0.0], steps=3)
+
+
+def test_an_error_from_within_is_left_as_it_is():
+    @explained()
+    def broken(a):
+        return a + "text"
+
+    with pytest.raises(TypeError, match="unsupported operand"):
+        broken(1)
+
+
+def test_signatures_stay(stepper):
+    assert list(inspect.signature(stepper.integrate).parameters)[:3] == ["q0", "v0", "p0"]
+    assert stepper.integrate.__doc__.startswith("Integrate the equations")
+    assert inspect.signature(ss.MechanicalSystem).parameters["kinetic"].kind.name == "KEYWORD_ONLY"
+
+
+def test_warnings_belong_to_the_line_that_calls():
+    k = sp.Symbol("k")
+    idle = ss.compile(
+        ss.MechanicalSystem("idle", coordinates=(x,), kinetic=T, potential=V, parameters={k: 1.0})
+    )
+    idle.integrate(**START, h=0.1, steps=2, parameters={k: 1.0})  # its default
+    line = inspect.currentframe().f_lineno + 2
+    with pytest.warns(ss.ModelWarning, match="idle: k stands in no expression") as told:
+        idle.integrate(**START, h=0.1, steps=2, parameters={"k": 5})
+    assert (told[0].filename, told[0].lineno) == (__file__, line)
+    with pytest.warns(ss.ModelWarning, match="k stands in no expression"):
+        idle.ensemble([1.0], v0=[0.0], h=0.1, steps=2, parameters={k: [1.0, 2.0]})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        warn("of nobody's call", UserWarning)
+    assert told[0].filename == __file__
+
+
+def test_parameters_of_positions_alone_are_no_idle_ones():
+    l = sp.Symbol("l")
+    system = ss.MechanicalSystem(
+        "drawn", coordinates=(x,), kinetic=T, potential=V, parameters={l: 1.0},
+        positions={"bob": (l * sp.sin(x),), "body": [(0, l), (1, x), (0, 0)]},
+    )  # fmt: skip
+    assert not ss.compile(system)._names.idle

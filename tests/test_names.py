@@ -1,0 +1,63 @@
+"""What a key means, and what was probably meant."""
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.names import Named, did_you_mean, spelled
+
+THETA = sp.Function(r"\theta_1")(ss.time)
+COORDINATES = Named("coordinate", ("q0", "q0_2"), (r"\theta_1", "q0"))
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [("x", "x"), ("x(t)", "x"), (THETA, r"\theta_1"), (THETA.diff(), r"v_\theta_1"),
+     (sp.Symbol("x'", positive=True), "x'"), (sp.Dummy("m"), "m"), (3, "3"), (None, "None")],
+)  # fmt: skip
+def test_what_a_key_means(key, name):
+    assert spelled(key) == name
+
+
+def test_a_users_own_names_come_first():
+    assert COORDINATES.place(THETA) == COORDINATES.place(r"\theta_1") == 0
+    assert COORDINATES.place("q0") == 1  # which is the module's name of the other one
+    assert COORDINATES.place("q0_2") == 1
+    assert COORDINATES.place(THETA.diff()) is None
+
+
+def test_values_by_name():
+    assert COORDINATES.in_order("q0", {"q0": 2, THETA: 1}) == [1, 2]
+    assert COORDINATES.in_order("q0", (1, 2)) == (1, 2)
+    for given, message in (
+        ({"q0": 1}, r"q0 has no number for \\theta_1"),
+        ({THETA: 1, r"\theta_1": 1, "q0": 2}, "twice, by name and by symbol"),
+        ({"theta_1": 1, "q0": 2}, r"no coordinate 'theta_1'. Did you mean \\theta_1\?"),
+    ):
+        with pytest.raises(ss.InputError, match=message):
+            COORDINATES.in_order("q0", given)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"), [("th", "theta"), ("simspon", "simpson"), ("zzz", ""), (7, "")]
+)
+def test_what_was_probably_meant(name, meant):
+    found = did_you_mean(name, ["theta", "simpson", "x"])
+    assert found == (f" Did you mean {meant}?" if meant else "")
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "message"),
+    [
+        (lambda: ss.compile(ss.systems.pendulum(), "simspon"), ss.SchemeError, "mean simpson?"),
+        (lambda: ss.composition("kahan_li7"), ss.SchemeError, "mean kahan_li[68]?"),
+        (lambda: ss.systems.double_pendulums, AttributeError, "mean double_pendulum?"),
+        (lambda: ss.compile(ss.systems.pendulum, "midpoint"), ss.GenerationError,
+         r"Call it: symsimpson\.systems\.pendulum\(\)"),
+        (lambda: ss.compile(ss.systems.pendulum(), exploit="ciclic"), ss.GenerationError,
+         "mean cyclic?"),
+    ],
+)  # fmt: skip
+def test_names_of_the_package(call, kind, message):
+    with pytest.raises(kind, match=message):
+        call()
