@@ -76,15 +76,28 @@ class Store:
         return int(members.stop - members.start)
 
     def missing(self) -> Iterator[int]:
-        """Return the chunks that are not done, or whose statuses are damaged."""
+        """Return the chunks that are not done, or of which something is damaged or gone."""
         for chunk in range(self.chunks):
+            members = self.members(chunk)
             try:
-                status = self.group["status"][self.members(chunk)]
+                status = self.group["status"][members]
+                done = not (status == Status.INTERRUPTED).any() and self._whole(members, status)
             except (OSError, ValueError, RuntimeError):
+                done = False
+            if not done:
                 yield chunk
-            else:
-                if (status == Status.INTERRUPTED).any():
-                    yield chunk
+
+    def _whole(self, members: slice, status: Any) -> bool:
+        """Return whether all that was written of some members can be read.
+
+        What is gone reads as the value of what was never written.
+        """
+        good = status == Status.SUCCESS
+        states = (self.group[name][members][good] for name in "qp")
+        counted = (self.group[name][members] for name in ("steps", "newton_iterations"))
+        return all(np.isfinite(x).all() for x in states) and all(
+            (x != int(Status.INTERRUPTED)).all() or not self.task.steps for x in counted
+        )
 
     def ensemble(self) -> Ensemble:
         """Return what is in the store; states stay on disk."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,18 +58,35 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
     found.attrs |= {
         "every": run.every or 0, "parameter_values": run._values.tolist(), "sha256": _digest(run),
     }  # fmt: skip
+    if run._tangents is not None:
+        about = {"long_name": "variations of the state, then of what is varied"}
+        found["variations"] = (("time", "state", "variation"), run._tangents, about)
+        if run._varied_by is not None:
+            found.attrs["varied_by"] = list(run._varied_by) or [""]
+    whole = where.with_name(where.name + ".new")  # an old file is kept until this is whole
     try:
+        _remove(whole)
         if kind == ".nc":
-            whole = where.with_name(where.name + ".new")  # an old file is kept until this is whole
             found.to_netcdf(whole, engine="netcdf4")
-            os.replace(whole, where)
         else:
-            found.to_zarr(where, mode="w", consolidated=False, zarr_format=2)
-    except OSError as error:
+            found.to_zarr(whole, mode="w", consolidated=False, zarr_format=2)
+            _remove(where)
+        os.replace(whole, where)
+    except (OSError, RuntimeError) as error:
         raise StorageError(
             f"{where}: the trajectory could not be written: {error}.\nChoose another place.",
             trajectory=run,
         ) from None
+    finally:
+        _remove(whole)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a store, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -145,7 +163,9 @@ def _digest(run: Trajectory) -> str:
     about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run._tau is None else (run._tau,)
-    for array in (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs, *tau):
+    ways = () if run._tangents is None else (run._tangents,)
+    arrays = (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs, *tau, *ways)
+    for array in arrays:
         content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()
 
@@ -184,8 +204,16 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
             raise ValueError(f"inputs have shape {inputs.shape[1:]}")
         if inputs.shape[2] not in (1, len(stepper._module.header.input_places)):
             raise ValueError(f"inputs have {inputs.shape[2]} nodes")
+    ways = varied = None
+    if "variations" in found:
+        ways = np.ascontiguousarray(found["variations"], dtype=np.float64)
+        if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * stepper.n):
+            raise ValueError(f"variations have shape {ways.shape}")
+        if "varied_by" in about:
+            varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
     return Trajectory(
         t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
         status=Status[str(about["status"])], message=str(about["message"]), _stepper=stepper,
-        _values=values, _inputs=inputs, _tau=tau if retimed else None,
+        _values=values, _inputs=inputs, _tau=tau if retimed else None, _tangents=ways,
+        _varied_by=varied,
     )  # fmt: skip

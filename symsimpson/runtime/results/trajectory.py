@@ -78,6 +78,18 @@ class Trajectory(Energies, Differentiated):
             return super()._names_varied
         return self._stepper._names.varied(self._varied_by)
 
+    def __getitem__(self, key: Any) -> Any:
+        """Return a quantity by its name, shape (N,), or some of the states.
+
+        As :class:`States`; what the run knows of these states, such as their ``tangent``, stays.
+        """
+        found = super().__getitem__(key)
+        if isinstance(found, np.ndarray):
+            return found
+        from symsimpson.runtime.results.part import part_of
+
+        return part_of(self, np.arange(len(self)), key)
+
     @property
     def tau(self) -> NDArray[Any]:
         """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""

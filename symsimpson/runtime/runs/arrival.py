@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import StorageError
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import Run, Stored, workspace
@@ -23,6 +24,9 @@ ROOM = 4096
 #: Where no states are asked for, each so-many-th step is stored, and of those put away each
 #: so-many-th is kept to look at.
 STRIDE, KEPT = 16, 64
+#: After so many times that states were put away it is asked whether there is room for more: so many
+#: times as much as they take, in bytes.
+LOOKS, JOINING = 16, 3 / 8
 
 
 class Collected:
@@ -41,7 +45,24 @@ class Collected:
         self._parts: list[Any] = []
 
     def advance(self, stop: int) -> None:
-        """Take steps until ``stop``, failure or arrival."""
+        """Take steps until ``stop``, failure or arrival.
+
+        Raises
+        ------
+        StorageError
+            If there is no memory for more states; those so far are kept.
+        """
+        run = self._run
+        try:
+            self._advance(stop)
+        except MemoryError:
+            raise StorageError(
+                f"the states of a run of {run.header.system} do not fit into memory: "
+                f"{run.step} steps were taken, and those are kept.\nStore fewer: every=1000, or "
+                "every=None for the last state alone; or take a larger h."
+            ) from None
+
+    def _advance(self, stop: int) -> None:
         run = self._run
         while run.alive and run.step < stop:
             full = run.first + ROOM * run.every if run.every else stop
@@ -52,6 +73,8 @@ class Collected:
                 self._parts.append((*(x[:: self._stride].copy() for x in (q, p)), counted,
                                     kept[:: self._stride].copy()))  # fmt: skip
                 run.forget()
+                if len(self._parts) % LOOKS == 0:  # is there room to join them?
+                    np.empty(int(JOINING * sum(x.nbytes for part in self._parts for x in part)))
 
     def states(self) -> Stored:
         """Return all stored states."""

@@ -56,6 +56,10 @@ class ControlLoop:
             begin_run(stepper, self._run, spec)
             look_at_step(stepper, self._run, spec)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        run = self._run
+        return _revived, (self._stepper, self._spec, run.position(), run.W[:, 0].copy())
+
     def step(self, u: Any = None) -> None:
         """Take a step.
 
@@ -131,3 +135,10 @@ class ControlLoop:
             f"ControlLoop({stepper.system}, {stepper.scheme}: {self.steps} steps of "
             f"h={float(self._run.h):g}, t = {float(self.t):g})"
         )
+
+
+def _revived(stepper: Stepping, spec: RunSpec, position: list[int], column: Reals) -> ControlLoop:
+    """Return a loop where another one was: it goes on to the same bits."""
+    loop = ControlLoop(stepper, spec)
+    loop._run.put_back(position, column)
+    return loop
