@@ -86,7 +86,9 @@ def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
         ) from None
 
 
-def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tuple[Any, int, Any]:
+def read_steps(
+    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers, *, retimed: bool = False
+) -> tuple[Any, int, Any]:
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
     h, t0 = read_step(h, numbers), read_number("t0", t0, numbers)
     if (t_end is None) == (steps is None):
@@ -97,7 +99,8 @@ def read_steps(h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers) -> tup
         )
     if steps is not None:
         number = read_count("steps", steps, least=0)
-        _check_times(h, t0, number, numbers)
+        if not retimed:  # else they are fixed in another time
+            _check_times(h, t0, number, numbers)
         return h, number, t0
     end = read_number("t_end", t_end, numbers)
     exact = float((end - t0) / h)
@@ -146,7 +149,7 @@ def read_times(
     That is one whose steps are fixed in another time: the number of steps is then the most.
     """
     if not retimed or t_end is None:
-        return *read_steps(h, t_end, steps, t0, numbers), None
+        return *read_steps(h, t_end, steps, t0, numbers, retimed=retimed), None
     h, t0, end = read_step(h, numbers), read_number("t0", t0, numbers), None
     if steps is not None:
         raise InputError(

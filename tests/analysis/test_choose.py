@@ -127,8 +127,10 @@ def test_a_step_beyond_linear_stability_is_warned_of():
         warnings.simplefilter("error")
         stepper.integrate(**start, h=2.8)
         stepper.integrate(**start, h=0.28, parameters={"k": 100.0})
-        ss.compile(spring, "gauss4").integrate(**start, h=9.0)
+        ss.compile(spring, "gauss4").integrate(**start, h=3.1)
         stepper.integrate([1.0], p0=[0.0], h=3.0, steps=0)
+    with pytest.warns(ss.StabilityWarning, match=r"turns by 9 rad(.|\n)*Take h below 3\.14"):
+        ss.compile(spring, "gauss4").integrate(**start, h=9.0)  # stable, and not resolved
     with pytest.warns(
         ss.StabilityWarning, match=r"h=-2.9 .* h omega is 2.9, .*\nTake h below 2.83"
     ) as told:

@@ -18,7 +18,7 @@ from symsimpson.runtime.runs.driving import NO_INPUTS
 
 
 def kernels(text, lanes):
-    def build(module):
+    def build(module, keep):
         made = {k: cfunc(module.SIGNATURE, **module.OPTIONS)(getattr(module, k))
                 for k in ("prepare", "start", "newton", "advance")}  # fmt: skip
         return module, made
@@ -45,7 +45,7 @@ def test_eight_lanes_are_packed(scheme):
 def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     """All loops over nodes, although the last one is short: compilers like to unroll it."""
 
-    def build(module):
+    def build(module, keep):
         return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
 
     iterate = compiled(source(ss.systems.CATALOGUE[name](), scheme), "iterate", build)

@@ -64,9 +64,8 @@ def cache_folder() -> Path:
     foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
     shared = os.name == "posix" and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     if not stat.S_ISDIR(found.st_mode) or foreign or shared:
-        what = "belongs to another user" if foreign else "is one that others may write to"
         raise GenerationError(
-            f"the cache folder {folder} {what} (mode {found.st_mode & 0o777:04o}).\n"
+            f"the cache folder {folder} is not private to you (mode {found.st_mode & 0o777:04o}).\n"
             "Files in it are executed, so nobody else may write there. "
             f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
         )

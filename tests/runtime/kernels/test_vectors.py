@@ -22,7 +22,7 @@ def iteration(bits, monkeypatch):
     text = source(ss.systems.double_pendulum(), "gauss16")
     text = redefined(text, {"compiled": wide("compiled = njit(**OPTIONS)")})
 
-    def build(module):
+    def build(module, keep):
         return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
 
     return compiled(text, "iterate", build)._library.get_asm_str()
