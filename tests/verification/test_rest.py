@@ -1,4 +1,4 @@
-"""Steps at rest, near it, and settling: what cancels is solved to rounding; linear steps are taken."""
+"""Steps at rest and what runs are warned of: forces that cancel, linear steps, drag, poles."""
 
 import warnings
 

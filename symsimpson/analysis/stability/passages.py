@@ -212,7 +212,8 @@ def _apart(stepper: Stepper, system: MechanicalSystem, run: Trajectory, place: i
 
 def _within(moves: Reals, turn: Reals) -> Reals:
     """Leave whole turns out of moves."""
-    whole = np.where(np.isfinite(turn), turn * np.round(moves / turn), 0.0)
+    known = np.where(np.isfinite(turn), turn, 1.0)
+    whole = np.where(np.isfinite(turn), known * np.round(moves / known), 0.0)
     return moves - whole
 
 
