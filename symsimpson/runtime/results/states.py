@@ -43,7 +43,7 @@ class States(Quantities):
     >>> import symsimpson as ss
     >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
     >>> run[10:20]
-    States(pendulum, simpson: 10 states, 1 <= t <= 1.9)
+    Part(pendulum, simpson: 10 states, 1 <= t <= 1.9)
     >>> run[10:20]["theta"].shape, run[-1].t
     ((10,), array([5.]))
     """
