@@ -90,7 +90,7 @@ def compile(
     arithmetic : {"mpmath", "arb"}
         What computes with many digits; "arb" is python-flint, many times as fast.
     progress : bool, optional
-        Whether to tell what is waited for (needs tqdm); None tells after two seconds, in a
+        Whether to tell what is waited for (needs tqdm); None tells after a second, in a
         terminal or a notebook.
 
     Returns

@@ -1,4 +1,4 @@
-"""A bar on what takes longer than two seconds, if tqdm is there and somebody looks.
+"""A bar on what takes longer than one second, if tqdm is there and somebody looks.
 
 A bar is drawn in a terminal or a notebook, one at a time; into a file or a pipe only where it is
 asked for. ``progress=False`` keeps a call silent, and tqdm's own TQDM_DISABLE=1 all of them.
@@ -22,7 +22,7 @@ from symsimpson.extras import library
 __all__ = ["Progress", "Watcher", "silence", "waiting"]
 
 #: What is done sooner shows no bar.
-DELAY = 2.0
+DELAY = 1.0
 
 
 #: Whether nothing is to be shown; or something is shown already that this is part of.
@@ -48,7 +48,7 @@ def silence(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def waiting(what: str, wanted: bool | None = None) -> Iterator[None]:
-    """Tell after two seconds what is being waited for, and for how long; at once if wanted."""
+    """Tell after a second what is being waited for, and for how long; at once if wanted."""
     if _silent.get() or wanted is False or not (wanted or watched()):
         with silence(wanted is False):
             yield
@@ -80,7 +80,7 @@ class Progress:
     ----------
     total : int
     wanted : bool or None
-        None shows a bar after two seconds, if tqdm is installed; True shows one at once.
+        None shows a bar after a second, if tqdm is installed; True shows one at once.
     unit : str
         What is counted.
     look : str, optional

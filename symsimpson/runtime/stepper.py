@@ -153,7 +153,7 @@ class Stepper(Differentiating):
         checkpoint_every : int, optional
             Steps between checkpoints; about ten seconds unless given.
         progress : bool, optional
-            Whether to show a bar (needs tqdm); None shows one after two seconds.
+            Whether to show a bar (needs tqdm); None shows one after a second.
         on_failure : {"raise", "return"}
             Whether a failed step or Ctrl-C raises an error, or returns the states up to there.
 
@@ -258,7 +258,7 @@ class Stepper(Differentiating):
         client : distributed.Client, optional
             Lets the workers of a cluster compute, and write to ``store``.
         progress : bool, optional
-            Whether to show a bar (needs tqdm); None shows one after two seconds.
+            Whether to show a bar (needs tqdm); None shows one after a second.
         on_failure : {"raise", "return"}
             Whether Ctrl-C raises, or returns the results so far. Failed members do not raise.
 

@@ -1,4 +1,4 @@
-"""Bars: after two seconds, about anything, and never where they are not wanted."""
+"""Bars: after a second, about anything, and never where they are not wanted."""
 
 import threading
 import time

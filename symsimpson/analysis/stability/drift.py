@@ -103,7 +103,7 @@ def energy_drift(
     spread : float
     parameters : mapping, optional
     progress : bool, optional
-        Whether to show a bar; None shows one after two seconds.
+        Whether to show a bar; None shows one after a second.
 
     Returns
     -------

@@ -20,6 +20,12 @@ PARTS = (
     "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work", "backward",
     "arriving",
 )  # fmt: skip
+#: Functions that are compiled in one go, because they share others, and a run that has called one
+#: may call all of them: those of any run, and those of steps that are solved by iteration.
+TOGETHER = (
+    ("begin_anew", "begin", "apply", "switch", "steady"),
+    ("take_steps", "run_briefly", "recover"),
+)
 
 
 def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True) -> str:
@@ -51,15 +57,18 @@ def _without_own_imports(text: str) -> str:
 def driver(
     name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
 ) -> Callable[..., Any]:
-    """Return a function of the driver for a number of lanes, compiled by itself."""
+    """Return a function of the driver for a number of lanes, compiled with what belongs to it."""
+    plain = lanes == 1 and iterated and not renewing
+    names = next((group for group in TOGETHER if plain and name in group), (name,))
 
-    def build(module: ModuleType, keep: bool) -> Callable[..., Any]:
+    def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
         from numba import njit
 
-        function = getattr(module, name).py_func
         options = {**module.DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
-        made: Callable[..., Any] = njit(module.SIGNATURES[name], **options)(function)
-        return made
+        return {
+            one: njit(module.SIGNATURES[one], **options)(getattr(module, one).py_func)
+            for one in names
+        }
 
     text = driver_text(lanes, renewing=renewing, iterated=iterated)
-    return compiled(text, f"driver-{name}", build)
+    return compiled(text, f"driver-{names[0]}", build)[name]

@@ -131,6 +131,9 @@ class Digits(Numbers):
         """Return whether a value needs no conversion: none is trusted to."""
         return False
 
+    def make_ready(self, kernels: KernelSets) -> None:
+        """Compile nothing."""
+
     def read(self, value: Any) -> NDArray[Any]:
         """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
         given = np.array(value, dtype=object)

@@ -95,6 +95,19 @@ class Numbers:
         """Return a function of the driver, or of that which makes variations orthonormal."""
         return driver(name, renewing=renewing)
 
+    def make_ready(self, kernels: KernelSets) -> None:
+        """Compile all that a run may need, so that no later one waits for it.
+
+        What takes any angle and any pivot is left: few runs need it, and it may take long.
+        """
+        for name in kernels.fallbacks:
+            if name != "robust":
+                kernels.set(name)
+        kernels.address("energy")
+        steps = "take_steps" if kernels.header.newton_unknowns else "take_explicit_steps"
+        for function in ("begin_anew", steps):
+            self.driver(function)
+
     def working(self) -> AbstractContextManager[Any]:
         """Return the context in which these numbers are computed with."""
         return NOTHING

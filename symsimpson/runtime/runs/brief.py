@@ -107,6 +107,13 @@ class Prepared:
         return found
 
 
+def make_ready(stepper: Evaluator) -> None:
+    """Compile all that a run may need, and a short one after it, so that no later one waits."""
+    stepper._module.numbers.make_ready(stepper._module.kernels)
+    if stepper._prepared == []:
+        stepper._prepared.append(Prepared(stepper))
+
+
 def room(last: int, n: int) -> Stored:
     """Return room for so many states behind the first."""
     return np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)

@@ -25,6 +25,7 @@ from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
+from symsimpson.runtime.runs.brief import make_ready
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
 from symsimpson.runtime.runs.resolution import check_forces, check_start, sampling_stride
@@ -74,6 +75,7 @@ def integrate(
         run = new_run(stepper, spec, stride, stored)
         begin_run(stepper, run, spec)
         if count:
+            make_ready(stepper)
             look_at_step(stepper, run, spec)
         keeper: Checkpoint | Collected | None = None
         if spec.t_end is not None and checkpoint is None:

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from workspace import sweep
 
+import symsimpson as ss
 from symsimpson.errors import GenerationError
+from symsimpson.runtime.driver.compiled import driver
+from symsimpson.runtime.kernels import cache
 from symsimpson.runtime.kernels.cache import _intact, cache_folder
 
 CODE = """
@@ -154,3 +157,35 @@ def test_every_damage_is_seen(warm):
         assert not _intact(entry), path
         path.write_bytes(data)
         assert _intact(entry)
+
+
+@pytest.fixture
+def asked_for(monkeypatch):
+    """Labels of all that is compiled or loaded, as in a new process."""
+    labels, original = [], cache._load_or_build
+
+    def counted(text, key, use):
+        labels.append(key.rsplit("_", 1)[0])
+        return original(text, key, use)
+
+    monkeypatch.setattr(cache, "_load_or_build", counted)
+    monkeypatch.setattr(cache, "_results", {})
+    driver.cache_clear()
+    return labels
+
+
+@pytest.mark.parametrize("scheme", ["gauss8", "simpson"])
+def test_what_one_run_has_compiled_is_all_that_later_ones_need(asked_for, scheme):
+    stepper = ss.compile(ss.systems.henon_heiles(), scheme)
+
+    def go(steps, **more):
+        stepper.integrate([0.0, 0.1], v0=[0.4, 0.0], h=0.5, steps=steps, **more)
+
+    go(4)
+    assert {"newton", "energy", "driver-begin_anew", "driver-take_steps"} <= set(asked_for)
+    del asked_for[:]
+    go(4)
+    go(1000)
+    go(1000, every=None)
+    go(20_000)  # no short run
+    assert not asked_for
