@@ -162,9 +162,7 @@ def choose(
         straight = system.structure.separable and not system.constraints
         fixed = WITH_EXPLICIT if straight else CANDIDATES
     fixed = () if original is not system else fixed or ()
-    problem = Wanted(
-        q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), []
-    )
+    problem = Wanted(q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), [])
     tried = [(compile_system(system, scheme), h0) for scheme in fixed]
     tried += [(compile_system(retimed, scheme), tau0) for scheme in adapting if retimed]
     found = [one for stepper, h in tried if (one := problem.solve(stepper, h))]

@@ -106,7 +106,12 @@ def test_no_wrong_path_past_a_pole_is_a_success(scheme, phase):
     for one in found:
         assert one.status in (ss.Status.SUCCESS, ss.Status.COORDINATE_SINGULARITY)
         assert one.error < 0.05, one  # where it stopped, or at the end
-        assert one.warned == (one.distance < 0.05), one
+    for system in ("lagrange_top", "spherical_pendulum"):
+        far, *near = (one for one in found if one.system == system)
+        assert far.status is ss.Status.SUCCESS
+        assert not far.warned
+        for one in near:  # what is called a success is as right as where no pole is near
+            assert one.error < 2 * far.error or one.warned, one
     singular = [one for one in found if one.status is ss.Status.COORDINATE_SINGULARITY]
     assert len(singular) >= 4
     assert all(one.energy_error < 0.01 for one in singular)  # before the step is lost

@@ -95,6 +95,7 @@ def test_radau_steps_are_symplectic_whatever_is_skipped(make, scheme):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
+@pytest.mark.filterwarnings(r"ignore:[\s\S]*unless damping makes:symsimpson.ResolutionWarning")
 def test_strong_damping_decays_with_radau_nodes():
     """x'' = -c (x' - cos t) - sin x with h c = 500, against an implicit method in small steps."""
     (x,) = ss.coordinates("x")

@@ -217,6 +217,7 @@ def used_sets(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*turns by 15 rad in a step:symsimpson.StabilityWarning")
 def test_newton_takes_over_where_stages_do_not_converge(used_sets):
     """A stiff spring: h omega = 15, far beyond what the iteration contracts for."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}
@@ -224,7 +225,7 @@ def test_newton_takes_over_where_stages_do_not_converge(used_sets):
     stepper = ss.compile(system, "gauss6")
     state = {"q0": [1.0 + 9.81 * np.cos(0.3) / given["k"], 0.3], "v0": [0.0, 0.0]}
     run = stepper.integrate(**state, h=15 / omega, steps=200, parameters=given)
-    assert used_sets[0] == 1
+    assert 1 in used_sets
     assert np.abs(run.energy_error).max() < 1e-6
     used_sets.clear()
     stepper.integrate(**state, h=0.5 / omega, steps=200, parameters=given)
@@ -239,4 +240,5 @@ def test_what_stages_cannot_solve_is_never_a_false_success():
     for h in (0.1, 0.2):
         for q0 in angles:
             run = stepper.integrate(q0, p0=[0, 0], h=h, steps=40, on_failure="return")
-            assert np.abs(run.energy - run.energy[0]).max() < 1.0
+            off = np.abs(run.energy - run.energy[0]).max()
+            assert off < 0.1 or run.status is ss.Status.STEP_TOO_LARGE

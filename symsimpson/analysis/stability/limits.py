@@ -119,10 +119,11 @@ def energy_map(
     rows = []
     for h in np.asarray(steps, dtype=np.float64):
         count = max(1, round(t_end / h))
-        found = stepper.ensemble(
-            q0, **other, h=t_end / count, steps=count, parameters={parameter: column},
-            reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
-        )  # fmt: skip
+        with any_step():
+            found = stepper.ensemble(
+                q0, **other, h=t_end / count, steps=count, parameters={parameter: column},
+                reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
+            )  # fmt: skip
         seen = found.reduced
         good = (found.status == 0) & np.isfinite(seen["mean"])
         row = np.full(column.size, np.inf)

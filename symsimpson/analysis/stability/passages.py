@@ -36,8 +36,9 @@ MOST_COORDINATES = 12
 SAMPLES, LITTLE = 128, 0.3
 #: A passage is close where det M falls below this part of its median, and doubles within a step.
 CLOSE = 0.05
-#: So many states of a box are looked at to tell that there is no pole in it.
-IN_BOX = 2000
+#: So many states of a box are looked at to tell that there is no pole in it: det M is larger there
+#: than where a passage is close, by so much.
+IN_BOX, LARGER = 2000, 1.5
 #: So many passages are looked at, from so many steps before to so many behind, each so much finer.
 PASSAGES, BEFORE, BEHIND, FINER = 3, 2, 3, 16
 #: The ends may be so far apart, squared, in units of what a step moves; and so many times as far
@@ -158,7 +159,7 @@ def regular_box(
         places = np.random.default_rng(2).uniform(size=(IN_BOX, len(depends)))
     q[:, depends] = low[depends] + places * (high - low)[depends]
     sizes = _sizes(system, np.full(IN_BOX, t), q, values)
-    return (low, high) if sizes.min() > 2 * CLOSE * sizes.max() else None
+    return (low, high) if sizes.min() > LARGER * CLOSE * sizes.max() else None
 
 
 def _states(run: Trajectory) -> tuple[Reals, Reals, list[float]]:

@@ -109,9 +109,7 @@ class States(Quantities):
     #: Iterating over quantities or over states: neither is what everybody expects.
     __iter__ = None
 
-    def plot(
-        self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None
-    ) -> Any:
+    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
         """Draw quantities over time.
 
         Parameters

@@ -15,7 +15,7 @@ from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
 if TYPE_CHECKING:
     from symsimpson.runtime.results.energies import Energies
 
-__all__ = ["TOTAL", "energy_lost", "integrals", "powers"]
+__all__ = ["TOTAL", "integrals", "parts_of_work", "powers", "rough_parts"]
 
 #: The name of the sum of all forces.
 TOTAL = "total"
@@ -30,29 +30,28 @@ def powers(run: Energies) -> dict[str, Reals]:
     return _named(run, _powers_at(run))
 
 
-def energy_lost(run: Energies) -> Reals:
-    """Return dL/dt at the stored states, the rate at which H falls by itself."""
-    return _powers_at(run)[:, -1]
+def _powers_at(run: Energies, *, arriving: bool = False) -> Reals:
+    """Evaluate the power of each force, then dL/dt where something depends on t.
 
-
-def _powers_at(run: Energies) -> Reals:
-    """Evaluate the power of each force, then dL/dt where something depends on t."""
+    With the inputs of the step that begins at a state, or of the one that arrives there.
+    """
     return evaluate(
         run._stepper, "power", "POWER", run._stepper._module.header.powers, run.t, run.q, run.p,
-        run._values, _at_states(run),
+        run._values, _at_states(run, arriving),
     )  # fmt: skip
 
 
-def _at_states(run: Energies) -> Reals:
+def _at_states(run: Energies, arriving: bool) -> Reals:
     """Return the inputs at stored states, which stand in the places of steps."""
     numbers = run._stepper._module.numbers
     last = max(run.steps - 1, 0)
     number = np.arange(len(run)) * run.every if run.every else np.array([run.steps])
-    ended = number > last
+    ended = (number > 0) if arriving else (number > last)
     with numbers.working():
         inputs = numbers.read(run._inputs)
         place = numbers.read(ended.astype(int))[:, None]
-        return at_places(run._stepper, inputs, np.minimum(number, last), place)
+        step = number - 1 if arriving else np.minimum(number, last)
+        return at_places(run._stepper, inputs, np.maximum(step, 0), place)
 
 
 def _named(run: Energies, found: Reals) -> dict[str, Reals]:
@@ -91,6 +90,29 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
         found = numbers.result(_added_up(run, header.powers))
     lost = 0 * run.t if header.autonomous else found[:, -1]
     return _named(run, found), lost
+
+
+def rough_parts(run: Energies) -> Reals:
+    """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
+    begins, ends = _powers_at(run), _powers_at(run, arriving=True)
+    spans = np.diff(np.asarray(run.t, dtype=np.float64))[:, None]
+    means = np.asarray(begins[:-1] + ends[1:], dtype=np.float64) / 2
+    return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
+
+
+def parts_of_work(run: Energies) -> Reals:
+    """Return what each force did up to stored states, then the integral of -dL/dt."""
+    numbers, header = run._stepper._module.numbers, run._stepper._module.header
+    with numbers.working():
+        found = numbers.result(_added_up(run, header.powers))
+    return _signed(run, np.asarray(found, dtype=np.float64))
+
+
+def _signed(run: Energies, parts: Reals) -> Reals:
+    """Give dL/dt, the last of powers, the sign by which H follows it."""
+    if not run._stepper._module.header.autonomous:
+        parts[:, -1] *= -1
+    return parts
 
 
 def _added_up(run: Energies, count: int) -> Reals:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
-from symsimpson.runtime.results.work import TOTAL, energy_lost, integrals, powers
+from symsimpson.runtime.results.work import parts_of_work, rough_parts
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory
@@ -64,22 +64,30 @@ class Sampled:
     """Energies at some states of a run: total and kinetic, shape (m,), and which states.
 
     ``work`` is what was done up to there; NaN behind a step of which that is not known.
+    ``exchanged`` is how much went in and out meanwhile, of which a part may be in error.
     """
 
     total: Floats
     kinetic: Floats
     places: Places
     work: Floats
+    exchanged: Floats
 
     def at(self, chosen: NDArray[np.bool_]) -> Sampled:
         """Return those at some of the states."""
-        return Sampled(
-            self.total[chosen], self.kinetic[chosen], self.places[chosen], self.work[chosen]
-        )
+        return Sampled(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
-    def with_work(self, work: Floats) -> Sampled:
-        """Return them with the work that was done up to each stored state."""
-        return replace(self, work=work[self.places])
+    def with_work(self, parts: Floats) -> Sampled:
+        """Return them with the work that each force did up to each stored state, shape (states, f).
+
+        Exactly, or what is known of it: then nothing is said of what went in and out.
+        """
+        return replace(self, work=parts.sum(axis=1)[self.places])
+
+    def with_exchange(self, parts: Floats) -> Sampled:
+        """Return them with what went in and out by the work of each force."""
+        moved = abs(np.diff(parts, axis=0, prepend=0)).sum(axis=1).cumsum()
+        return replace(self, exchanged=moved[self.places])
 
     @property
     def first_not_real(self) -> int | None:
@@ -91,8 +99,8 @@ class Sampled:
     def left_at(self) -> tuple[int, float] | None:
         """Where a level of the energy begins that is another one, and how far it is off.
 
-        In units of the kinetic energy, the largest median of a block; None if there is no such
-        level.
+        In units of the kinetic energy, the largest median of a block, and of what forces exchanged;
+        None if there is no such level.
         """
         total = self.total - self.work
         known = int(np.argmin(np.append(np.isfinite(total), False)))
@@ -104,15 +112,17 @@ class Sampled:
         # an energy that grows without bound must not hide itself in what it is compared with
         floor = ROUNDING * max(abs(start), float(np.median(abs(total))))
         unit = max(floor, *(float(np.median(kinetic[block])) for block in blocks))
+        moved = self.exchanged
         for block in blocks:
             level = abs(float(np.median(total[block])) - start)
             # a fall that begins with the damage makes the kinetic energy of later blocks large
             so_far = max(floor, float(kinetic[: block[-1] + 1].max()))
-            off = level / min(unit, so_far)
+            off = level / (min(unit, so_far) + float(moved[block[-1]]))
             if off > LIMIT:
                 return int(self.places[block[0]]), off
         end = known - LAST
-        off = float(np.median(change[end:])) / max(unit, float(np.median(kinetic[end:])))
+        unit = max(unit, float(np.median(kinetic[end:]))) + float(moved[known - 1])
+        off = float(np.median(change[end:])) / unit
         return (int(self.places[end]), off) if off > LAST_LIMIT else None
 
 
@@ -127,7 +137,7 @@ def energies_at(
     if run.header.retimed:  # K = g (H - E0) is what does not drift
         rate = np.asarray(evaluate_in(run.W, stepper, "energy", "RATE", 1, *states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
-    return Sampled(total, kinetic, places, np.zeros(len(total)))
+    return Sampled(total, kinetic, places, *np.zeros((2, len(total))))
 
 
 def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
@@ -209,7 +219,7 @@ def _explained(
     """Take the work that was done out of energies that change, first roughly, then exactly.
 
     Powers at states are enough for most motions; where they leave something, all steps between
-    stored states are taken again.
+    stored states are taken again, where the scheme has nodes.
     """
     header = stepper._module.header
     if header.conservative or seen.left_at is None or not trajectory.success:
@@ -222,17 +232,10 @@ def _explained(
         steps=int(every[-1]), newton_iterations=np.zeros(whole, dtype=np.int64), _tangents=None,
     )  # fmt: skip
     seen = seen.at(seen.places < whole)
-    roughly = seen.with_work(_rough_work(states))
-    if roughly.left_at is None or "work" not in header.functions:
-        return roughly
-    done, lost = integrals(states)
-    return seen.with_work(np.asarray(done[TOTAL] - lost, dtype=np.float64))
-
-
-def _rough_work(states: Trajectory) -> Floats:
-    """Integrate powers at states by the trapezoidal rule, less those of dL/dt."""
-    header, power = states._stepper._module.header, powers(states)
-    rate = power[TOTAL] - (0 * states.t if header.autonomous else energy_lost(states))
-    rate = np.asarray(rate, dtype=np.float64)
-    spans = np.diff(np.asarray(states.t, dtype=np.float64))
-    return np.concatenate([[0.0], np.cumsum(spans * (rate[1:] + rate[:-1]) / 2)])
+    exact = "work" in header.functions
+    parts = rough_parts(states)
+    if exact and seen.with_work(parts).left_at is not None:
+        parts = parts_of_work(states)
+    elif not exact and run.every > 1:  # between states far apart, nobody knows
+        parts = np.nan * parts
+    return seen.with_work(parts).with_exchange(parts)

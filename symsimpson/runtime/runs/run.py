@@ -306,7 +306,8 @@ class Run:
         q, t = map(float, self.rows("POSITION", n)), float(self._time())
         terms = self._tools.force_terms(self._declared, q, values, t)
         masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
-        size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
+        with np.errstate(over="ignore"):
+            size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
         larger = 4 * float(self._column[-1]) < size < np.inf
         if larger:
             self._column[-1:] = size

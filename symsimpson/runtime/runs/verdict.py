@@ -95,11 +95,15 @@ def _unresolved(
         return ""
     place, off = left
     since = float(kept[place, 0] if run.header.retimed else run.t0 + h * (place * run.every))
+    energy, scale, but = "energy", "", ""
+    if not run.header.conservative:
+        energy, scale = "energy less the work of forces", " and this work"
+        but = ", unless damping makes the motion forget how it came there"
     return (
-        f"from about t={since:g} on the energy is off by {off:.0%} of the kinetic energy and does "
-        "not come back. A fast part of the motion, such as a close encounter or a fast "
-        f"oscillation, was not resolved with h={h:g}; the states after it are unreliable.\nTake a "
-        "smaller h, or a scheme of higher order."
+        f"from about t={since:g} on the {energy} is off by {off:.0%} of the kinetic energy{scale} "
+        "and does not come back. A fast part of the motion, such as a close encounter or a fast "
+        f"oscillation, was not resolved with h={h:g}; the states after it are unreliable{but}.\n"
+        "Take a smaller h, or a scheme of higher order."
     )
 
 
@@ -111,8 +115,9 @@ def _remember_box(stepper: Evaluator, trajectory: Trajectory) -> None:
     tools, system = stepper._module.tools, stepper._module.declared
     low, high = q.min(axis=0), q.max(axis=0)
     if key in stepper._regular:
-        low, high = np.minimum(low, stepper._regular[key][0]), np.maximum(
-            high, stepper._regular[key][1]
+        low, high = (
+            np.minimum(low, stepper._regular[key][0]),
+            np.maximum(high, stepper._regular[key][1]),
         )
     assert tools is not None
     values = list(map(float, trajectory._values))

@@ -166,11 +166,14 @@ def test_members_that_fail_leave_the_others_alone():
 def test_members_that_fail_are_not_warned_of_one_by_one():
     """Their steps are too large; a figure of 64 by 64 members would warn thousands of times."""
     springs = np.array([1e2, 5e3, 8e3, 1e4])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
         found = ss.compile(ss.systems.elastic_pendulum()).ensemble(
             [1.02, 0.4], v0=[0.0, 0.0], h=0.0561, steps=400, parameters={"k": springs}
         )
+    assert [one.category for one in told] == [ss.StabilityWarning, ss.ResolutionWarning]
+    assert "member 1: " in str(told[0].message)
+    assert "h omega is 3.97" in str(told[0].message)
     assert found.status.tolist() == [0, 0, *[ss.Status.STEP_TOO_LARGE] * 2]
 
 

@@ -31,7 +31,7 @@ def many(stepper):
 @pytest.mark.parametrize("number", [0, 3, -1, np.int64(3), np.int32(-2)])
 def test_a_number_gives_a_state(run, number):
     state = run[number]
-    assert type(state) is ss.States
+    assert isinstance(state, ss.States)
     assert (state.q == run.q[[number]]).all()
     assert state.t[0] == run.t[number]
     assert state.energy[0] == run.energy[number]

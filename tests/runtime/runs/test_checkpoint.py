@@ -98,6 +98,7 @@ def test_the_same_call_goes_on(path, ended, monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*turns by 15 rad in a step:symsimpson.StabilityWarning")
 def test_after_newton_took_over(path, ended, monkeypatch):
     """Which fallback is in use is kept."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}
