@@ -94,7 +94,8 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
 
 def rough_parts(run: Energies) -> Reals:
     """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
-    begins, ends = _powers_at(run), _powers_at(run, arriving=True)
+    begins = _powers_at(run)
+    ends = _powers_at(run, arriving=True) if run._inputs.size else begins
     spans = np.diff(np.asarray(run.t, dtype=np.float64))[:, None]
     means = np.asarray(begins[:-1] + ends[1:], dtype=np.float64) / 2
     return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))

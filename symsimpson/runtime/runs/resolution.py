@@ -42,6 +42,8 @@ FEWEST = 16
 LIMIT = 0.05
 #: At the end, where a block is only begun, so many states may stay so far from it.
 LAST, LAST_LIMIT = 4, 0.1
+#: So many steps are taken again to know the work of forces.
+AGAIN = 1_000_000
 #: Changes of the energy below this part of it are rounding.
 ROUNDING = 1e-9
 
@@ -232,10 +234,10 @@ def _explained(
         steps=int(every[-1]), newton_iterations=np.zeros(whole, dtype=np.int64), _tangents=None,
     )  # fmt: skip
     seen = seen.at(seen.places < whole)
-    exact = "work" in header.functions
     parts = rough_parts(states)
-    if exact and seen.with_work(parts).left_at is not None:
-        parts = parts_of_work(states)
-    elif not exact and run.every > 1:  # between states far apart, nobody knows
+    if "work" in header.functions and states.steps <= AGAIN:
+        if seen.with_work(parts).left_at is not None:
+            parts = parts_of_work(states)
+    elif run.every > 1:  # what is done between states far apart is not known
         parts = np.nan * parts
     return seen.with_work(parts).with_exchange(parts)
