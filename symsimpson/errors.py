@@ -71,7 +71,7 @@ class ModelWarning(UserWarning):
 
 
 class StabilityWarning(UserWarning):
-    """A step is so large that oscillations may grow without bound."""
+    """A step is so large that oscillations may grow without bound, or look slower than they are."""
 
 
 class ResolutionWarning(UserWarning):

@@ -95,3 +95,18 @@ def test_a_member_that_fails_is_told_by_a_pool(method):
                 bad.result(timeout=300)
     assert told.value.status is not ss.Status.SUCCESS
     assert len(told.value.trajectory) == 1
+
+
+@pytest.mark.parametrize("again", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
+def test_control_loops_go_on_where_they_were(again):
+    stepper = ss.compile(ss.systems.driven_cart_pole(), "gauss4")
+    loop = stepper.start([0.0, 0.1], v0=[0.0, 0.0], h=0.02)
+    for _ in range(5):
+        loop.step(0.3)
+    other = again(loop)
+    for value in (0.1, -0.4, 0.0):
+        loop.step(value)
+        other.step(value)
+    assert (loop.q == other.q).all()
+    assert (loop.p == other.p).all()
+    assert loop.t == other.t

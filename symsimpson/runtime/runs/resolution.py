@@ -155,8 +155,8 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
         raise InputError(
             f"{stepper.system}: the energy is not a finite real number at q0 = "
             f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
-            "(the logarithm or the root of a negative number, or a division by zero, for "
-            "example).\n"
+            "(the logarithm or the root of a negative number, a root of zero, or a division by "
+            "zero, for example).\n"
             "Start from a state at which both are defined, or check the formulas."
         )
 
@@ -180,8 +180,8 @@ def check_forces(stepper: Evaluator, spec: RunSpec) -> None:
         raise InputError(
             f"{stepper.system}: the force on {name} has no finite value at q0 = "
             f"({', '.join(f'{x:g}' for x in q)}), though T and V have.\nA derivative of a root at "
-            "zero or a quotient 0/0 makes it so. Start beside it, or write V in a form that is "
-            "smooth there."
+            "zero or a quotient 0/0 makes it so. Start beside it, or write V and forces in a form "
+            "that is smooth there."
         )
 
 

@@ -300,3 +300,19 @@ def test_clients_that_make_no_sense(stepper, client, tmp_path):
         patch.setitem(__import__("sys").modules, "distributed", None)
         with pytest.raises(ss.InputError, match=r"symsimpson\[cluster\]"):
             stepper.ensemble(ANGLES, **GIVEN, client=client)
+
+
+@pytest.mark.parametrize("damage", ["junk", "gone"])
+@pytest.mark.parametrize("name", ["q", "p", "newton_iterations"])
+def test_chunks_that_are_damaged_or_gone_are_computed_again(
+    stepper, whole, counted, tmp_path, name, damage
+):
+    stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    chunk = sorted(one for one in (tmp_path / "s" / name / "c").rglob("*") if one.is_file())[2]
+    if damage == "junk":
+        chunk.write_bytes(b"junk")
+    else:
+        chunk.unlink()
+    counted.clear()
+    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
+    assert counted == [24]

@@ -178,3 +178,38 @@ def test_damaged_files_raise_what_they_should(tmp_path, ending):
             continue
         assert (found.y == run.y).all()  # what was damaged is of no consequence
         assert found._stepper.source == run._stepper.source
+
+
+@pytest.mark.parametrize("ending", ["nc", "zarr"])
+def test_derivatives_are_saved_with_a_run(tmp_path, ending):
+    system = ss.systems.double_pendulum()
+    run = ss.compile(system).integrate(
+        **system.reference_state, h=0.01, steps=30, every=3, tangents=4, sensitivities=["m1", "g"]
+    )  # fmt: skip
+    run.save(tmp_path / f"run.{ending}")
+    opened = ss.open_trajectory(tmp_path / f"run.{ending}")
+    assert np.array_equal(opened.tangent, run.tangent)
+    assert list(opened.sensitivity) == ["m1", "g"]
+    for name in run.sensitivity:
+        assert np.array_equal(opened.sensitivity[name], run.sensitivity[name])
+
+
+def test_a_folder_that_cannot_be_written_whole_is_not_there(tmp_path, monkeypatch):
+    """Nor is what was there before lost."""
+    run = run_of("double_pendulum", "simpson")
+    path = tmp_path / "run.zarr"
+    plain = xarray.Dataset.to_zarr
+
+    def fail(self, where, **options):
+        plain(self, where, **options)
+        raise OSError("no space left")
+
+    for before in (False, True):
+        if before:
+            run.save(path)
+        with monkeypatch.context() as broken:
+            broken.setattr(xarray.Dataset, "to_zarr", fail)
+            with pytest.raises(ss.StorageError, match="no space left"):
+                run.save(path)
+        assert [one.name for one in tmp_path.iterdir()] == ["run.zarr"] * before
+    assert np.array_equal(ss.open_trajectory(path).q, run.q)

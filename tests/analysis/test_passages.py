@@ -1,0 +1,82 @@
+"""A damped spherical pendulum on a cart passes 7e-5 rad from the pole of its angles."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+from workspace import sweep
+
+import symsimpson as ss
+
+SYMBOLS = M, m, l, g, c, d = sp.symbols("M m l g c d")
+VALUES = dict(zip(SYMBOLS, (2.0, 1.0, 0.5, 9.81, 0.3, 0.02), strict=True))
+STEPS = [(scheme, h) for h in (0.005, 0.02, 0.01, 0.002, 0.001)
+         for scheme in ("gauss8", "simpson", "midpoint")]  # fmt: skip
+
+
+def with_angles():
+    s, theta, phi = ss.coordinates("s theta phi")
+    arm = l * sp.Matrix([sp.sin(theta) * sp.cos(phi), sp.sin(theta) * sp.sin(phi), -sp.cos(theta)])
+    turning = theta.diff() ** 2 + sp.sin(theta) ** 2 * phi.diff() ** 2
+    return declared("angles", s, arm, (theta, phi), turning)
+
+
+def held():
+    s, x, y, z = ss.coordinates("s x y z")
+    arm = sp.Matrix([x, y, z])
+    v = arm.diff(ss.time)
+    return declared("held", s, arm, (x, y, z), v.dot(v) / l**2, (arm.dot(arm) - l**2,))
+
+
+def declared(name, s, arm, coordinates, turning, constraints=()):
+    v = arm.diff(ss.time) + sp.Matrix([s.diff(), 0, 0])
+    return ss.MechanicalSystem(
+        name, coordinates=(s, *coordinates), parameters=VALUES, constraints=constraints,
+        kinetic=M * s.diff() ** 2 / 2 + m * v.dot(v) / 2, potential=m * g * arm[2],
+        dissipation=c * s.diff() ** 2 / 2 + d * turning / 2,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def right():
+    """Where the bob is at t = 20, by coordinates that have no pole, which agree in two orders."""
+    theta, phi, turn, round_it = 0.8, 0.1, 0.3, 2.0
+    out = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)])
+    up = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), np.sin(theta)])
+    across = np.sin(theta) * np.array([-np.sin(phi), np.cos(phi), 0.0])
+    bobs = []
+    for scheme in ("gauss8", "gauss12"):
+        run = ss.compile(held(), scheme).integrate(
+            [0.0, *0.5 * out], v0=[0.0, *0.5 * (turn * up + round_it * across)], h=0.005, t_end=20.0
+        )
+        bobs.append(run.q[-1, 1:] + np.array([run.q[-1, 0], 0.0, 0.0]))
+    assert np.abs(bobs[1] - bobs[0]).max() < 1e-9
+    assert np.abs(bobs[0] - [0.15682706, -0.02494533, -0.49424493]).max() < 1e-8
+    return bobs[1]
+
+
+@pytest.mark.parametrize(("scheme", "h"), sweep(STEPS))
+def test_no_bob_elsewhere_is_a_success_without_a_word(right, scheme, h):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        run = ss.compile(with_angles(), scheme).integrate(
+            [0.0, 0.8, 0.1], v0=[0.0, 0.3, 2.0], h=h, t_end=20.0, on_failure="return"
+        )
+    s, theta, phi = run.q[-1]
+    bob = 0.5 * np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), -np.cos(theta)])
+    off = np.abs(bob + np.array([s, 0.0, 0.0]) - right).max()
+    if not run.success:
+        assert run.status is ss.Status.COORDINATE_SINGULARITY
+        assert "held by a constraint" in run.message
+        assert "near theta=" in run.message
+    elif off > {"midpoint": 1000}.get(scheme, 1) * h**2:  # errors that shrink as they should
+        assert "singular point of the coordinates" in str(told[0].message)
+        assert "near theta=" in run.message
+
+
+def test_a_wide_passage_is_passed_in_silence():
+    run = ss.compile(with_angles(), "gauss8").integrate(
+        [0.0, 0.8, 0.1], v0=[0.0, 0.3, 2.0], h=0.005, t_end=2.0
+    )
+    assert run.success
