@@ -83,7 +83,7 @@ def test_warnings_belong_to_the_line_that_calls():
     line = inspect.currentframe().f_lineno + 2
     with pytest.warns(ss.ModelWarning, match="idle: k stands in no expression") as told:
         idle.integrate(**START, h=0.1, steps=2, parameters={"k": 5})
-    assert (told[0].filename, told[0].lineno) == (__file__, line)
+    assert [(one.filename, one.lineno) for one in told] == [(__file__, line)]
     with pytest.warns(ss.ModelWarning, match="k stands in no expression"):
         idle.ensemble([1.0], v0=[0.0], h=0.1, steps=2, parameters={k: [1.0, 2.0]})
     with warnings.catch_warnings(record=True) as told:

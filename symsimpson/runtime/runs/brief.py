@@ -138,6 +138,8 @@ def read_asked(
     one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
     if stepper._prepared is None or not one or not isinstance(h, float):
         return None
+    if parameters and stepper._names.idle:  # which may be warned of, once
+        return None
     values = stepper._values(parameters)
     if (h, values.tobytes()) not in stepper._looked_at or not (every is None or every > 0):
         return None
