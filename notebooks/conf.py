@@ -1,5 +1,8 @@
 """How the book is built: sphinx-build -W notebooks book."""
 
+import json
+from pathlib import Path
+
 import symsimpson
 
 project = "symsimpson"
@@ -10,13 +13,18 @@ version = release = symsimpson.__version__
 extensions = [
     "myst_nb",  # pages in Markdown, notebooks with the outputs that they have
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",  # a table of names on each page of the reference
+    "sphinx_copybutton",
     "numpydoc",
     "sphinx-mathjax-offline",  # formulas without a network connection
 ]
 exclude_patterns = ["README.md", "_build", "**/.ipynb_checkpoints"]
+autosummary_generate = False
+copybutton_exclude = ".linenos, .gp, .go"
 
 # notebooks are executed in the tests; here they are shown as they were committed
 nb_execution_mode = "off"
+nb_merge_streams = True
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 3
 suppress_warnings = ["mystnb.unknown_mime_type"]
@@ -30,3 +38,21 @@ html_theme = "furo"
 html_title = f"symsimpson {version}"
 html_show_sourcelink = False
 html_copy_source = False
+html_static_path = ["_static"]
+html_css_files = ["book.css"]
+
+
+def offer_notebook(app, name, source):
+    """Begin each page that is a notebook with a link to it."""
+    if Path(app.env.doc2path(name)).suffix == ".ipynb":
+        notebook = json.loads(source[0])
+        file = f"{Path(name).name}.ipynb"
+        note = f"{{download}}`Download this notebook <{file}>` and run it anywhere."
+        text = "".join(notebook["cells"][0]["source"])
+        notebook["cells"][0]["source"] = f"{text}\n\n{note}"
+        source[0] = json.dumps(notebook)
+
+
+def setup(app):
+    """Connect what is done to pages."""
+    app.connect("source-read", offer_notebook)

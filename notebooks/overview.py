@@ -9,7 +9,7 @@ import symsimpson as ss
 from symsimpson.reference import canonical, rk4
 
 HERE = Path(__file__).parent
-plt.style.use(HERE / "book.mplstyle")
+plt.style.use("symsimpson.plotting.book")
 
 
 def main() -> None:

@@ -14,9 +14,10 @@ from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.errors import GenerationError
-from symsimpson.files import read_path
+from symsimpson.errors import GenerationError, StorageError
+from symsimpson.files import read_path, written_beside
 from symsimpson.mechanics.extended import extended
+from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
@@ -55,6 +56,7 @@ TOOLS = Tools(
     unresolved_pole=partial(_call, "passages", "unresolved_pole"),
     kink_passed=partial(_call, "kinks", "kink_passed"),
     regular_box=partial(_call, "passages", "regular_box"),
+    points_of=points_of,
 )
 
 
@@ -208,11 +210,12 @@ def generate(
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:
-            path.write_bytes(content)
-    except OSError as error:
+            with written_beside(path, "generated module") as whole:
+                whole.write_bytes(content)
+    except (OSError, StorageError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise GenerationError(
-            f"{path}: the generated module cannot be written: {error.strerror}.\n"
-            "Choose another directory."
+            f"{path}: the generated module cannot be written: {reason}.\nChoose another directory."
         ) from error
     return path
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +14,7 @@ from symsimpson.errors import InputError, StorageError
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory
 
-__all__ = ["check_folder", "read_path", "write_text"]
+__all__ = ["check_folder", "read_path", "remove", "write_text", "written_beside"]
 
 
 def read_path(what: str, value: Any) -> Path:
@@ -49,6 +52,41 @@ def check_folder(
         )
 
 
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def written_beside(place: Path, what: str, trajectory: Trajectory | None = None) -> Iterator[Path]:
+    """Give a place beside a file; what was written there takes its place once it is whole.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be written; then what was there before is still there.
+    """
+    check_folder(place, what, trajectory=trajectory)
+    whole = place.with_name(f"{place.stem}.new{place.suffix}")  # writers look at the ending
+    try:
+        remove(whole)
+        yield whole
+        if whole.is_dir():
+            remove(place)
+        os.replace(whole, place)
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise StorageError(
+            f"{place}: the {what} cannot be written: {reason}.\nChoose another place.",
+            trajectory=trajectory,
+        ) from error
+    finally:
+        remove(whole)
+
+
 def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
     """Write a text to a file; ``what`` names it in the message of a failure.
 
@@ -60,11 +98,6 @@ def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
         If the file cannot be written.
     """
     place = read_path(f"the file of the {what}", path)
-    check_folder(place, what)
-    try:
-        place.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StorageError(
-            f"{place}: the {what} cannot be written: {error.strerror}.\nChoose another place."
-        ) from error
+    with written_beside(place, what) as whole:
+        whole.write_text(text, encoding="utf-8")
     return place

@@ -59,7 +59,7 @@ def test_versions_agree():
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["version"] == ss.__version__
-    assert f"## {ss.__version__}" in (ROOT / "symsimpson/CHANGES.md").read_text("utf-8")
+    assert f"## {ss.__version__}" in (ROOT / "notebooks/contributing/changes.md").read_text("utf-8")
 
 
 @pytest.mark.parametrize(

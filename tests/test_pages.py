@@ -10,7 +10,8 @@ ROOT = Path(__file__).parents[1]
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
 PAGES = [
     *GUIDE, "README.md", "notebooks/README.md", "notebooks/coming_from.md",
-    "notebooks/contributing/index.md", "symsimpson/ARCHITECTURE.md", "symsimpson/CHANGES.md",
+    "notebooks/contributing/index.md", "notebooks/contributing/changes.md",
+    "symsimpson/ARCHITECTURE.md", ".github/CONTRIBUTING.md", ".github/SECURITY.md",
     "symsimpson/codegen/PARTS.md",
 ]  # fmt: skip
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.files import write_text
+from symsimpson.files import read_path, write_text, written_beside
 from symsimpson.plotting.axes import axes
-from symsimpson.plotting.plane import film_in_plane
+from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
 
@@ -38,22 +38,49 @@ class Animation:
     frames : int
     """
 
-    def __init__(self, page: Callable[[], str], frames: int, size: tuple[int, int]) -> None:
-        self._make, self.frames, self._size = page, frames, size
+    def __init__(
+        self, page: Callable[[], str], write: Callable[..., None], frames: int,
+        size: tuple[int, int],
+    ) -> None:  # fmt: skip
+        self._make, self._write, self.frames, self._size = page, write, frames, size
 
     @cached_property
     def _page(self) -> str:
         return self._make()
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a page in HTML that plays it anywhere.
+    def save(self, path: str | os.PathLike[str], *, frame: int = 0) -> Path:
+        """Write the film as the ending of the name says.
+
+        Parameters
+        ----------
+        path : path
+            In ``.html``, a page that plays anywhere; in ``.gif`` or ``.mp4`` (needs ffmpeg, or
+            ``pip install imageio-ffmpeg``); or in ``.png``, one frame.
+        frame : int
+            Which one; a negative number counts from the end.
+
+        Returns
+        -------
+        Path
 
         Raises
         ------
+        InputError
+            If the name ends otherwise, there is no such frame, or a library is missing.
         StorageError
             If the file cannot be written.
         """
-        return write_text(path, self._page, "animation")
+        place = read_path("the file of the animation", path)
+        if place.suffix == ".html":
+            return write_text(path, self._page, "animation")
+        if place.suffix not in KINDS or not -self.frames <= frame < self.frames:
+            raise InputError(
+                f"{os.fspath(path)!r}, frame={frame!r}: there is no such kind of film, or frame."
+                f"\nEnd the name in .html, .gif, .mp4 or .png; frames are 0 to {self.frames - 1}."
+            )
+        with written_beside(place, "animation") as whole:
+            self._write(whole, place.suffix, frame % self.frames)
+        return place
 
     def _repr_html_(self) -> str:
         width, height = self._size
@@ -81,7 +108,8 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
     scene = scene_of(run.at(t), FINE)
     title = f"{run._stepper.system}, {run._stepper.scheme}"
     make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
-    return Animation(partial(make, scene, t[::FINE], fps, title), frames, size)
+    shown = scene, t[::FINE], fps, title
+    return Animation(partial(make, *shown), partial(write_film, *shown), frames, size)
 
 
 def plot_path(run: States, *, ax: Any = None) -> Any:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.mechanics.points import points_of
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.states import States
@@ -98,14 +98,14 @@ def scene_of(some: States, stride: int = 1) -> Scene:
         )
     if not len(some):
         raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
-    shapes = {
-        name: given if isinstance(given[0], tuple) else (given,)
-        for name, given in positions.items()
+    found = points_of(declared, some.t, some.q, some._values)
+    dimension = max(2, *(x.shape[-1] for x in found.values()))
+    flat = {
+        name: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, dimension - x.shape[-1])])
+        for name, x in found.items()
     }
-    dimension = max(2, *(len(corner) for corners in shapes.values() for corner in corners))
-    at = _evaluator(some, dimension)
-    points = {name: at(corners) for name, corners in shapes.items() if len(corners) == 1}
-    bodies = [at((*corners, corners[0])) for corners in shapes.values() if len(corners) > 1]
+    points = {name: x[:, None] for name, x in flat.items() if x.ndim == 2}
+    bodies = [np.concatenate([x, x[:, :1]], axis=1) for x in flat.values() if x.ndim == 3]
     joined = np.concatenate(list(points.values()) or [bodies[0][:, :0]], axis=1)
     links = _links(joined)
     drawn = [joined, *bodies, *([0 * joined] if any(link.first < 0 for link in links) else [])]
@@ -114,33 +114,6 @@ def scene_of(some: States, stride: int = 1) -> Scene:
     reach = 0.55 * float((high - low).max()) or 1.0
     return Scene(tuple(points), joined, tuple(x[::stride] for x in bodies), links, (low + high) / 2,
                  reach, stride)  # fmt: skip
-
-
-def _evaluator(some: States, dimension: int) -> Callable[[Iterable[Any]], Floats]:
-    """Return what evaluates points at all states, shape (N, points, dimension)."""
-    import sympy as sp
-
-    from symsimpson.mechanics.coordinates import time
-
-    declared = some._stepper._module.declared
-    # coordinates are functions of time: plain symbols stand for them, and for the time
-    plain = {q: sp.Dummy() for q in (*declared.coordinates, time)}
-    values = [float(some.parameters[name]) for name in some._stepper.parameters]
-
-    q, t = np.asarray(some.q, dtype=float).T, np.asarray(some.t, dtype=float)
-
-    def at(corners: Iterable[Any]) -> Floats:
-        corners = list(corners)
-        out = np.zeros((len(some), len(corners), dimension))
-        for k, corner in enumerate(corners):
-            for axis, expression in enumerate(corner):
-                function = sp.lambdify(
-                    [*plain.values(), *declared.parameters], expression.xreplace(plain), "numpy"
-                )
-                out[:, k, axis] = function(*q, t, *values)
-        return out
-
-    return at
 
 
 def _links(points: Floats) -> tuple[Link, ...]:

@@ -1,18 +1,21 @@
-"""Figures of one run."""
+"""Figures of one run, or of many."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from symsimpson.names import spelled
 from symsimpson.plotting.axes import axes
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.ensembles.ensemble import Ensemble
     from symsimpson.runtime.results.chaos import Chaos
     from symsimpson.runtime.results.energies import Energies
     from symsimpson.runtime.results.states import States
 
-__all__ = ["plot", "plot_energy", "plot_exponents", "plot_phase"]
+__all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
 
 #: The dots of states that no line connects.
 DOTS = {"ls": "none", "marker": ".", "ms": 2.5}
@@ -47,6 +50,25 @@ def plot(
         ax.set_ylabel(*found)
     else:
         ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    return ax
+
+
+def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any:
+    """Draw a quantity of members over time, or how its last values are spread."""
+    values = many[name]
+    some = np.unique(np.linspace(0, len(many) - 1, min(len(many), max(1, most))).astype(int))
+    ax = axes(ax, (7, 3.5))
+    if values.ndim == 2:
+        times = np.broadcast_to(many.t, values.shape)
+        ax.plot(times[some].T, values[some].T, lw=0.8, alpha=max(0.15, min(1.0, 8 / len(some))))
+        ax.set(xlabel="t", ylabel=label(name))
+    else:
+        last = values[np.isfinite(values)]
+        ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
+        ax.set(xlabel=f"{label(name)} at the end", ylabel="members")
+    stepper = many._stepper
+    ax.set_title(f"{stepper.system}, {stepper.scheme}: {len(some)} of {len(many)} members")
+    ax.grid(lw=0.4, alpha=0.6)
     return ax
 
 

@@ -37,6 +37,8 @@ class Tools:
         Takes a system, times, positions and values; returns when a force jumped at which root.
     regular_box : callable
         Takes a system, values, two corners and a time; returns a box without either.
+    points_of : callable
+        Takes a system, times, positions and values; returns where its points are, by name.
     """
 
     certify: Callable[..., Any]
@@ -46,6 +48,7 @@ class Tools:
     unresolved_pole: Callable[..., Any]
     kink_passed: Callable[..., Any]
     regular_box: Callable[..., Any]
+    points_of: Callable[..., dict[str, Any]]
 
 
 @dataclass(frozen=True)

@@ -177,3 +177,7 @@ def __getattr__(name: str) -> object:
     raise AttributeError(
         f"module 'symsimpson.systems' has no attribute {name!r}.{did_you_mean(name, EVERY)}"
     )
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

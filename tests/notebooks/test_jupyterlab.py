@@ -43,7 +43,7 @@ def lab(tmp_path_factory):
         path = folder / "settings" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(content))
-    for path in (*NOTEBOOKS.glob("*.ipynb"), NOTEBOOKS / "book.mplstyle"):
+    for path in NOTEBOOKS.glob("*.ipynb"):
         shutil.copy(path, folder)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -137,3 +137,32 @@ def test_points_that_move_with_the_time(tmp_path):
     path = run[3:9].plot_path().lines[0].get_xdata()  # some states have their own times
     assert path == pytest.approx(moved[3:9])
     assert run.animate(fps=5, seconds=1).save(tmp_path / "film.html").stat().st_size > 1000
+
+
+#: How files of each kind begin.
+BEGINS = {".gif": b"GIF89a", ".png": b"\x89PNG", ".mp4": b"\x00\x00\x00"}
+
+
+@pytest.mark.parametrize("kind", BEGINS)
+@pytest.mark.parametrize("name", sweep(["double_pendulum", "lagrange_top"]))
+def test_files_are_what_their_ending_says(tmp_path, name, kind):
+    pytest.importorskip("imageio_ffmpeg")
+    film = run_of(name).animate(fps=5)
+    written = film.save(tmp_path / f"film{kind}", frame=-1)
+    assert written.read_bytes().startswith(BEGINS[kind])
+    assert written.stat().st_size > 3000
+    assert [one.name for one in tmp_path.iterdir()] == [written.name]
+
+
+def test_a_gif_has_all_frames(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    film = run_of("double_pendulum").animate(fps=5)
+    with image.open(film.save(tmp_path / "film.gif")) as opened:
+        assert opened.n_frames == film.frames
+
+
+@pytest.mark.parametrize(("name", "frame"), [("film.txt", 0), ("film", 0), ("film.png", 99)])
+def test_other_endings_and_frames_are_refused(tmp_path, name, frame):
+    with pytest.raises(ss.InputError, match=r"\.html, \.gif, \.mp4 or \.png"):
+        run_of("double_pendulum").animate(fps=5).save(tmp_path / name, frame=frame)
+    assert not list(tmp_path.iterdir())

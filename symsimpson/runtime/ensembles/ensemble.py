@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
@@ -13,11 +14,13 @@ from numpy.typing import NDArray
 
 from symsimpson.calling import explaining
 from symsimpson.extras import library
+from symsimpson.files import read_path, written_beside
 from symsimpson.runtime.evaluator import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.tables import check_kind, columns, dataframe, write_table
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -135,6 +138,10 @@ class Ensemble(Quantities, Differentiated):
         t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
         return evaluate_members(self._stepper, kernel, block, count, t, q, p, self._values)
 
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        values = self._values
+        return self.t, np.asarray(self.q), values[:, None] if self.q.ndim == 3 else values
+
     def _own(self, key: str) -> Any:
         return self.reduced.get(key, self.parameters.get(key))
 
@@ -188,6 +195,107 @@ class Ensemble(Quantities, Differentiated):
         elif self.q.ndim == 3:
             named["time"] = self.t
         return xarray.Dataset(variables, named, self._about())
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame``, a row for each stored state of each member.
+
+        The index is the member; columns are its parameters, what ``reduce`` asked for, t, and what
+        :meth:`Trajectory.to_pandas` has.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.to_pandas().shape
+        (12, 10)
+        """
+        return dataframe(self._table(), "member", self._about())
+
+    def _table(self) -> dict[str, NDArray[Any]]:
+        shape = np.shape(self.energy)
+        own = {"member": np.arange(len(self)), **self.parameters, **self.reduced}
+        found = {
+            name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
+            for name, x in own.items()
+        }
+        found |= {"t": np.broadcast_to(self.t, shape), **columns(self)}
+        return {name: np.asarray(x).reshape(-1) for name, x in found.items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the members in a file, of the kind that its ending says.
+
+        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives; ``.csv``
+        and ``.parquet`` the table of :meth:`to_pandas`; ``.npz`` arrays t, q, p, status, and those
+        of parameters and of what ``reduce`` asked for.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a library is missing.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
+        """
+        place = read_path("the ensemble's file", path)
+        kind = check_kind(place)
+        if kind in (".nc", ".zarr"):
+            with written_beside(place, "ensemble") as whole:
+                found = self.to_xarray()
+                if kind == ".nc":
+                    found.to_netcdf(whole, engine="netcdf4")
+                else:
+                    found.to_zarr(whole, mode="w", zarr_format=2)
+            return
+        names = ("t", "q", "p", "status", "steps", "newton_iterations")
+        arrays = {name: np.asarray(getattr(self, name)) for name in names}
+        arrays |= {f"parameter_{name}": x for name, x in self.parameters.items()}
+        arrays |= {f"reduced_{name}": x for name, x in self.reduced.items()}
+        write_table(place, "ensemble", arrays, self._table)
+
+    def plot(self, name: str | None = None, *, most: int = 100, ax: Any = None) -> Any:
+        """Draw a quantity of the members over time, or a histogram where last states are stored.
+
+        Parameters
+        ----------
+        name : str, optional
+            As in ``ensemble["q1"]``; the first coordinate unless given.
+        most : int
+            So many members at most, spread over all.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.plot("energy").get_ylabel()
+        'energy'
+        """
+        from symsimpson.plotting.states import plot_members
+
+        return plot_members(self, name or self._stepper.coordinates[0], most, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.extras import library
-from symsimpson.files import check_folder, read_path
+from symsimpson.files import check_folder, read_path, written_beside
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.tables import TABLES, check_kind, write_table
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
 
@@ -23,26 +22,23 @@ if TYPE_CHECKING:
 
 __all__ = ["open_trajectory", "save"]
 
+#: What reads tables again.
+READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
 #: What a file must hold: variables, and attributes beside the dataset's own.
 VARIABLES = ("q", "p", "newton_iterations", "module")
 ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
 
 
-def _kind(path: str | os.PathLike[str]) -> tuple[Path, str]:
-    where = read_path("the trajectory's file", path)
-    if where.suffix not in (".nc", ".zarr"):
-        raise InputError(
-            f"{os.fspath(path)!r} names no kind of file that is known.\n"
-            "End it in .nc for netCDF, or in .zarr for a store of Zarr."
-        )
-    library("xarray", "a trajectory in a file", "data")
-    library({".nc": "netCDF4", ".zarr": "zarr"}[where.suffix], f"a {where.suffix} file", "data")
-    return where, where.suffix
-
-
 def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory, and what is needed to have it back."""
-    where, kind = _kind(path)
+    """Write a trajectory, and what is needed to have it back; or a table of it."""
+    where = read_path("the trajectory's file", path)
+    kind = check_kind(where)
+    if kind in TABLES:
+        arrays = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
+        arrays |= {f"point_{name}": x for name, x in run.points.items()}
+        check_folder(where, "table", trajectory=run)
+        write_table(where, "table", arrays, run._table)
+        return
     if run.q.dtype != np.float64:
         raise InputError(
             "numbers of many digits do not fit into this kind of file.\n"
@@ -63,30 +59,11 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
         found["variations"] = (("time", "state", "variation"), run._tangents, about)
         if run._varied_by is not None:
             found.attrs["varied_by"] = list(run._varied_by) or [""]
-    whole = where.with_name(where.name + ".new")  # an old file is kept until this is whole
-    try:
-        _remove(whole)
+    with written_beside(where, "trajectory", run) as whole:
         if kind == ".nc":
             found.to_netcdf(whole, engine="netcdf4")
         else:
             found.to_zarr(whole, mode="w", consolidated=False, zarr_format=2)
-            _remove(where)
-        os.replace(whole, where)
-    except (OSError, RuntimeError) as error:
-        raise StorageError(
-            f"{where}: the trajectory could not be written: {error}.\nChoose another place.",
-            trajectory=run,
-        ) from None
-    finally:
-        _remove(whole)
-
-
-def _remove(path: Path) -> None:
-    """Remove a file or a store, if it is there."""
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -121,7 +98,13 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     >>> bool((again.q == run.q).all()), again.energy[3] == run.energy[3]
     (True, np.True_)
     """
-    where, kind = _kind(path)
+    where = read_path("the trajectory's file", path)
+    kind = check_kind(where)
+    if kind in TABLES:
+        raise InputError(
+            f"{where}: a {kind} file is a table, and holds no run that could go on.\nRead it with "
+            f"{READERS[kind]}; run.save('run.nc') or 'run.zarr' keeps all of a run."
+        )
     if not where.exists():
         raise StorageError(f"{where}: there is no such file.\nrun.save(path) makes one.")
     xarray = library("xarray", "a trajectory in a file", "data")

@@ -57,6 +57,21 @@ class Quantities:
         return {name: found[..., i] for i, name in enumerate(names)}
 
     @cached_property
+    def points(self) -> dict[str, NDArray[np.float64]]:
+        """Where the points and bodies are that were declared as ``positions``, by name.
+
+        Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body.
+        """
+        module = self._stepper._module
+        if module.tools is None or not getattr(module.declared, "positions", None):
+            return {}
+        return module.tools.points_of(module.declared, *self._where())
+
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return times, positions and values of parameters, of which the first axes agree."""
+        raise NotImplementedError
+
+    @cached_property
     def multipliers(self) -> NDArray[Any]:
         """Multipliers lambda of L - lambda.phi, shape (..., m): of the order of the scheme.
 
@@ -122,10 +137,12 @@ class Quantities:
             return self.invariants[names.invariants.shown[watched[key]]]
         if key in ("t", "energy"):
             return cast(NDArray[Any], getattr(self, key))
+        if key in self.points:
+            return self.points[key]
         every = [*names.coordinates.shown]
         every += [f"{x}_{q}" for x in "pv" for q in names.coordinates.shown]
         every += [f"lambda_{name}" for name in names.constraints.shown]
-        every += [*names.invariants.shown, *self._own_names(), "t"]
+        every += [*names.invariants.shown, *self._own_names(), *self.points, "t"]
         raise UnknownNameError(
             f"there is no {key!r}.{did_you_mean(key, [*every, 'energy'])} "
             f"There are {', '.join(every)} and energy."

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from symsimpson.calling import explaining
 from symsimpson.extras import library
 from symsimpson.runtime.results.quantities import Quantities
+from symsimpson.runtime.results.tables import columns, dataframe
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -192,7 +193,9 @@ class States(Quantities):
         return plot_path(self, ax=ax)
 
     def to_pandas(self) -> Any:
-        """Return a ``pandas.DataFrame`` of positions, momenta and energy, with the times as index.
+        """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.
+
+        Positions, momenta, velocities, the energy, invariants and the coordinates of points.
 
         Raises
         ------
@@ -204,14 +207,12 @@ class States(Quantities):
         >>> import symsimpson as ss
         >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
         >>> list(run.to_pandas().columns)
-        ['theta', 'p_theta', 'energy']
+        ['theta', 'p_theta', 'v_theta', 'energy', 'bob_x', 'bob_y']
         """
-        pandas = library("pandas", "to_pandas", "data")
-        names = self._stepper.coordinates
-        columns = {name: self[name] for name in (*names, *(f"p_{q}" for q in names), "energy")}
-        frame = pandas.DataFrame(columns, index=pandas.Index(self.t, name="t"))
-        frame.attrs = self._about()
-        return frame
+        return dataframe(self._table(), "t", self._about())
+
+    def _table(self) -> dict[str, NDArray[Any]]:
+        return {"t": self.t, **columns(self)}
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` with dimensions time and coord.
@@ -236,6 +237,10 @@ class States(Quantities):
         variables["energy"] = (("time",), self.energy, {"long_name": "energy H"})
         for k, (name, values) in enumerate(self.invariants.items()):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
+        for name, place in self.points.items():
+            corner = ("corner_" + name,) * (place.ndim - 2)
+            about = {"long_name": "where it is"}
+            variables[f"point_{name}"] = (("time", *corner, f"axis_{name}"), place, about)
         variables |= self._further()
         names = {"time": self.t, "coord": list(self._stepper.coordinates)}
         return xarray.Dataset(variables, names, self._about())
@@ -253,6 +258,9 @@ class States(Quantities):
             **{f"parameter {stored(name, own)}": float(value) for (name, value), own
                in zip(self.parameters.items(), stepper._names.parameters.own, strict=True)},
         }  # fmt: skip
+
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        return self.t, self.q, self._values
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         from symsimpson.runtime.evaluator import evaluate

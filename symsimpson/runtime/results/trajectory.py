@@ -229,10 +229,12 @@ class Trajectory(Energies, Differentiated):
         return animate(self, seconds=seconds, fps=fps)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the run in a file: netCDF for ``.nc``, a store of Zarr for ``.zarr``.
+        """Keep the run in a file, of the kind that its ending says.
 
-        It holds what :meth:`to_xarray` gives, and the generated module, so that
-        :func:`symsimpson.open_trajectory` gives back this trajectory.
+        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives, and the
+        generated module, so that :func:`symsimpson.open_trajectory` gives back this trajectory.
+        ``.csv`` and ``.parquet`` are tables, with the columns of :meth:`to_pandas`, and ``.npz``
+        has arrays t, q, p, v, energy and points.
 
         Raises
         ------

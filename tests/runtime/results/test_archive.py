@@ -61,7 +61,7 @@ def test_others_can_read_it(tmp_path):
         assert data.attrs["scheme"] == "simpson"
 
 
-@pytest.mark.parametrize("name", ["run", "run.csv", "run.nc.gz"])
+@pytest.mark.parametrize("name", ["run", "run.txt", "run.nc.gz"])
 def test_other_endings_are_refused(tmp_path, name):
     run = run_of("double_pendulum", "simpson")
     with pytest.raises(ss.InputError, match=r"End it in .nc"):

@@ -65,11 +65,13 @@ def test_tables(run):
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")
     frame = run.to_pandas()
-    assert list(frame.columns) == ["q1", "q2", "p_q1", "p_q2", "energy"]
+    names = [f"{x}{q}" for x in ("", "p_", "v_") for q in ("q1", "q2")]
+    points = [f"{x}_{axis}" for x in PENDULUM.positions for axis in "xy"]
+    assert list(frame.columns) == [*names, "energy", *points]
     assert frame.index.name == "t"
     assert (frame["q2"].to_numpy() == run.q[:, 1]).all()
     data = run.to_xarray()
-    assert dict(data.sizes) == {"time": 11, "coord": 2}
+    assert (data.sizes["time"], data.sizes["coord"]) == (11, 2)
     assert (data.sel(coord="q1").v.to_numpy() == run.v[:, 0]).all()
     assert data.attrs["system"] == "double_pendulum"
     assert data.attrs["parameter g"] == 9.81

@@ -1,0 +1,66 @@
+"""Where the points and bodies of a system are, as numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+from numpy.typing import NDArray
+
+from symsimpson.mechanics.coordinates import time
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["points_of"]
+
+
+def points_of(
+    system: MechanicalSystem, t: NDArray[Any], q: NDArray[Any], values: NDArray[Any]
+) -> dict[str, NDArray[np.float64]]:
+    """Evaluate the positions that were declared with a system.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    t : ndarray, shape (...)
+    q : ndarray, shape (..., n)
+    values : ndarray, shape (..., parameters)
+
+    Returns
+    -------
+    dict of ndarray
+        Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body; empty if no
+        positions were declared.
+    """
+    columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]
+    numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
+    shape = columns[1].shape[:-1]
+    found = {}
+    for name, corners in _functions(system).items():
+        rows = [
+            np.stack([np.broadcast_to(axis(*numbers), shape) for axis in corner], axis=-1)
+            for corner in corners
+        ]
+        single = not isinstance((system.positions or {})[name][0], tuple)
+        found[name] = np.asarray(rows[0] if single else np.stack(rows, axis=-2), dtype=np.float64)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _functions(system: MechanicalSystem) -> dict[str, list[list[Callable[..., Any]]]]:
+    """Return functions of t, positions and parameters, for each axis of each corner."""
+    # coordinates are functions of time: plain symbols stand for them, and for the time
+    plain = {x: sp.Dummy() for x in (time, *system.coordinates)}
+    arguments = [*plain.values(), *system.parameters]
+
+    def made(corner: Iterable[sp.Expr]) -> list[Callable[..., Any]]:
+        return [sp.lambdify(arguments, x.xreplace(plain), "numpy") for x in corner]
+
+    return {
+        name: [made(x) for x in (given if isinstance(given[0], tuple) else (given,))]
+        for name, given in (system.positions or {}).items()
+    }

@@ -1,0 +1,140 @@
+"""Films by matplotlib: a page for what moves in a plane, files of pictures for anything."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from symsimpson.extras import library
+from symsimpson.plotting.scene import Scene
+from symsimpson.progress import Progress
+
+__all__ = ["KINDS", "film_in_plane", "write_film"]
+
+#: Kinds of files, and what writes them.
+KINDS = {".gif": "pillow", ".mp4": "ffmpeg", ".png": "one frame"}
+
+#: A frame has few colours; with so many it is a third as long, and looks the same.
+COLOURS = 48
+#: Dots an inch, whatever the style is.
+DOTS = 72
+#: matplotlib's player takes its icons from elsewhere; these are letters of any font.
+ICONS = {
+    "minus": "&minus;", "fast-backward": "|&laquo;", "step-backward": "|&lsaquo;",
+    "play fa-flip-horizontal": "&#9664;", "pause": "||", "play": "&#9654;",
+    "step-forward": "&rsaquo;|", "fast-forward": "&raquo;|", "plus": "+",
+}  # fmt: skip
+
+
+def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
+    """Return a page with matplotlib's own player, that needs no connection."""
+    film = library("matplotlib.animation", "an animation", "plot")
+    with _moving(scene, t, fps, title) as made, tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.html"
+        writer = film.HTMLWriter(fps=fps, embed_frames=True, default_mode="loop", embed_limit=500)
+        _save(made, path, writer, len(t))
+        page = path.read_text(encoding="utf-8")
+    page = re.sub(r'(?<=image/png;base64,)[^"]+', _smaller, page)
+    page = re.sub(r"<link[^>]*>\s*", "", page)
+    page = re.sub(r"(anim\w+) = new Animation\([^;]*;", r"\g<0> \1.play_animation();", page)
+    return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda found: ICONS[found[1]], page)
+
+
+def write_film(
+    scene: Scene, t: Any, fps: int, title: str, path: Path, kind: str, frame: int
+) -> None:
+    """Write a film, or one frame of it, as files of its kind are.
+
+    Raises
+    ------
+    InputError
+        If what writes this kind is not installed.
+    """
+    film = library("matplotlib.animation", "an animation", "plot")
+    if kind == ".mp4" and not film.writers.is_available("ffmpeg"):
+        ffmpeg = library("imageio_ffmpeg", "an .mp4 file", "film")
+        library("matplotlib", "an animation", "plot").rcParams["animation.ffmpeg_path"] = (
+            ffmpeg.get_ffmpeg_exe()
+        )
+    with _moving(scene, t, fps, title) as made:
+        if kind == ".png":
+            made._func(frame)
+            made._fig.savefig(path, format="png", dpi=2 * DOTS)
+        else:
+            _save(made, path, film.writers[KINDS[kind]](fps=fps), len(t))
+
+
+def _save(made: Any, path: Path, writer: Any, frames: int) -> None:
+    with Progress(frames, None, "frame") as bar:
+        made.save(path, writer=writer, dpi=DOTS, progress_callback=lambda frame, all_: bar.add(1))
+
+
+@contextmanager
+def _moving(scene: Scene, t: Any, fps: int, title: str) -> Iterator[Any]:
+    """Draw a scene frame by frame, in a style of its own."""
+    matplotlib = library("matplotlib", "an animation", "plot")
+    figures = library("matplotlib.figure", "an animation", "plot")
+    film = library("matplotlib.animation", "an animation", "plot")
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):  # it has its own
+        figure = figures.Figure(figsize=(4.2, 4.2), dpi=DOTS)
+        space = {"projection": "3d"} if scene.spatial else {}
+        ax = figure.add_axes((0.13, 0.08, 0.84, 0.84), **space)
+        for axis, middle in zip("xyz", scene.middle, strict=False):
+            ax.set(**{f"{axis}lim": (middle - scene.reach, middle + scene.reach)})
+        ax.set_aspect("equal")
+        ax.grid(lw=0.4, alpha=0.6)
+        draw = _painter(ax, scene, t, title)
+        made = film.FuncAnimation(figure, draw, frames=len(t), interval=1000 / fps, blit=False)
+        made._draw_was_started = True  # a single frame needs no film
+        yield made
+
+
+def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[Any]]:
+    """Return what draws a frame."""
+    nothing: list[Any] = [[]] * len(scene.middle)
+    caption = ax.set_title("", fontsize=10)
+    trails = [ax.plot(*nothing, lw=0.9, color="C1", alpha=0.6)[0] for _ in scene.names]
+    lines = [
+        ax.plot(*nothing, color="0.25", lw=2.2 if x.rigid else 0.8, ls="-" if x.rigid else ":")[0]
+        for x in scene.links
+    ]
+    bodies = [
+        ax.plot(*nothing, color="C0", lw=1.6)[0] if scene.spatial
+        else ax.fill([], [], color="C0", alpha=0.4)[0] for _ in scene.bodies
+    ]  # fmt: skip
+    (dots,) = ax.plot(*nothing, "o", ms=9, color="C0")
+
+    def put(line: Any, points: Any) -> None:
+        (line.set_data_3d if scene.spatial else line.set_data)(*points.T)
+
+    def draw(frame: int) -> list[Any]:
+        for k, trail in enumerate(trails):
+            put(trail, scene.trail(frame, k))
+        for line, link in zip(lines, scene.links, strict=True):
+            put(line, scene.ends(frame, link))
+        for shape, body in zip(bodies, scene.bodies, strict=True):
+            if scene.spatial:
+                put(shape, body[frame])
+            else:
+                shape.set_xy(body[frame])
+        put(dots, scene.points[frame])
+        caption.set_text(f"{title}: t = {float(t[frame]):.2f}")
+        return [*trails, dots, caption]
+
+    return draw
+
+
+def _smaller(frame: re.Match[str]) -> str:
+    """Return a picture in base64 with a palette of colours, on one line."""
+    from PIL import Image  # which matplotlib needs, too
+
+    written = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(frame[0].replace("\\\n", "")))) as picture:
+        picture.convert("RGB").quantize(COLOURS).save(written, "png", optimize=True)
+    return base64.b64encode(written.getvalue()).decode("ascii")
