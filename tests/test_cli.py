@@ -57,7 +57,7 @@ def test_check(tmp_path, capsys):
     assert main(["check", "--directory", str(target)]) == 1
     out = capsys.readouterr().out
     assert "missing  kepler__simpson.py" in out
-    assert "extra    other.py" in out
+    assert "other    other.py, which is not of the catalogue" in out
     assert "stale    pendulum__simpson.py" in out
 
 
@@ -72,17 +72,17 @@ def test_run(tmp_path, own, capsys):
     assert "energy error" in out
     stored = np.load(files[0], allow_pickle=False)
     table = np.loadtxt(files[1], delimiter=",", skiprows=1)
-    assert files[1].read_text().splitlines()[0] == "t,x,p_x,energy"
-    assert (table == np.column_stack([stored[k] for k in ("t", "q", "p", "energy")])).all()
+    assert files[1].read_text().splitlines()[0] == "t,x,p_x,v_x,energy"
+    assert (table == np.column_stack([stored[k] for k in ("t", "q", "p", "v", "energy")])).all()
 
 
 ERRORS = {
     "unknown system": (["run", "nothing"], "no system 'nothing'"),
-    "no such file": (["run", "nothing.py:x"], "cannot be run"),
+    "no such file": (["run", "nothing.py:x"], "there is no file nothing.py"),
     "no system": (["run", "{own}:number"], "is no MechanicalSystem"),
     "no state": (["run", "{own}:spring"], "no reference state"),
     "scheme": (["run", "pendulum", "--scheme", "euler"], "no scheme 'euler'"),
-    "format": (["run", "pendulum", "--out", "run.xls"], "unknown format"),
+    "format": (["run", "pendulum", "--out", "run.xls"], "names no kind of file"),
     "step": (["run", "pendulum", "--h", "0"], "the step h is 0"),
     "directory": (["generate", "pendulum", "--directory", "{own}"], "cannot be written"),
     "both ends": (["run", "pendulum", "--t-end", "1", "--steps", "5"], "exactly one of"),
@@ -185,3 +185,77 @@ def test_steps_that_adapt(capsys):
     assert "to t = 20" in out
     assert main(["run", "pendulum", "--retimed", "encounters"]) == 1
     assert "is not a sum of" in capsys.readouterr().err
+
+
+def test_parameters_and_inputs(tmp_path, capsys):
+    assert main(["run", "pendulum", "--set", "l=4", "--set", "g=9", "--steps", "5"]) == 0
+    assert "  l = 4\n  g = 9\n" in capsys.readouterr().out
+    rows = np.linspace(-1, 1, 8)
+    path, out = tmp_path / "pushes.csv", tmp_path / "run.npz"
+    path.write_text("u\n" + "\n".join(map(repr, rows.tolist())))
+    asked = ["run", "driven_cart_pole", "--inputs", str(path), "--out", str(out)]
+    assert main([*asked, "--steps", "8"]) == 0
+    system = ss.systems.driven_cart_pole()
+    (name,) = ss.compile(system).inputs
+    run = ss.compile(system).integrate(
+        **system.reference_state, h=0.01, steps=8, inputs={name: rows}
+    )
+    with np.load(out) as found:
+        assert np.array_equal(found["q"], run.q)
+    assert main([*asked, "--steps", "9"]) == 1
+    assert "has 8 rows for 9 steps" in capsys.readouterr().err
+    path.write_text("v\n1\n2\n")
+    assert main([*asked, "--steps", "2"]) == 1
+    assert "its columns are v; the inputs of driven_cart_pole are u" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["l", "l=", "=3", "l=a"])
+def test_values_of_parameters_are_read(given, capsys):
+    with pytest.raises(SystemExit):
+        main(["run", "pendulum", "--set", given])
+    assert "is no value of a parameter, as R=0.4" in capsys.readouterr().err
+
+
+def test_an_unknown_parameter_is_named(capsys):
+    assert main(["run", "pendulum", "--set", "lenght=2"]) == 1
+    assert "lenght" in capsys.readouterr().err
+
+
+def test_figures_and_films(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    asked = ["double_pendulum", "--steps", "50"]
+    for kind in ("time", "phase", "energy", "path"):
+        out = tmp_path / f"{kind}.png"
+        assert main(["plot", *asked, "--kind", kind, "--out", str(out)]) == 0
+        assert out.read_bytes().startswith(b"\x89PNG")
+    out = tmp_path / "film.gif"
+    assert main(["film", *asked, "--seconds", "1", "--fps", "3", "--out", str(out)]) == 0
+    assert out.read_bytes().startswith(b"GIF89a")
+    assert str(out) in capsys.readouterr().out
+    assert main(["plot", *asked, "--out", "run.jpeg"]) == 1
+    assert "unknown format" in capsys.readouterr().err
+
+
+def test_a_scheme_and_a_step_are_chosen(capsys):
+    assert main(["choose", "pendulum", "--t-end", "2", "--error", "1e-5"]) == 0
+    assert "with h = " in capsys.readouterr().out
+
+
+def test_check_elsewhere_is_told_what_it_is_for(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hoop__simpson.py").write_text("")
+    for arguments in (["check"], ["check", "--directory", "."]):
+        assert main(arguments) == 1
+        said = capsys.readouterr()
+        assert "run it in a clone of the repository" in said.err
+        assert "delete" not in said.out + said.err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion(shell, capsys):
+    pytest.importorskip("shtab")
+    with pytest.raises(SystemExit) as caught:
+        main(["--print-completion", shell])
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("certify", "--t-end", "--set"))

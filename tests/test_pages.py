@@ -17,7 +17,8 @@ PAGES = [
 
 #: Pages of prose and commands.
 WITHOUT_CODE = [
-    f"notebooks/guide/{name}.md" for name in ("command_line", "install", "paper", "safety", "speed")
+    f"notebooks/guide/{name}.md"
+    for name in ("command_line", "install", "limits", "method", "paper", "safety", "speed")
 ]
 
 

@@ -13,7 +13,7 @@ import sympy
 from workspace import begin, state, sweep, take_step
 
 import symsimpson as ss
-from symsimpson.cli import SCHEMES
+from symsimpson.cli.commands import SCHEMES
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 

@@ -1,0 +1,59 @@
+"""The command line, thin over the public functions."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from symsimpson.cli.parser import parser
+from symsimpson.errors import ModelWarning, ResolutionWarning, StabilityWarning, SymsimpsonError
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
+    options = parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
+    try:
+        with _warnings_in_words():
+            return int(options.run(options))
+    except SymsimpsonError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 130 if isinstance(error, KeyboardInterrupt) else 1
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 1
+
+
+@contextlib.contextmanager
+def _warnings_in_words() -> Iterator[None]:
+    """Print our own warnings as errors are printed, each once, without a place in the code."""
+    with warnings.catch_warnings():
+        shown: set[str] = set()
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if str(message) not in shown:
+                print(f"{category.__name__}: {message}", file=sys.stderr)
+            shown.add(str(message))
+
+        warnings.showwarning = show
+        for category in (ModelWarning, StabilityWarning, ResolutionWarning):
+            warnings.simplefilter("always", category)
+        yield
+
+
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """Join options with values that begin with a minus, which would look like options."""
+    found: list[str] = []
+    for argument in arguments:
+        if re.match(r"-[\d.]", argument) and found and found[-1].startswith("--"):
+            found[-1] += f"={argument}"
+        else:
+            found.append(argument)
+    return found

@@ -1,0 +1,161 @@
+"""Commands about systems, modules and measurements."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from symsimpson.cli.find import check_figure, find, state_of
+from symsimpson.errors import InputError
+from symsimpson.files import check_folder
+
+__all__ = ["SCHEMES", "bench", "certify", "check", "choose", "generate", "list_systems", "stress"]
+
+#: The schemes of which generated modules are kept.
+SCHEMES = ("midpoint", "simpson")
+
+
+def list_systems(options: argparse.Namespace) -> int:
+    """Print the catalogue."""
+    from symsimpson.systems import EVERY
+
+    for name, make in EVERY.items():
+        system = make()
+        first = (make.__doc__ or "").splitlines()[0]
+        print(f"{name:<20} n = {system.n:<4} {first}")
+    return 0
+
+
+def generate(options: argparse.Namespace) -> int:
+    """Write generated modules."""
+    from symsimpson.api import generate as write
+    from symsimpson.systems import CATALOGUE
+
+    for name in options.system or CATALOGUE:
+        system = find(name)
+        for scheme in options.scheme or SCHEMES:
+            print(write(system, scheme, options.directory))
+    return 0
+
+
+def check(options: argparse.Namespace) -> int:
+    """Compare generated modules of the catalogue with fresh ones."""
+    from symsimpson.codegen.pipeline import source
+    from symsimpson.systems import CATALOGUE
+
+    directory = Path(options.directory)
+    expected = {}
+    for make in CATALOGUE.values():
+        system = make()
+        for scheme in SCHEMES:
+            expected[f"{system.name}__{scheme}.py"] = source(system, scheme)
+    present = {path.name for path in directory.glob("*.py")}
+    if not expected.keys() & present:
+        raise InputError(
+            f"{directory}: there are no modules of the catalogue to compare.\nThis command is for "
+            "changes of the generator: run it in a clone of the repository, or name a folder by "
+            "--directory. symsimpson certify FILE measures a module of your own."
+        )
+    for name in sorted(present - expected.keys()):
+        print(f"other    {name}, which is not of the catalogue")
+    findings = [f"missing  {name}" for name in sorted(expected.keys() - present)]
+    findings += [
+        f"stale    {name}"
+        for name in sorted(expected.keys() & present)
+        if (directory / name).read_bytes() != expected[name].encode()
+    ]
+    for finding in findings:
+        print(finding)
+    if findings:
+        print("Run symsimpson generate to write them.", file=sys.stderr)
+        return 1
+    print(f"{len(expected)} generated modules are up to date.")
+    return 0
+
+
+def certify(options: argparse.Namespace) -> int:
+    """Measure whether a stepper is what it should be."""
+    from symsimpson.api import compile as compile_system
+    from symsimpson.api import load
+
+    path = Path(options.stepper)
+    if path.suffix == ".py" and options.retimed:
+        raise InputError("--retimed is for systems.\nA generated file is what it is.")
+    if path.suffix == ".py":
+        stepper = load(path)
+    elif options.save:
+        raise InputError(
+            f"--save: {options.stepper} is no generated file.\nWrite it with symsimpson generate."
+        )
+    else:
+        stepper = compile_system(find(options.stepper, options.retimed), options.scheme)
+    found = stepper.certify(
+        options.q0, options.v0, p0=options.p0, h=options.h, parameters=dict(options.parameters)
+    )
+    print(found)
+    if options.save:
+        print(f"  written to {found.save(path.with_suffix('.certificate.json'))}")
+    return 0 if found.passed else 1
+
+
+def choose(options: argparse.Namespace) -> int:
+    """Find a scheme and a step for an error."""
+    from symsimpson.analysis.choose import choose as chosen
+
+    system = find(options.system, options.retimed)
+    state = state_of(system, options)
+    if "q0" not in state:
+        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
+    print(chosen(system, **state, t_end=options.t_end, error=options.error,
+                 parameters=dict(options.parameters)))  # fmt: skip
+    return 0
+
+
+def stress(options: argparse.Namespace) -> int:
+    """Run a system for long, and at large steps."""
+    from symsimpson.analysis.stability import stress as stressed
+    from symsimpson.analysis.stability import stress_standard
+    from symsimpson.api import compile as compile_system
+
+    if options.system is None:
+        lines = stress_standard(options.scheme)
+    else:
+        stepper = compile_system(find(options.system, options.retimed), options.scheme)
+        lines = stressed(stepper, h=options.h, steps=options.steps)
+    for line in lines:
+        print(line, flush=True)
+    return 0
+
+
+def bench(options: argparse.Namespace) -> int:
+    """Measure run time against error."""
+    from symsimpson.bench import ensembles, speed
+
+    if options.system is None:
+        for line in (ensembles if options.ensemble else speed).report():
+            print(line, flush=True)
+        return 0
+    from symsimpson.bench.record import WorkPrecision
+    from symsimpson.bench.work_precision import work_precision
+
+    if options.plot:  # before hours of measurements
+        check_figure("plot", options.plot)
+    if options.out and Path(options.out).suffix != ".json":
+        raise InputError(f"--out {options.out}: unknown format.\nUse a name in .json.")
+    if options.out:
+        check_folder(Path(options.out), "record")
+    before = WorkPrecision.load(options.against) if options.against else None
+    found = work_precision(
+        find(options.system, options.retimed), options.schemes, options.peers or "installed",
+        options.errors,
+        t_end=options.t_end, repeats=options.repeats,
+    )  # fmt: skip
+    print(found)
+    if before is not None:
+        print(found.compare(before))
+    if options.out:
+        print(f"written to {found.save(options.out)}")
+    if options.plot:
+        found.plot().figure.savefig(options.plot)
+    return 0

@@ -1,0 +1,88 @@
+"""Systems, states and files that a command line names."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.files import check_folder
+from symsimpson.names import did_you_mean
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["check_figure", "find", "state_of"]
+
+#: Kinds of files that figures go to.
+FIGURES = (".png", ".pdf", ".svg")
+
+
+def check_figure(option: str, path: str) -> None:
+    """Refuse a figure's file before anything is computed for it.
+
+    Raises
+    ------
+    InputError, StorageError
+    """
+    if Path(path).suffix not in FIGURES:
+        raise InputError(
+            f"--{option} {path}: unknown format.\nUse a name in {', '.join(FIGURES[:-1])} or "
+            f"{FIGURES[-1]}."
+        )
+    check_folder(Path(path), "figure")
+
+
+def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str, Any]:
+    """Return the state that is asked for, or the one that the catalogue names."""
+    given = {k: getattr(options, k) for k in ("q0", "v0", "p0")}
+    asked = {k: x for k, x in given.items() if x is not None}
+    return asked or dict(getattr(system, "reference_state", {}))
+
+
+def find(name: str, rate: str | None = None) -> MechanicalSystem:
+    """Find a system by its name in the catalogue or by file and attribute; in another time."""
+    found = named(name)
+    return found if rate is None else found.retimed(rate)
+
+
+def named(name: str) -> MechanicalSystem:
+    from symsimpson.mechanics.system import MechanicalSystem
+    from symsimpson.systems import CATALOGUE, EVERY
+
+    if name in EVERY:
+        return EVERY[name]()
+    for make in CATALOGUE.values():
+        system = make()
+        if system.name == name:
+            return system
+    path, separator, attribute = name.rpartition(":")
+    if not separator:
+        raise InputError(
+            f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}\n"
+            "symsimpson list shows it. For your own system give path/to/file.py:attribute."
+        )
+    if not Path(path).is_file():
+        raise InputError(f"there is no file {path}.\nGive path/to/file.py:attribute.")
+    try:
+        spec = importlib.util.spec_from_file_location("symsimpson_user_file", path)
+        if spec is None or spec.loader is None:
+            raise ImportError("not a Python file")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    except SymsimpsonError:
+        raise
+    except Exception as error:  # the user's file may raise anything
+        raise InputError(
+            f"{path}: the file cannot be run: {type(error).__name__}: {error}"
+        ) from error
+    found = getattr(module, attribute, None)
+    found = found() if callable(found) and not isinstance(found, MechanicalSystem) else found
+    if not isinstance(found, MechanicalSystem):
+        raise InputError(
+            f"{path}: {attribute!r} is no MechanicalSystem.\n"
+            "Give the name of a variable that holds one, or of a function that makes one."
+        )
+    return found

@@ -1,0 +1,169 @@
+"""What commands there are, and what they take."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any
+
+from symsimpson import __version__
+from symsimpson.cli import commands, runs
+from symsimpson.extras import library
+
+__all__ = ["parser"]
+
+SYSTEM = "name in the catalogue (symsimpson list), or path/to/file.py:attribute"
+SHELLS = ("bash", "zsh")
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="symsimpson", description="Variational integrators from kinetic and potential energy."
+    )
+    top.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
+    top.add_argument("--print-completion", choices=SHELLS, action=_Completion,
+                     help="print what completes commands in this shell")  # fmt: skip
+    given = top.add_subparsers(required=True, metavar="COMMAND")
+
+    def command(name: str, run: Any, words: str, *parents: Any) -> argparse.ArgumentParser:
+        made = given.add_parser(name, help=words, description=words, parents=list(parents))
+        made.set_defaults(run=run)
+        return made
+
+    command("list", commands.list_systems, "list the systems of the catalogue")
+    command("run", runs.run, "integrate a system and report", _state(), _length(), _file())
+    one = command("plot", runs.plot, "draw a run", _state(), _length())
+    one.add_argument("names", nargs="*", help="quantities over time, as q1 energy; or x y: points")
+    one.add_argument("--kind", choices=("time", "phase", "energy", "path"), default="time")
+    one.add_argument("--out", required=True, help="write to this .png, .pdf or .svg file")
+    one = command("film", runs.film, "film the points of a system", _state(), _length())
+    one.add_argument("--seconds", type=float, help="length of the film")
+    one.add_argument("--fps", type=int, default=20, help="frames a second (default: %(default)s)")
+    one.add_argument("--out", required=True, help="write to this .html, .gif, .mp4 or .png file")
+    one = command("choose", commands.choose, "find a scheme and a step for an error", _state())
+    one.add_argument("--t-end", type=float, default=10.0, help="final time (default: %(default)s)")
+    one.add_argument("--error", type=float, required=True, help="of the end state, as 1e-6")
+
+    one = command("certify", commands.certify, "verify a stepper by measurement")
+    one.add_argument("stepper", help=f"a generated file, or a {SYSTEM}")
+    _add_state(one)
+    one.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")
+    one.add_argument("--h", type=float, help="step (default: found by trial)")
+    one.add_argument("--save", action="store_true", help="write it beside the generated file")
+
+    one = command("generate", commands.generate, "write generated modules")
+    one.add_argument("system", nargs="*", help=f"{SYSTEM}; none for the whole catalogue")
+    one.add_argument("--scheme", action="append", help="scheme, may be repeated; default both")
+    one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+    one = command("check", commands.check, "compare the catalogue's generated modules with fresh "
+                  "ones, where the generator is changed")  # fmt: skip
+    one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+
+    one = command("stress", commands.stress, "long runs, large steps, poles, chaos, large angles")
+    one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the standard problems")
+    _add_time(one)
+    one.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    one.add_argument("--h", type=float, help="step (default: found by trial)")
+    one.add_argument("--steps", type=count, default=10**6,
+                     help="of the long run, as 1e9 (default: 1e6)")  # fmt: skip
+
+    one = command("bench", commands.bench, "run time against error, beside other programs")
+    one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the time of a step")
+    _add_time(one)
+    one.add_argument("--schemes", type=words, default=["midpoint", "simpson"],
+                     help="as midpoint,simpson,gauss6")  # fmt: skip
+    one.add_argument("--peers", type=words, help="as scipy,heyoka (default: all installed)")
+    one.add_argument("--errors", type=numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
+    one.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
+    one.add_argument("--repeats", type=int, default=5, help="rounds (default: %(default)s)")
+    one.add_argument("--out", help="write the record to this .json file")
+    one.add_argument("--against", help="compare with the record in this .json file")
+    one.add_argument("--plot", help="draw to this .png, .pdf or .svg file")
+    one.add_argument("--ensemble", action="store_true", help="time ensembles instead")
+    return top
+
+
+def _state() -> argparse.ArgumentParser:
+    """Return the options of a system, its parameters and its state."""
+    made = argparse.ArgumentParser(add_help=False)
+    made.add_argument("system", help=SYSTEM)
+    _add_state(made)
+    return made
+
+
+def _add_state(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--set", type=value, action="append", default=[], metavar="NAME=VALUE",
+                     dest="parameters", help="value of a parameter, may be repeated")  # fmt: skip
+    one.add_argument("--q0", type=numbers, help="positions, as 0.8,1.0")
+    one.add_argument("--v0", type=numbers, help="velocities")
+    one.add_argument("--p0", type=numbers, help="momenta")
+    _add_time(one)
+
+
+def _add_time(one: argparse.ArgumentParser) -> None:
+    one.add_argument("--retimed", metavar="RATE",
+                     help="take steps that adapt, as of system.retimed(...): encounters or kinetic"
+                     )  # fmt: skip
+
+
+def _length() -> argparse.ArgumentParser:
+    """Return the options of a scheme, steps and inputs."""
+    made = argparse.ArgumentParser(add_help=False)
+    made.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    made.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
+    made.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
+    made.add_argument("--steps", type=count, default=None, help="number of steps instead")
+    made.add_argument("--every", type=int, default=1, help="steps between stored states")
+    made.add_argument("--inputs", help="a .csv file with a column for each input, a row for a step")
+    return made
+
+
+def _file() -> argparse.ArgumentParser:
+    made = argparse.ArgumentParser(add_help=False)
+    made.add_argument("--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file")
+    return made
+
+
+class _Completion(argparse.Action):
+    """Print what completes commands, by shtab, and end."""
+
+    def __call__(self, top: Any, options: Any, shell: Any, option: Any = None) -> None:
+        shtab = library("shtab", "completion", "completion")
+        print(shtab.complete(top, shell=shell))
+        top.exit()
+
+
+def numbers(text: str) -> list[float]:
+    """Read numbers between commas."""
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of numbers, as 0.8,1.0") from None
+
+
+def value(text: str) -> tuple[str, float]:
+    """Read the value of a parameter."""
+    name, separator, number = text.partition("=")
+    try:
+        if separator and name.strip():
+            return name.strip(), float(number)
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no value of a parameter, as R=0.4")
+
+
+def count(text: str) -> int:
+    """Read a number of steps."""
+    try:
+        number = float(text)
+        if number >= 1 and number == int(number):
+            return int(number)
+    except (ValueError, OverflowError):
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on, as 1000 or 1e6")
+
+
+def words(text: str) -> Sequence[str]:
+    """Read names between commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]

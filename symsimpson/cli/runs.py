@@ -1,0 +1,152 @@
+"""Commands that integrate a system."""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.cli.find import check_figure, find, state_of
+from symsimpson.errors import InputError, ResolutionWarning, StorageError
+from symsimpson.files import check_folder
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["film", "plot", "run"]
+
+
+#: Where a run ends for which nothing is asked.
+END = 10.0
+
+
+def run(options: argparse.Namespace) -> int:
+    """Integrate, and tell what came of it."""
+    from symsimpson.runtime.results.tables import check_kind
+
+    if options.out:
+        check_kind(Path(options.out))
+        check_folder(Path(options.out), "table")
+    begin = time.perf_counter()
+    stepper, given = _made(options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResolutionWarning)
+        # compiles and loads all that a run needs
+        steps = max(1, min(16, _steps(options)))
+        brief = {"t_end": options.h} if stepper._module.header.retimed else {"steps": steps}
+        for _ in range(2):
+            stepper.integrate(**given | _inputs(options, stepper, steps), h=options.h, **brief,
+                              on_failure="return")  # fmt: skip
+    ready = time.perf_counter()
+    found = _integrated(options, stepper, given)
+    done = time.perf_counter()
+    _report(found, given)
+    print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
+    if options.out:
+        found.save(options.out)
+        print(f"  written to {options.out}")
+    return 0
+
+
+def plot(options: argparse.Namespace) -> int:
+    """Draw a run to a file."""
+    check_figure("out", options.out)
+    found = _integrated(options, *_made(options))
+    if options.kind == "time":
+        ax = found.plot(options.names or None)
+    elif options.kind == "phase":
+        ax = found.plot_phase(*options.names[:2])
+    else:
+        ax = found.plot_energy() if options.kind == "energy" else found.plot_path()
+    try:
+        ax.figure.savefig(options.out, bbox_inches="tight", dpi=150)
+    except OSError as error:
+        raise StorageError(
+            f"{options.out}: the figure cannot be written: {error}.\nChoose another place."
+        ) from error
+    print(f"written to {options.out}")
+    return 0
+
+
+def film(options: argparse.Namespace) -> int:
+    """Film a run to a file."""
+    check_folder(Path(options.out), "animation")
+    found = _integrated(options, *_made(options))
+    print(f"written to {found.animate(seconds=options.seconds, fps=options.fps).save(options.out)}")
+    return 0
+
+
+def _made(options: argparse.Namespace) -> tuple[Stepper, dict[str, Any]]:
+    """Return the stepper that is asked for, its state and the values of parameters."""
+    from symsimpson.api import compile as compile_system
+
+    system = find(options.system, options.retimed)
+    state = state_of(system, options)
+    if "q0" not in state:
+        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
+    stepper = compile_system(system, options.scheme)
+    return stepper, state | {"parameters": dict(options.parameters)}
+
+
+def _integrated(options: argparse.Namespace, stepper: Stepper, given: dict[str, Any]) -> Trajectory:
+    t_end = END if options.t_end is None and options.steps is None else options.t_end
+    return stepper.integrate(
+        **given | _inputs(options, stepper, _steps(options)), h=options.h, t_end=t_end,
+        steps=options.steps, every=options.every,
+    )  # fmt: skip
+
+
+def _steps(options: argparse.Namespace) -> int:
+    """Return how many steps are asked for; 0 if they make no sense."""
+    if options.steps is not None:
+        return int(options.steps)
+    end = END if options.t_end is None else options.t_end
+    return round(abs(end / options.h)) if options.h else 0
+
+
+def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
+    """Read inputs that are held over each of so many steps."""
+    if options.inputs is None:
+        return {}
+    path = Path(options.inputs)
+    try:
+        table = np.genfromtxt(path, delimiter=",", names=True, deletechars="", ndmin=1)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"--inputs {path}: it cannot be read: {error}.\nThe first line names the inputs, "
+            "each further line has their values over a step, with commas between."
+        ) from None
+    names = table.dtype.names or ()
+    if set(names) != set(stepper.inputs):
+        raise InputError(
+            f"--inputs {path}: its columns are {', '.join(names) or 'none'}; the inputs of "
+            f"{stepper.system} are {', '.join(stepper.inputs) or 'none'}.\nName each once."
+        )
+    if len(table) < steps:
+        raise InputError(
+            f"--inputs {path}: it has {len(table)} rows for {steps} steps.\nGive a row for each."
+        )
+    return {"inputs": {name: table[name][:steps] for name in names}}
+
+
+def _report(found: Trajectory, given: dict[str, Any]) -> None:
+    stepper, steps = found._stepper, max(found.steps, 1)
+    print(f"{stepper.system}, {stepper.scheme} (order {stepper.order}), h = {found.h:g}")
+    for name in ("q0", "v0", "p0"):
+        if name in given:
+            print(f"  {name} = ({', '.join(f'{x:g}' for x in given[name])})")
+    for name, value in given["parameters"].items():
+        print(f"  {name} = {value:g}")
+    last = found.newton_iterations.sum() / steps
+    print(f"  {found.steps} steps to t = {found.t[-1]:g}, {last:.2f} Newton iterations a step")
+    if stepper._module.header.conservative:
+        print(f"  largest relative energy error {np.abs(found.energy_error).max():.2e}")
+    else:
+        print(f"  energy {found.energy[0]:.9g} at the start, {found.energy[-1]:.9g} at the end")
+    for name, values in found.invariants.items():
+        print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")
