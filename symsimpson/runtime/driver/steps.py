@@ -62,6 +62,8 @@ FAILED, SUSPICIOUS = 1, 2
 #: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
 RENEWING = False
 MOST_ITERATIONS = 40
+#: What is no status: a step that is not solved yet.
+UNSOLVED = -1
 #: After so many iterations it is asked whether corrections are made of rounding.
 FEW_ITERATIONS = 16
 #: They are below this part of positions, of moves in a step and of what forces add to them,
@@ -177,29 +179,35 @@ def worst_of(active):
 
 
 @njit(**INLINE)
-def solve_for(iterate, h, t, W, at, active, relative, contraction):
-    """Iterate until every active lane is done; give 0, or the status of a lane that failed.
+def solve_for(iterate, h, t, W, active, relative, contraction):
+    """Iterate until every active lane is done; give 0, UNSOLVED, or the status of one that failed.
 
     The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
-    three are rows of the workspace.
+    correction may be left out: it is a part of the one before, which tells how large it would be.
     """
     for lane in range(LANES):
         relative[lane] = np.inf
         contraction[lane] = min(1.0, contraction[lane] * FADING)
-    for _ in range(FEW_ITERATIONS):
+    # of a length that the compiler does not know: unrolled, the loop would count references
+    for _ in range(FEW_ITERATIONS + (h == 0.0)):
         call(iterate, h, t, W)
         busy = 0
         for lane in range(LANES):
             busy += active[lane] > 0.0
         if busy == 0:
-            return worst_of(active)
-    return solve_to_rounding(iterate, h, t, W, at)
+            worst = 0
+            for lane in range(LANES):
+                if active[lane] < 0.0:
+                    worst = NOT_FINITE
+            return worst
+    return UNSOLVED
 
 
 @njit(**DRIVER_OPTIONS)
 def solve(iterate, h, t, W, at):
     """Iterate until every active lane is done, on the rows of a workspace."""
-    return solve_for(iterate, h, t, W, at, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
+    found = solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
+    return solve_to_rounding(iterate, h, t, W, at) if found == UNSOLVED else found
 
 
 @njit(**INLINE)
@@ -369,7 +377,10 @@ def take_steps(
             if alive == 0:
                 break
             give(W, at, inputs, before + step)
-            if solve_for(kernels[ITERATE], h, t, W, at, active, relative, contraction) != 0:
+            found = solve_for(kernels[ITERATE], h, t, W, active, relative, contraction)
+            if found == UNSOLVED:
+                found = solve_to_rounding(kernels[ITERATE], h, t, W, at)
+            if found != 0:
                 progress[1] = FAILED
                 break
             doubts = 0

@@ -113,12 +113,12 @@ def _remember_box(stepper: Evaluator, trajectory: Trajectory) -> None:
     if stepper._prepared is None or stepper._irregular.get(key, 0) >= TRIES:
         return
     tools, system = stepper._module.tools, stepper._module.declared
+    known = stepper._regular.get(key)
+    if known is not None and not np.isfinite(known[0]).any():  # all of space is regular
+        return
     low, high = q.min(axis=0), q.max(axis=0)
-    if key in stepper._regular:
-        low, high = (
-            np.minimum(low, stepper._regular[key][0]),
-            np.maximum(high, stepper._regular[key][1]),
-        )
+    if known is not None:
+        low, high = np.minimum(low, known[0]), np.maximum(high, known[1])
     assert tools is not None
     values = list(map(float, trajectory._values))
     box = tools.regular_box(system, values, low, high, float(trajectory.t[0]))
