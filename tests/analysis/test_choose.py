@@ -156,6 +156,7 @@ def test_of_separable_systems_with_constraints_the_family_alone_is_tried():
     assert choice.stepper.scheme in CANDIDATES
 
 
+@pytest.mark.slow
 def test_a_narrow_ellipse_is_retimed():
     comet = ss.systems.kepler_plane()
     q0, v0 = [1.99, 0.0], [0.0, (0.01 / 1.99) ** 0.5]

@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
 
 import symsimpson as ss
 
@@ -56,7 +55,8 @@ def right():
     return bobs[1]
 
 
-@pytest.mark.parametrize(("scheme", "h"), sweep(STEPS))
+@pytest.mark.slow
+@pytest.mark.parametrize(("scheme", "h"), STEPS)
 def test_no_bob_elsewhere_is_a_success_without_a_word(right, scheme, h):
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -75,6 +75,7 @@ def test_no_bob_elsewhere_is_a_success_without_a_word(right, scheme, h):
         assert "near theta=" in run.message
 
 
+@pytest.mark.slow
 def test_a_wide_passage_is_passed_in_silence():
     run = ss.compile(with_angles(), "gauss8").integrate(
         [0.0, 0.8, 0.1], v0=[0.0, 0.3, 2.0], h=0.005, t_end=2.0

@@ -38,6 +38,7 @@ def test_a_comet_follows_keplers_equation():
     assert np.ptp(kept) < 1e-14
 
 
+@pytest.mark.slow
 def test_run_times_are_measured_in_both_times():
     found = ss.work_precision(
         ss.systems.kepler_plane().retimed("encounters"), ["gauss8"], peers=(), errors=[1e-3],

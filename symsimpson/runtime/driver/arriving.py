@@ -22,16 +22,8 @@ from symsimpson.runtime.driver.begin import begin, begin_anew
 from symsimpson.runtime.driver.between import states_at
 from symsimpson.runtime.driver.brief import take_all
 from symsimpson.runtime.driver.explicit import steady
-from symsimpson.runtime.driver.steps import (
-    COUNTS,
-    DRIVER_OPTIONS,
-    INPUTS,
-    SET,
-    SIGNATURES,
-    TOLD_ROWS,
-    WORKSPACE,
-    call,
-)
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call
+from symsimpson.runtime.driver.steps import COUNTS, INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE
 
 SIGNATURES |= {
     "run_to_end": types.int64(

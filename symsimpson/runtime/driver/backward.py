@@ -7,16 +7,8 @@ from numba import njit, types
 
 from symsimpson.interface import ACTIVE, DIMENSION, MOMENTUM, POSITION, PREVIOUS, SOLVED
 from symsimpson.runtime.driver.between import GIVEN, TIMES
-from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
-    INPUTS,
-    SIGNATURES,
-    STATES,
-    TOLD_ROWS,
-    WORKSPACE,
-    call,
-    give,
-)
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call
+from symsimpson.runtime.driver.steps import INPUTS, SIGNATURES, STATES, TOLD_ROWS, WORKSPACE, give
 
 SIGNATURES |= {
     "carry_back": types.void(

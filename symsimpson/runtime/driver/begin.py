@@ -24,17 +24,8 @@ from symsimpson.interface import (
     TANGENT,
     VELOCITY,
 )
-from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
-    LANES,
-    SET,
-    SIGNATURES,
-    TOLD_ROWS,
-    WORKSPACE,
-    call,
-    keep,
-    put_back,
-)
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
+from symsimpson.runtime.driver.steps import SET, SIGNATURES, TOLD_ROWS, WORKSPACE, keep, put_back
 
 SIGNATURES |= {
     "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),

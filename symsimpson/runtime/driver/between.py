@@ -24,17 +24,8 @@ from symsimpson.interface import (
 )
 from symsimpson.runtime.driver.begin import begin
 from symsimpson.runtime.driver.explicit import finite
-from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
-    INPUTS,
-    SET,
-    SIGNATURES,
-    TOLD_ROWS,
-    WORKSPACE,
-    call,
-    give,
-    solve,
-)
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
+from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give
 
 #: Newton's method for a time within a step takes four to six iterations, and halving, where it
 #: leads out of the step, as many as there are digits.

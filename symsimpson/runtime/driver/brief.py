@@ -9,9 +9,9 @@ from numba import njit, types
 from symsimpson.interface import ITERATIONS, MASS_PIVOT, MOMENTUM, POSITION, STATUS
 from symsimpson.runtime.driver.begin import begin_anew
 from symsimpson.runtime.driver.explicit import finite, steady, take_explicit_steps
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
 from symsimpson.runtime.driver.steps import (
     COUNTS,
-    DRIVER_OPTIONS,
     INPUTS,
     SET,
     SIGNATURES,

@@ -17,8 +17,8 @@ __all__ = ["driver", "driver_text"]
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (
-    "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work", "backward",
-    "arriving",
+    "solving", "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work",
+    "backward", "arriving",
 )  # fmt: skip
 #: Functions that are compiled in one go, because they share others, and a run that has called one
 #: may call all of them: those of any run, and those of steps that are solved by iteration.

@@ -31,16 +31,14 @@ from symsimpson.interface import (
 from symsimpson.runtime.driver.begin import begin, begin_growth
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
 from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
     INPUTS,
-    LANES,
     RENEWING,
     SET,
     SIGNATURES,
     TOLD_ROWS,
     WORKSPACE,
-    call,
     take_steps,
 )
 

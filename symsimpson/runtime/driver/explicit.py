@@ -22,19 +22,16 @@ from symsimpson.interface import (
     STATUS,
     STEPS_A_CALL,
 )
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, INLINE, LANES, call
 from symsimpson.runtime.driver.steps import (
     COUNTS,
-    DRIVER_OPTIONS,
-    INLINE,
     INPUTS,
-    LANES,
     RENEWING,
     SET,
     SIGNATURES,
     STATES,
     TOLD_ROWS,
     WORKSPACE,
-    call,
     give,
     keep,
     put_back,

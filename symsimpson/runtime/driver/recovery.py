@@ -37,20 +37,16 @@ from symsimpson.interface import (
     UNRESOLVED,
     VELOCITY_JUMP_SQUARED,
 )
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call, rounding, solve
 from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
     FAILED,
-    LANES,
     SET,
     SIGNATURES,
     SUSPICIOUS,
     TOLD_ROWS,
     WORKSPACE,
-    call,
     keep,
     put_back,
-    rounding,
-    solve,
     step_back,
 )
 

@@ -7,9 +7,7 @@ compiled as one text, behind the agreement with modules, and import nothing else
 """
 
 import numpy as np
-from llvmlite import ir
 from numba import njit, types
-from numba.extending import intrinsic
 
 from symsimpson.interface import (
     ACTIVE,
@@ -28,12 +26,10 @@ from symsimpson.interface import (
     ITERATIONS,
     KEPT,
     LARGEST_SQUARED,
-    MASS_DIAGONAL,
     MEASURE,
     MODE,
     MOMENTUM,
     NEWTON_AFTER_STAGES,
-    NOT_CONVERGED,
     NOT_FINITE,
     POSITION,
     PREVIOUS,
@@ -45,10 +41,16 @@ from symsimpson.interface import (
     STEP_TOO_LARGE,
     TANGENT,
 )
+from symsimpson.runtime.driver.solving import (
+    DRIVER_OPTIONS,
+    INLINE,
+    LANES,
+    UNSOLVED,
+    call,
+    solve_for,
+    solve_to_rounding,
+)
 
-#: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
-#: time of a small step). This text is compiled with other numbers too.
-LANES = 1
 #: Such a step may change the energy by about half the largest kinetic energy before: this, divided
 #: by the degree, of the largest squared increments, over h^2.
 ENERGY_CHANGE = 0.75
@@ -61,26 +63,6 @@ FAILED, SUSPICIOUS = 1, 2
 
 #: Whether variations are made orthonormal on the way; a driver that does takes longer to compile.
 RENEWING = False
-MOST_ITERATIONS = 40
-#: What is no status: a step that is not solved yet.
-UNSOLVED = -1
-#: After so many iterations it is asked whether corrections are made of rounding.
-FEW_ITERATIONS = 16
-#: They are below this part of positions, of moves in a step and of what forces add to them,
-#: squared: 2^-52 with room.
-ROUND_OFF = 2.0**-92
-#: By what the ratio of a correction to the square of the one before is raised in each step (it is
-#: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
-FADING = 1.05**2
-
-
-#: How wide vectors are to be, wherever kernels are called.
-VECTOR_BITS = 128
-#: What is called by compiled code alone has no way in from Python, which takes long to compile.
-INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
-#: For what is called in each step: a call costs reference counts of its arrays.
-INLINE = {"inline": "always", **DRIVER_OPTIONS}
 SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:, ::1]
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 #: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
@@ -95,119 +77,10 @@ SIGNATURES = {
 }  # fmt: skip
 
 
-@intrinsic
-def call(typing_context, address, h, t, workspace):
-    """Call a kernel ``void(double, double, double*)`` at an address."""
-    signature = types.void(types.int64, types.float64, types.float64, workspace)
-
-    def code(context, builder, signature, arguments):
-        # llvmlite lists the attributes that it knows; this is none of them
-        set.add(builder.function.attributes, f'"prefer-vector-width"="{VECTOR_BITS}"')
-        double = ir.DoubleType()
-        function = ir.FunctionType(ir.VoidType(), [double, double, double.as_pointer()])
-        pointer = builder.inttoptr(arguments[0], function.as_pointer())
-        array = context.make_array(signature.args[3])(context, builder, arguments[3])
-        builder.call(pointer, [arguments[1], arguments[2], array.data])
-        return context.get_dummy_value()
-
-    return signature, code
-
-
 @njit(**DRIVER_OPTIONS)
 def apply(kernel, h, t, W):
     """Call a kernel once."""
     call(kernel, h, t, W)
-
-
-@njit(**DRIVER_OPTIONS)
-def give_up(active):
-    """Mark the lanes that have not converged."""
-    for lane in range(LANES):
-        if active[lane] > 0.0:
-            active[lane] = -NOT_CONVERGED
-    return NOT_CONVERGED
-
-
-@njit(**DRIVER_OPTIONS)
-def rounding(W, at, h, lane):
-    """Bound the squared size of corrections that are made of rounding, in the metric of M(q0).
-
-    Positions are rounded, and momenta and the terms of forces that take them on. Where these
-    cancel, as at an equilibrium, increments may be as small as that.
-    """
-    size = W[at[LARGEST_SQUARED], lane] + h * h * h * h * W[W.shape[0] - 1, lane]
-    for a in range(at[DIMENSION]):
-        mass, q = W[at[MASS_DIAGONAL] + a, lane], W[at[POSITION] + a, lane]
-        if mass > 0.0:
-            moved = h * W[at[MOMENTUM] + a, lane]
-            size += mass * q * q + moved * moved / mass
-    return ROUND_OFF * size
-
-
-@njit(**DRIVER_OPTIONS)
-def solve_to_rounding(iterate, h, t, W, at):
-    """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
-
-    Corrections wait where doubts will be told when the step is closed: nothing is allocated.
-    """
-    active, before = W[at[ACTIVE]], W[at[IN_DOUBT]]
-    for lane in range(LANES):
-        before[lane] = np.inf
-    for _ in range(FEW_ITERATIONS, MOST_ITERATIONS):
-        busy = 0
-        for lane in range(LANES):
-            if active[lane] > 0.0:
-                correction = W[at[RELATIVE], lane] * W[at[INCREMENT_SQUARED], lane]
-                if correction >= before[lane] and correction <= rounding(W, at, h, lane):
-                    active[lane] = 0.0
-                before[lane] = correction
-            busy += active[lane] > 0.0
-        if busy == 0:
-            return worst_of(active)
-        call(iterate, h, t, W)
-    return give_up(active)
-
-
-@njit(**DRIVER_OPTIONS)
-def worst_of(active):
-    """Return 0 if all lanes are solved, else the status of one that is not."""
-    worst = 0
-    for lane in range(LANES):
-        if active[lane] < 0.0:
-            worst = NOT_FINITE
-    return worst
-
-
-@njit(**INLINE)
-def solve_for(iterate, h, t, W, active, relative, contraction):
-    """Iterate until every active lane is done; give 0, UNSOLVED, or the status of one that failed.
-
-    The kernel checks that: lanes that are done have ``active`` = 0, failed ones -status. The last
-    correction may be left out: it is a part of the one before, which tells how large it would be.
-    """
-    for lane in range(LANES):
-        relative[lane] = np.inf
-        contraction[lane] = min(1.0, contraction[lane] * FADING)
-    # of a length that the compiler does not know: unrolled, the loop would count references
-    for _ in range(FEW_ITERATIONS + (h == 0.0)):
-        call(iterate, h, t, W)
-        busy = 0
-        for lane in range(LANES):
-            busy += active[lane] > 0.0
-        if busy == 0:
-            worst = 0
-            for lane in range(LANES):
-                if active[lane] < 0.0:
-                    worst = NOT_FINITE
-            return worst
-    return UNSOLVED
-
-
-@njit(**DRIVER_OPTIONS)
-def solve(iterate, h, t, W, at):
-    """Iterate until every active lane is done, on the rows of a workspace."""
-    found = solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
-    return solve_to_rounding(iterate, h, t, W, at) if found == UNSOLVED else found
 
 
 @njit(**INLINE)

@@ -18,17 +18,8 @@ from symsimpson.interface import (
     PREVIOUS,
 )
 from symsimpson.runtime.driver.between import GIVEN, TIMES, begin_again
-from symsimpson.runtime.driver.steps import (
-    DRIVER_OPTIONS,
-    INPUTS,
-    SET,
-    SIGNATURES,
-    TOLD_ROWS,
-    WORKSPACE,
-    call,
-    give,
-    solve,
-)
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
+from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give
 
 SIGNATURES |= {
     "add_up_work": types.int64(

@@ -8,6 +8,7 @@ wrong.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_ROWS", "brief_run"]
 
+#: The environment variable that puts off what no run has called for yet.
+VARIABLE = "SYMSIMPSON_COMPILE"
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**18, 2**22
@@ -108,7 +111,13 @@ class Prepared:
 
 
 def make_ready(stepper: Evaluator) -> None:
-    """Compile all that a run may need, and a short one after it, so that no later one waits."""
+    """Compile all that a run may need, and a short one after it, so that no later one waits.
+
+    Programs that make many steppers for a run each set ``SYMSIMPSON_COMPILE=late``: then each
+    function is compiled when it is first called.
+    """
+    if os.environ.get(VARIABLE) == "late":
+        return
     stepper._module.numbers.make_ready(stepper._module.kernels)
     if stepper._prepared == []:
         stepper._prepared.append(Prepared(stepper))

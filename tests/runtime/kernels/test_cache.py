@@ -169,6 +169,7 @@ def asked_for(monkeypatch):
         return original(text, key, use)
 
     monkeypatch.setattr(cache, "_load_or_build", counted)
+    monkeypatch.delenv("SYMSIMPSON_COMPILE")
     monkeypatch.setattr(cache, "_results", {})
     driver.cache_clear()
     return labels
