@@ -1,5 +1,6 @@
 """What is installed: the wheel and the source distribution, and the core by itself."""
 
+import re
 import subprocess
 import sys
 import tarfile
@@ -30,8 +31,12 @@ def test_the_wheel_holds_the_package_and_nothing_else(built):
         about = next(x for x in names if x.endswith("METADATA"))
         metadata = opened.read(about).decode()
     assert {x.split("/")[0].split("-")[0] for x in names} == {"symsimpson"}
+    assert "License-Expression: BSD-3-Clause" in metadata
+    assert any(x.endswith("licenses/LICENSE") for x in names)
+    assert not any("changes" in x.lower() for x in names)
     present = {str(x.relative_to(ROOT)) for x in (ROOT / "symsimpson").rglob("*.py")}
-    assert present | {"symsimpson/py.typed", "symsimpson/__init__.pyi"} <= names
+    others = {"py.typed", "__init__.pyi", "plotting/book.mplstyle"}
+    assert present | {f"symsimpson/{x}" for x in others} <= names
     for extra in ("plot", "data", "bench", "cluster", "precise", "notebooks", "progress"):
         assert f"Provides-Extra: {extra}" in metadata
 
@@ -42,7 +47,10 @@ def test_the_source_distribution_has_the_tests(built):
         names = {"/".join(x.split("/")[1:]) for x in opened.getnames()}
     assert {
         "README.md",
+        "LICENSE",
+        "CITATION.cff",
         "pyproject.toml",
+        "generated/pendulum__simpson.py",
         "symsimpson/py.typed",
         "tests/test_packaging.py",
     } <= names
@@ -59,7 +67,33 @@ def test_versions_agree():
 
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["version"] == ss.__version__
-    assert f"## {ss.__version__}" in (ROOT / "notebooks/contributing/changes.md").read_text("utf-8")
+    citation = (ROOT / "CITATION.cff").read_text("utf-8")
+    assert f"version: {ss.__version__}\n" in citation
+    changes = (ROOT / "notebooks/contributing/changes.md").read_text("utf-8")
+    dated = re.search(rf"^## {re.escape(ss.__version__)} \((\d{{4}}-\d\d-\d\d)\)$", changes, re.M)
+    assert dated
+    assert f"date-released: {dated[1]}\n" in citation
+    pinned = dict(x.split("==") for x in project["optional-dependencies"]["pinned"])
+    hooks = (ROOT / ".pre-commit-config.yaml").read_text("utf-8")
+    assert f"rev: v{pinned['ruff']} " in hooks
+
+
+def test_the_workflow_runs_the_lines_of_the_readme():
+    """Those behind the two comments, on what the classifiers of the package name."""
+    yaml = pytest.importorskip("yaml")
+    flow = yaml.safe_load((ROOT / ".github/workflows/tests.yml").read_text("utf-8"))
+    text = (ROOT / "README.md").read_text("utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    for job in ("first-line", "test-line"):
+        found = re.search(rf"<!-- {job.replace('-', ' ')} -->\n```sh\n(python3 .*)\n", text)
+        assert found
+        steps = flow["jobs"][job]["steps"]
+        assert f"<!-- {job.replace('-', ' ')} -->" in steps[-1]["run"]
+        versions = flow["jobs"][job]["strategy"]["matrix"]["python"]
+        told = [f"Programming Language :: Python :: {x}" for x in versions]
+        assert set(told) <= set(project["classifiers"])
+    for path in (ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml"):
+        assert yaml.safe_load(path.read_text("utf-8"))["body"]
 
 
 @pytest.mark.parametrize(

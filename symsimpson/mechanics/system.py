@@ -17,10 +17,10 @@ from sympy.core.function import AppliedUndef
 from symsimpson.calling import explaining
 from symsimpson.errors import ModelError
 from symsimpson.garbage import rarely_collected
-from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import read_coordinates, read_name, read_parameters
 from symsimpson.mechanics.constraints import names_of
-from symsimpson.mechanics.declaration import LARGE, energies, read_energies
+from symsimpson.mechanics.declaration import energies, read_energies
+from symsimpson.mechanics.described import Described
 from symsimpson.mechanics.digest import fingerprint
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import read_inputs
@@ -52,7 +52,7 @@ def _stage(stage: str, name: str) -> Iterator[dict[str, float]]:
 
 @explaining(ModelError, also=("__init__",))
 @dataclass(frozen=True, eq=False, repr=False)
-class MechanicalSystem:
+class MechanicalSystem(Described):
     """A mechanical system, declared by its kinetic and its potential energy.
 
     Parameters
@@ -322,18 +322,6 @@ class MechanicalSystem:
 
         return consistent(self, q0, v0, fixed, parameters)
 
-    @cached_property
-    def mass_matrix(self) -> Matrix:
-        """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
-        back = Symbols(self.coordinates, self.parameters).back
-        return Matrix(self.plain.mass.xreplace(dict(back)))
-
-    @property
-    def large(self) -> bool:
-        """Whether T and V are too long to be shown."""
-        plain = self.plain
-        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
-
     @property
     def retiming(self) -> Retiming | None:
         """Data of the time transformation of a retimed system; None for all others."""
@@ -360,11 +348,6 @@ class MechanicalSystem:
 
         return retimed(self, rate)
 
-    @property
-    def lagrangian(self) -> sp.Expr:
-        """L = T + a.v - V in the user's own symbols."""
-        return self.kinetic + self.gyroscopic - self.potential
-
     @cached_property
     def structure(self) -> Structure:
         """Structure found in L and the forces, which the generator exploits."""
@@ -388,12 +371,3 @@ class MechanicalSystem:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return unfrozen(self)
-
-    def __repr__(self) -> str:
-        names = ", ".join(q.func.__name__ for q in self.coordinates)
-        return f"MechanicalSystem({self.name!r}, coordinates=({names}))"
-
-    def _repr_latex_(self) -> str:
-        from symsimpson.mechanics.latex import system
-
-        return system(self)

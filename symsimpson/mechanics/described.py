@@ -1,0 +1,128 @@
+"""What a declared system says of itself: its Lagrangian, mass matrix and equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.graph.read import tree_size
+from symsimpson.mechanics.declaration import LARGE
+from symsimpson.mechanics.plain import Plain, Symbols
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["Described"]
+
+Matrix: TypeAlias = sp.ImmutableDenseMatrix
+#: What the rest of the package asks a system for, and users do not.
+INNER = frozenset({"digest", "large", "mass_checked", "plain", "retiming", "seconds"})
+
+
+class Described:
+    """Properties that follow from the declaration of a system, in the user's own symbols."""
+
+    name: str
+    coordinates: tuple[sp.Expr, ...]
+    kinetic: sp.Expr
+    potential: sp.Expr
+    gyroscopic: sp.Expr
+    parameters: Mapping[sp.Symbol, float]
+    plain: Plain
+
+    @property
+    def lagrangian(self) -> sp.Expr:
+        """L = T + a.v - V in the user's own symbols."""
+        return self.kinetic + self.gyroscopic - self.potential
+
+    @cached_property
+    def mass_matrix(self) -> Matrix:
+        """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
+        back = Symbols(self.coordinates, self.parameters).back
+        return Matrix(self.plain.mass.xreplace(dict(back)))
+
+    @property
+    def large(self) -> bool:
+        """Whether T and V are too long to be shown."""
+        plain = self.plain
+        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
+
+    @cached_property
+    def equations(self) -> tuple[sp.Eq, ...]:
+        """The Euler-Lagrange equations d/dt dL/dv - dL/dq = f, one for each coordinate, in SymPy.
+
+        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 behind them.
+
+        Raises
+        ------
+        ModelError
+            If T and V are too long for expressions of SymPy.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> ss.systems.henon_heiles().equations[0]
+        Eq(2*x(t)*y(t) + x(t) + Derivative(x(t), (t, 2)), 0)
+        """
+        from symsimpson.mechanics.equations import equations
+
+        return equations(cast("MechanicalSystem", self))
+
+    def linearise(
+        self, q0: ArrayLike, v0: ArrayLike | None = None, *,
+        parameters: Mapping[Any, float] | None = None, inputs: Mapping[Any, float] | None = None,
+        t: float = 0.0,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+        """Return the linear equations of motion about a state, x' = A x + B u.
+
+        Parameters
+        ----------
+        q0, v0 : array_like, shape (n,)
+            Positions and velocities; at rest unless v0 is given.
+        parameters, inputs : mapping, optional
+            Values; the system's own for parameters, 0 for inputs, unless given.
+        t : float
+            The time, where something depends on it.
+
+        Returns
+        -------
+        A : ndarray, shape (2 n, 2 n)
+            How the rates of (q, v) change with (q, v).
+        B : ndarray, shape (2 n, m)
+            How they change with the inputs.
+
+        Raises
+        ------
+        InputError
+            If the state makes no sense, or nothing is smooth there.
+        ModelError
+            If the system has constraints, or is too large.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import symsimpson as ss
+        >>> A, B = ss.systems.pendulum().linearise([0.0])
+        >>> bool(abs(np.linalg.eigvals(A).imag).max() ** 2 == 9.81)
+        True
+        """
+        from symsimpson.mechanics.equations import linearised
+
+        return linearised(cast("MechanicalSystem", self), q0, v0, parameters, inputs, t)
+
+    def __repr__(self) -> str:
+        names = ", ".join(q.func.__name__ for q in self.coordinates)
+        return f"MechanicalSystem({self.name!r}, coordinates=({names}))"
+
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name not in INNER]
+
+    def _repr_latex_(self) -> str:
+        from symsimpson.mechanics.latex import system
+
+        return system(cast("MechanicalSystem", self))
