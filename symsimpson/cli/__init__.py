@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from symsimpson.ahead import LATE
 from symsimpson.cli.parser import parser
 from symsimpson.errors import ModelWarning, ResolutionWarning, StabilityWarning, SymsimpsonError
 
@@ -17,6 +19,7 @@ __all__ = ["main"]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; give 0, 1 after an error or a finding, 2 for wrong usage, 130 at Ctrl-C."""
+    os.environ.setdefault(LATE, "late")  # a command takes a run or two
     options = parser().parse_args(_joined(sys.argv[1:] if arguments is None else arguments))
     try:
         with _warnings_in_words():

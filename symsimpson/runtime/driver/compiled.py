@@ -9,6 +9,7 @@ from importlib import resources
 from types import ModuleType
 from typing import Any
 
+from symsimpson.ahead import compiles_late
 from symsimpson.definitions import redefined, syntax
 from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.kernels.vectors import vector_bits
@@ -58,7 +59,7 @@ def driver(
     name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
 ) -> Callable[..., Any]:
     """Return a function of the driver for a number of lanes, compiled with what belongs to it."""
-    plain = lanes == 1 and iterated and not renewing
+    plain = lanes == 1 and iterated and not renewing and not compiles_late()
     names = next((group for group in TOGETHER if plain and name in group), (name,))
 
     def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
@@ -71,4 +72,4 @@ def driver(
         }
 
     text = driver_text(lanes, renewing=renewing, iterated=iterated)
-    return compiled(text, f"driver-{names[0]}", build)[name]
+    return compiled(text, "-".join(["driver", *names]), build)[name]

@@ -8,13 +8,13 @@ wrong.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.ahead import compiles_late
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.inputs import read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MOST_ROWS", "brief_run"]
 
-#: The environment variable that puts off what no run has called for yet.
-VARIABLE = "SYMSIMPSON_COMPILE"
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**18, 2**22
@@ -116,7 +114,7 @@ def make_ready(stepper: Evaluator) -> None:
     Programs that make many steppers for a run each set ``SYMSIMPSON_COMPILE=late``: then each
     function is compiled when it is first called.
     """
-    if os.environ.get(VARIABLE) == "late":
+    if compiles_late():
         return
     stepper._module.numbers.make_ready(stepper._module.kernels)
     if stepper._prepared == []:
