@@ -44,7 +44,7 @@ def check_kind(place: Path) -> str:
             ".csv or .parquet for a table."
         )
     for name in NEEDS[place.suffix]:
-        library(name, f"a {place.suffix} file", "data")
+        library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
     return place.suffix
 
 
