@@ -22,7 +22,14 @@ from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import STRIDE, resolution
 from symsimpson.runtime.runs.driving import NO_INPUTS
-from symsimpson.runtime.runs.resolution import LIMIT, SAMPLES, count_looked_at, sampling_stride
+from symsimpson.runtime.runs.resolution import (
+    LIMIT,
+    SAMPLES,
+    count_looked_at,
+    each,
+    finer_stride,
+    sampling_stride,
+)
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
@@ -192,7 +199,7 @@ def _of_steps(
     if not 0 < steps * stepper._module.header.rows <= MOST_ROWS:
         return None
     every, n = asked.every, stepper.n
-    stride = every or sampling_stride(stepper, steps)
+    stride = finer_stride(every, steps) if every else sampling_stride(stepper, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else made.sampled
     end, few = np.empty((4, n)), count_looked_at(stepper, last)
@@ -201,7 +208,7 @@ def _of_steps(
         return None
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
-        Q, P, iterations = Q[:, :, 0], P[:, :, 0], counts[:, 0]
+        Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
         Q, P = end[:1], end[1:2]

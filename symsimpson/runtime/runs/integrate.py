@@ -28,7 +28,13 @@ from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, 
 from symsimpson.runtime.runs.brief import make_ready
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
-from symsimpson.runtime.runs.resolution import check_forces, check_start, sampling_stride
+from symsimpson.runtime.runs.resolution import (
+    check_forces,
+    check_start,
+    each,
+    finer_stride,
+    sampling_stride,
+)
 from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
@@ -67,6 +73,10 @@ def integrate(
         stride = spec.every or (
             sampling_stride(stepper, count) if spec.t_end is None else STRIDE
         )  # fmt: skip
+        header = stepper._module.header
+        free = checkpoint is None and spec.t_end is None and spec.tangents is None
+        if spec.every and free and header.real_everywhere and not header.constraints:
+            stride = finer_stride(spec.every, count)
         stored = count // stride + 1 if stride else 1
         if spec.t_end is not None:
             stored = min(stored, ROOM + 1)
@@ -96,9 +106,10 @@ def integrate(
             check_forces(stepper, spec)
         count = run.step if run.arrived else count
         stored_states = keeper.states() if keeper is not None and run.every else run.stored()
-        trajectory = trajectory_of(
-            stepper, run, count, status, spec, stored_states, spec.every, keeper
-        )
+        asked_for = stored_states
+        if spec.every and spec.every > stride:
+            asked_for = each(spec.every // stride, *stored_states)
+        trajectory = trajectory_of(stepper, run, count, status, spec, asked_for, spec.every, keeper)
         if count and status is not Status.INTERRUPTED and problem is None:
             trajectory = looked_at(stepper, run, trajectory, stored_states)
             trajectory = look_at_folds(stepper, run, trajectory, *stored_states[:2])

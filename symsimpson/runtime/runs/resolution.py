@@ -29,7 +29,9 @@ __all__ = [
     "check_forces",
     "check_start",
     "count_looked_at",
+    "each",
     "energies_at",
+    "finer_stride",
     "look_at_energy",
     "sampling_stride",
 ]
@@ -38,6 +40,8 @@ __all__ = [
 SAMPLES, BLOCKS = 64, 8
 #: Shorter runs are not judged.
 FEWEST = 16
+#: No more states than these are kept to look at.
+MOST_LOOKED_AT = 4096
 #: The energy may stay so far from where it was, in units of the kinetic energy.
 LIMIT = 0.05
 #: At the end, where a block is only begun, so many states may stay so far from it.
@@ -59,6 +63,29 @@ def sampling_stride(stepper: Evaluator, count: int) -> int:
     """
     looked_at = count >= FEWEST or not stepper._module.header.real_everywhere
     return -(-count // SAMPLES) if looked_at else 0
+
+
+def finer_stride(every: int, count: int) -> int:
+    """Return how many steps stand between states to look at, where few are to be stored.
+
+    It divides ``every``, so that those which are stored are among them; 1 state in so many is.
+    """
+    if every < 2 or count < FEWEST or count // every + 1 >= FEWEST:
+        return every
+    least = -(-every * (FEWEST - 1) // count)
+    parts = next(k for k in range(least, every + 1) if every % k == 0)
+    return every // parts if count * parts // every <= MOST_LOOKED_AT else every
+
+
+def each(number: int, q: Reals, p: Reals, iterations: Places, *rows: Reals) -> tuple[Any, ...]:
+    """Leave out states that were stored to be looked at alone; iterations are added up."""
+    if number == 1:
+        return q, p, iterations, *rows
+    last = (len(q) - 1) // number
+    counts = iterations[1 : last * number + 1].reshape(last, number).sum(axis=1)
+    some = slice(None, last * number + 1, number)
+    counts = np.append(iterations[:1], counts)
+    return q[some], p[some], counts, *(x[some] for x in rows)
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ def _ended_before(
             about |= {"t": result(kept[last, 0]), "_tau": result(np.array([run.h * done]))}
     else:
         for name in ("t", "q", "p", "newton_iterations", *(("_tau",) if retimed else ())):
-            about[name] = about[name][: good + 1]
+            about[name] = about[name][: done // trajectory.every + 1]
     message = (
         f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
         f"t={float(where):g}, after step {at} of "

@@ -249,3 +249,30 @@ def test_work_is_unknown_behind_a_step_that_cannot_be_taken_again(monkeypatch):
     found = again.work["total"]
     assert np.array_equal(found[:101], known[:101])
     assert np.isnan(found[101:]).all()
+
+
+@pytest.mark.parametrize("every", [100, 101, 1000])
+def test_runs_that_store_few_states_are_judged_too(every):
+    """More are kept to look at, and left out of what is returned: the bits are the same."""
+    stepper = ss.compile(ss.systems.kepler_plane(), "simpson")
+    given = {**ss.systems.kepler_plane().reference_state, "h": 0.05, "steps": 1000}
+    with pytest.warns(ss.ResolutionWarning):
+        whole = stepper.integrate(**given)
+    with pytest.warns(ss.ResolutionWarning):
+        run = stepper.integrate(**given, every=every)
+    assert run.every == every
+    for name in ("t", "q", "p"):
+        assert np.array_equal(getattr(run, name), getattr(whole, name)[::every])
+    last = 1000 // every
+    counts = whole.newton_iterations[1 : last * every + 1].reshape(last, every).sum(axis=1)
+    assert np.array_equal(run.newton_iterations[1:], counts)
+    with pytest.warns(ss.ResolutionWarning):
+        again = stepper.integrate(**given, every=every, progress=False)
+    assert np.array_equal(again.q, run.q)
+
+
+def test_forces_are_judged_where_few_states_are_stored():
+    stepper = ss.compile(ss.systems.damped_pendulum())
+    run = stepper.integrate([0.5], v0=[0.0], h=0.02, steps=1000, every=250)
+    assert len(run) == 5
+    assert run.success  # in silence
