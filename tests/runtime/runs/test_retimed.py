@@ -230,3 +230,22 @@ def test_an_error_of_the_energy_that_comes_back_is_no_other_motion(recwarn):
     run = stepper.integrate([1.99, 0.0], v0=[0.0, 0.005], h=0.8, t_end=60.0)
     assert abs(run.energy_error).max() > 0.4  # near the centre, K / g
     assert not recwarn
+
+
+def test_states_beyond_memory_end_a_run_with_what_it_has(monkeypatch):
+    """How many steps lead to the end is not known before; each part asks for room for all."""
+    from symsimpson.runtime.runs import arrival
+
+    stepper = ss.compile(ss.systems.kepler_plane().retimed("encounters"), "gauss8")
+    given = {"q0": [1.6, 0.0], "v0": [0.0, 0.5], "h": 1e-3, "t_end": 40.0}
+    whole = stepper.integrate(**given)
+    monkeypatch.setattr(arrival, "LOOKS", 1)
+    monkeypatch.setattr(arrival, "JOINING", 1e9)  # as if all states took so much more
+    with pytest.raises(ss.StorageError, match="do not fit into memory.*those are kept") as caught:
+        stepper.integrate(**given)
+    kept = caught.value.trajectory
+    assert len(kept) > 1000
+    assert np.array_equal(kept.q, whole.q[: len(kept)])
+    run = stepper.integrate(**given, on_failure="return")
+    assert not run.success
+    assert np.array_equal(run.q, kept.q)
