@@ -241,7 +241,7 @@ def test_states_beyond_memory_end_a_run_with_what_it_has(monkeypatch):
     whole = stepper.integrate(**given)
     monkeypatch.setattr(arrival, "LOOKS", 1)
     monkeypatch.setattr(arrival, "JOINING", 1e9)  # as if all states took so much more
-    with pytest.raises(ss.StorageError, match="do not fit into memory.*those are kept") as caught:
+    with pytest.raises(ss.StorageError, match=r"do not fit into memory.*those are kept") as caught:
         stepper.integrate(**given)
     kept = caught.value.trajectory
     assert len(kept) > 1000
