@@ -15,6 +15,7 @@ from symsimpson.errors import InputError, ResolutionWarning, StorageError
 from symsimpson.files import check_folder
 
 if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.runtime.results.trajectory import Trajectory
     from symsimpson.runtime.stepper import Stepper
 
@@ -32,8 +33,9 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         check_kind(Path(options.out))
         check_folder(Path(options.out), "table")
+    system = find(options.system, options.retimed)  # loads SymPy, which is not what is timed
     begin = time.perf_counter()
-    stepper, given = _made(options)
+    stepper, given = _made(system, options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResolutionWarning)
         # compiles and loads all that a run needs
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 def plot(options: argparse.Namespace) -> int:
     """Draw a run to a file."""
     check_figure("out", options.out)
-    found = _integrated(options, *_made(options))
+    found = _integrated(options, *_made(find(options.system, options.retimed), options))
     if options.kind == "time":
         ax = found.plot(options.names or None)
     elif options.kind == "phase":
@@ -76,16 +78,15 @@ def plot(options: argparse.Namespace) -> int:
 def film(options: argparse.Namespace) -> int:
     """Film a run to a file."""
     check_folder(Path(options.out), "animation")
-    found = _integrated(options, *_made(options))
+    found = _integrated(options, *_made(find(options.system, options.retimed), options))
     print(f"written to {found.animate(seconds=options.seconds, fps=options.fps).save(options.out)}")
     return 0
 
 
-def _made(options: argparse.Namespace) -> tuple[Stepper, dict[str, Any]]:
+def _made(system: MechanicalSystem, options: argparse.Namespace) -> tuple[Stepper, dict[str, Any]]:
     """Return the stepper that is asked for, its state and the values of parameters."""
     from symsimpson.api import compile as compile_system
 
-    system = find(options.system, options.retimed)
     state = state_of(system, options)
     if "q0" not in state:
         raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")

@@ -29,6 +29,7 @@ TOGETHER = (
 )
 
 
+@cache
 def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True) -> str:
     """Return the text of the driver for a number of lanes, behind the agreement with modules.
 
