@@ -212,10 +212,12 @@ def generate(
         if not path.is_file() or path.read_bytes() != content:
             with written_beside(path, "generated module") as whole:
                 whole.write_bytes(content)
-    except (OSError, StorageError) as error:
-        reason = getattr(error, "strerror", None) or error
+    except StorageError as error:
+        raise GenerationError(str(error)) from error
+    except OSError as error:
         raise GenerationError(
-            f"{path}: the generated module cannot be written: {reason}.\nChoose another directory."
+            f"{path}: the generated module cannot be written: {error.strerror}.\n"
+            "Choose another directory."
         ) from error
     return path
 

@@ -14,7 +14,7 @@ from symsimpson.errors import InputError, StorageError
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory
 
-__all__ = ["check_folder", "read_path", "remove", "write_text", "written_beside"]
+__all__ = ["check_folder", "read_path", "write_text", "written_beside"]
 
 
 def read_path(what: str, value: Any) -> Path:
@@ -52,7 +52,7 @@ def check_folder(
         )
 
 
-def remove(path: Path) -> None:
+def _remove(path: Path) -> None:
     """Remove a file or a folder, if it is there."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
@@ -70,12 +70,13 @@ def written_beside(place: Path, what: str, trajectory: Trajectory | None = None)
         If it cannot be written; then what was there before is still there.
     """
     check_folder(place, what, trajectory=trajectory)
-    whole = place.with_name(f"{place.stem}.new{place.suffix}")  # writers look at the ending
+    # a name that is nobody's file; writers look at the ending
+    whole = place.with_name(f".{place.stem}.new{place.suffix}")
     try:
-        remove(whole)
+        _remove(whole)
         yield whole
         if whole.is_dir():
-            remove(place)
+            _remove(place)
         os.replace(whole, place)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
@@ -84,7 +85,7 @@ def written_beside(place: Path, what: str, trajectory: Trajectory | None = None)
             trajectory=trajectory,
         ) from error
     finally:
-        remove(whole)
+        _remove(whole)
 
 
 def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:

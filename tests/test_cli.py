@@ -93,7 +93,7 @@ ERRORS = {
 def test_errors(arguments, message, own, capsys):
     assert main([argument.format(own=own) for argument in arguments]) == 1
     captured = capsys.readouterr()
-    assert message in captured.err
+    assert captured.err.count(message) == 1
     assert "Traceback" not in captured.err
 
 

@@ -104,10 +104,7 @@ def choose(options: argparse.Namespace) -> int:
     from symsimpson.analysis.choose import choose as chosen
 
     system = find(options.system, options.retimed)
-    state = state_of(system, options)
-    if "q0" not in state:
-        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
-    print(chosen(system, **state, t_end=options.t_end, error=options.error,
+    print(chosen(system, **state_of(system, options), t_end=options.t_end, error=options.error,
                  parameters=dict(options.parameters)))  # fmt: skip
     return 0
 

@@ -36,10 +36,19 @@ def check_figure(option: str, path: str) -> None:
 
 
 def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str, Any]:
-    """Return the state that is asked for, or the one that the catalogue names."""
+    """Return the state that is asked for, or the one that the catalogue names.
+
+    Raises
+    ------
+    InputError
+        If there is none.
+    """
     given = {k: getattr(options, k) for k in ("q0", "v0", "p0")}
     asked = {k: x for k, x in given.items() if x is not None}
-    return asked or dict(getattr(system, "reference_state", {}))
+    found = asked or dict(getattr(system, "reference_state", {}))
+    if "q0" not in found:
+        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
+    return found
 
 
 def find(name: str, rate: str | None = None) -> MechanicalSystem:

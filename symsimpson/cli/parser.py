@@ -1,4 +1,4 @@
-"""What commands there are, and what they take."""
+"""The parser of all commands, and of what they take."""
 
 from __future__ import annotations
 

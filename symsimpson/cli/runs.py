@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.cli.find import check_figure, find, state_of
-from symsimpson.errors import InputError, ResolutionWarning, StorageError
-from symsimpson.files import check_folder
+from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.files import check_folder, written_beside
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["film", "plot", "run"]
-
 
 #: Where a run ends for which nothing is asked.
 END = 10.0
@@ -40,10 +39,12 @@ def run(options: argparse.Namespace) -> int:
         warnings.simplefilter("ignore", ResolutionWarning)
         # compiles and loads all that a run needs
         steps = max(1, min(16, _steps(options)))
+        brief: dict[str, Any]
         brief = {"t_end": options.h} if stepper._module.header.retimed else {"steps": steps}
+        if "inputs" in given:
+            brief["inputs"] = {name: x[:steps] for name, x in given["inputs"].items()}
         for _ in range(2):
-            stepper.integrate(**given | _inputs(options, stepper, steps), h=options.h, **brief,
-                              on_failure="return")  # fmt: skip
+            stepper.integrate(**given | brief, h=options.h, on_failure="return")
     ready = time.perf_counter()
     found = _integrated(options, stepper, given)
     done = time.perf_counter()
@@ -65,12 +66,8 @@ def plot(options: argparse.Namespace) -> int:
         ax = found.plot_phase(*options.names[:2])
     else:
         ax = found.plot_energy() if options.kind == "energy" else found.plot_path()
-    try:
-        ax.figure.savefig(options.out, bbox_inches="tight", dpi=150)
-    except OSError as error:
-        raise StorageError(
-            f"{options.out}: the figure cannot be written: {error}.\nChoose another place."
-        ) from error
+    with written_beside(Path(options.out), "figure") as whole:
+        ax.figure.savefig(whole, bbox_inches="tight", dpi=150)
     print(f"written to {options.out}")
     return 0
 
@@ -88,18 +85,16 @@ def _made(system: MechanicalSystem, options: argparse.Namespace) -> tuple[Steppe
     from symsimpson.api import compile as compile_system
 
     state = state_of(system, options)
-    if "q0" not in state:
-        raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
     stepper = compile_system(system, options.scheme)
-    return stepper, state | {"parameters": dict(options.parameters)}
+    given = state | {"parameters": dict(options.parameters)}
+    return stepper, given | _inputs(options, stepper, _steps(options))
 
 
 def _integrated(options: argparse.Namespace, stepper: Stepper, given: dict[str, Any]) -> Trajectory:
     t_end = END if options.t_end is None and options.steps is None else options.t_end
     return stepper.integrate(
-        **given | _inputs(options, stepper, _steps(options)), h=options.h, t_end=t_end,
-        steps=options.steps, every=options.every,
-    )  # fmt: skip
+        **given, h=options.h, t_end=t_end, steps=options.steps, every=options.every
+    )
 
 
 def _steps(options: argparse.Namespace) -> int:

@@ -13,7 +13,8 @@ from symsimpson.errors import InputError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
-from symsimpson.names import Named, spelled
+from symsimpson.mechanics.given import read_values, read_vector
+from symsimpson.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -33,12 +34,8 @@ def consistent(
     parameters: Mapping[Any, Any] | None,
 ) -> tuple[Reals, Reals]:
     """Return the nearest q and v with phi(q) = 0 and Phi v = 0, measured by M(q0)."""
-    table = Named("coordinate", [q.func.__name__ for q in system.coordinates])
-    names = table.shown
-    q, v = (
-        _vector(name, table.in_order(name, given), names)
-        for name, given in (("q0", q0), ("v0", v0))
-    )
+    names = [spelled(q) for q in system.coordinates]
+    q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
     held = {spelled(x) for x in fixed}
     unknown = held - set(names)
     if unknown:
@@ -106,16 +103,6 @@ def _followed(
     return q, best
 
 
-def _vector(name: str, given: ArrayLike, names: Sequence[str]) -> Reals:
-    vector = np.array(given, dtype=np.float64)
-    if vector.shape != (len(names),) or not np.isfinite(vector).all():
-        raise InputError(
-            f"{name} is {given!r}, not {len(names)} finite numbers, one for each of "
-            f"{', '.join(names)}."
-        )
-    return vector
-
-
 def _positive(mass: Reals, slopes: Reals) -> Reals:
     """Return M, with something added where constraints ask for none of it."""
     squares = (slopes**2).sum(axis=1)
@@ -137,16 +124,13 @@ def _functions(
 ) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
     """Return phi, Phi and M as a function of q."""
     plain, n = system.plain, system.n
-    values = {a.name: float(x) for a, x in system.parameters.items()}
-    table = Named("parameter", [*values])
-    for key, value in (given or {}).items():
-        values[table.shown[table.found(key)]] = float(value)
+    values = read_values("parameters", "parameter", system.parameters, given)
     graph, places = plain.graph, plain.numbers(plain.q)
     phi = list(plain.constraints.values())
     slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]
     mass = [plain.entry(i, j) for i in range(n) for j in range(n)]
     wanted: list[Value] = [*phi, *slopes, *mass]
-    known = dict(zip(plain.numbers(plain.parameters), values.values(), strict=True))
+    known = dict(zip(plain.numbers(plain.parameters), values, strict=True))
     known[plain.time] = 0.0
 
     def at(q: Reals) -> tuple[Reals, Reals, Reals]:

@@ -1,4 +1,4 @@
-"""What a declared system says of itself: its Lagrangian, mass matrix and equations."""
+"""The Lagrangian, mass matrix and equations that follow from the declaration of a system."""
 
 from __future__ import annotations
 

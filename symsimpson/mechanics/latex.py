@@ -10,7 +10,7 @@ from sympy.physics.mechanics import dynamicsymbols
 from sympy.physics.vector import vlatex
 
 from symsimpson.markup import aligned, in_text
-from symsimpson.mechanics.plain import Symbols
+from symsimpson.mechanics.equations import terms
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem
@@ -39,24 +39,17 @@ def _too_long(one: MechanicalSystem) -> str:
 def _equations(one: MechanicalSystem) -> str:
     if one.large:
         return _too_long(one)
-    t = dynamicsymbols._t
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))
     lines = [("T", kinetic), ("V", potential)]
-    pulls: list[sp.Expr] = []
-    for k, phi in enumerate(one.constraints.values()):
-        lines.append(("0", sp.sympify(phi).xreplace(safe)))
-        multiplier = sp.Symbol(f"lambda_{k + 1}" if len(one.constraints) > 1 else "lambda")
-        pulls.append(multiplier * sp.sympify(phi))
+    lines += [("0", sp.sympify(phi).xreplace(safe)) for phi in one.constraints.values()]
+    m = len(one.constraints)
+    multipliers = [sp.Symbol(f"lambda_{k + 1}" if m > 1 else "lambda") for k in range(m)]
     if one.n <= SHOWN:
         lines.append(("M", one.mass_matrix.xreplace(safe)))
-        lagrangian = one.lagrangian
-        back = dict(Symbols(one.coordinates, one.parameters, one.inputs).back)
-        for q, own in zip(one.coordinates, one.plain.f, strict=True):
-            name = q.xreplace(safe)
-            moment = sp.diff(lagrangian, q.diff(t)).xreplace(safe)
-            force = sp.diff(lagrangian - sp.Add(*pulls), q) + one.plain.written(own).xreplace(back)
-            force = force.xreplace(safe)
+        found = zip(one.coordinates, terms(one, multipliers), strict=True)
+        for q, (moment, slope, pull) in found:
+            name, moment, force = (x.xreplace(safe) for x in (q, moment, slope + pull))
             if sp.count_ops([moment, force]) > MOST_OPERATIONS:
                 break
             label = vlatex(name)

@@ -55,8 +55,9 @@ def plot(
 
 def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any:
     """Draw a quantity of members over time, or how its last values are spread."""
-    values = many[name]
-    some = np.unique(np.linspace(0, len(many) - 1, min(len(many), max(1, most))).astype(int))
+    from symsimpson.runtime.ensembles.ensemble import spread  # which draws by this module
+
+    values, some = many[name], spread(len(many), max(1, most))
     ax = axes(ax, (7, 3.5))
     if values.ndim == 2:
         times = np.broadcast_to(many.t, values.shape)

@@ -14,18 +14,25 @@ from numpy.typing import NDArray
 
 from symsimpson.calling import explaining
 from symsimpson.extras import library
-from symsimpson.files import read_path, written_beside
+from symsimpson.files import read_path
 from symsimpson.runtime.evaluator import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import check_kind, columns, dataframe, write_table
+from symsimpson.runtime.results.tables import (
+    TABLES,
+    check_kind,
+    columns,
+    dataframe,
+    write_dataset,
+    write_table,
+)
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
 
-__all__ = ["Ensemble", "names_in_dataset"]
+__all__ = ["Ensemble", "names_in_dataset", "spread"]
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +40,11 @@ Floats = NDArray[np.float64]
 RESERVED = (
     "q", "p", "q0", "v0", "p0", "status", "steps", "newton_iterations", "member", "time", "coord",
 )  # fmt: skip
+
+
+def spread(members: int, most: int) -> NDArray[np.int64]:
+    """Return so many members at most, spread over all."""
+    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
 
 
 @explaining()
@@ -249,14 +261,8 @@ class Ensemble(Quantities, Differentiated):
         >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
         """
         place = read_path("the ensemble's file", path)
-        kind = check_kind(place)
-        if kind in (".nc", ".zarr"):
-            with written_beside(place, "ensemble") as whole:
-                found = self.to_xarray()
-                if kind == ".nc":
-                    found.to_netcdf(whole, engine="netcdf4")
-                else:
-                    found.to_zarr(whole, mode="w", zarr_format=2)
+        if check_kind(place) not in TABLES:
+            write_dataset(place, "ensemble", self.to_xarray())
             return
         names = ("t", "q", "p", "status", "steps", "newton_iterations")
         arrays = {name: np.asarray(getattr(self, name)) for name in names}

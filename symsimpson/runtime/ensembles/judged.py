@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.calling import warn
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.runtime.ensembles.blocks import run_blocks
-from symsimpson.runtime.ensembles.ensemble import Ensemble
+from symsimpson.runtime.ensembles.ensemble import Ensemble, spread
 from symsimpson.runtime.ensembles.task import Task
 from symsimpson.runtime.evaluator import evaluate, evaluate_members, velocities_by
 from symsimpson.runtime.results.status import Status
@@ -33,16 +33,12 @@ WHOLE = 100_000
 Floats = NDArray[np.float64]
 
 
-def _spread(members: int, most: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
-
-
 def look_at_steps(stepper: Stepper, task: Task) -> None:
     """Warn of steps that do not resolve what is fast at the start of some members."""
     tools, system = stepper._module.tools, stepper._module.declared
     if tools is None or system is None:
         return
-    for member in _spread(task.members, LOOKED_AT):
+    for member in spread(task.members, LOOKED_AT):
         q, other, values = task.q0[member], task.other0[member], task.parameters[member]
         key = task.h, values.tobytes()
         if key in stepper._looked_at:
@@ -77,7 +73,7 @@ def look_at_ends(stepper: Stepper, task: Task, found: Ensemble) -> None:
         _refuse(stepper, task)
     if task.steps < FEWEST or task.of_variations:
         return
-    some = _spread(task.members, MEASURED)
+    some = spread(task.members, MEASURED)
     some = some[status[some] == Status.SUCCESS]
     left = _energies_left(stepper, task, found, some)
     worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]

@@ -10,10 +10,10 @@ import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.extras import library
-from symsimpson.files import check_folder, read_path, written_beside
+from symsimpson.files import check_folder, read_path
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import TABLES, check_kind, write_table
+from symsimpson.runtime.results.tables import TABLES, check_kind, write_dataset, write_table
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
 
@@ -33,18 +33,17 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write a trajectory, and what is needed to have it back; or a table of it."""
     where = read_path("the trajectory's file", path)
     kind = check_kind(where)
-    if kind in TABLES:
-        arrays = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
-        arrays |= {f"point_{name}": x for name, x in run.points.items()}
-        check_folder(where, "table", trajectory=run)
-        write_table(where, "table", arrays, run._table)
-        return
     if run.q.dtype != np.float64:
         raise InputError(
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep run.q and run.p in a file of your own."
         )
     check_folder(where, "trajectory", trajectory=run)
+    if kind in TABLES:
+        arrays = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
+        arrays |= {f"point_{name}": x for name, x in run.points.items()}
+        write_table(where, "table", arrays, run._table, trajectory=run)
+        return
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
@@ -59,11 +58,7 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
         found["variations"] = (("time", "state", "variation"), run._tangents, about)
         if run._varied_by is not None:
             found.attrs["varied_by"] = list(run._varied_by) or [""]
-    with written_beside(where, "trajectory", run) as whole:
-        if kind == ".nc":
-            found.to_netcdf(whole, engine="netcdf4")
-        else:
-            found.to_zarr(whole, mode="w", consolidated=False, zarr_format=2)
+    write_dataset(where, "trajectory", found, consolidated=False, trajectory=run)
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:

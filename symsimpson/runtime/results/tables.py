@@ -15,8 +15,9 @@ from symsimpson.files import written_beside
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.quantities import Quantities
+    from symsimpson.runtime.results.trajectory import Trajectory
 
-__all__ = ["KINDS", "check_kind", "columns", "dataframe", "write_table"]
+__all__ = ["KINDS", "check_kind", "columns", "dataframe", "write_dataset", "write_table"]
 
 #: Tables: what is written cannot be opened as a run again.
 TABLES = (".npz", ".csv", ".parquet")
@@ -69,9 +70,28 @@ def dataframe(table: Mapping[str, NDArray[Any]], index: str, about: dict[str, An
     return frame
 
 
+def write_dataset(
+    place: Path, what: str, dataset: Any, *, consolidated: bool | None = None,
+    trajectory: Trajectory | None = None,
+) -> None:  # fmt: skip
+    """Write an ``xarray.Dataset`` to netCDF (.nc), or to a store of Zarr.
+
+    Raises
+    ------
+    StorageError
+        If the file cannot be written.
+    """
+    with written_beside(place, what, trajectory) as whole:
+        if place.suffix == ".nc":
+            dataset.to_netcdf(whole, engine="netcdf4")
+        else:
+            dataset.to_zarr(whole, mode="w", consolidated=consolidated, zarr_format=2)
+
+
 def write_table(
-    place: Path, what: str, arrays: Mapping[str, Any], table: Callable[[], Mapping[str, Any]]
-) -> None:
+    place: Path, what: str, arrays: Mapping[str, Any], table: Callable[[], Mapping[str, Any]],
+    *, trajectory: Trajectory | None = None,
+) -> None:  # fmt: skip
     """Write arrays of any shape (.npz), or a table of columns (.csv, .parquet).
 
     Raises
@@ -79,9 +99,9 @@ def write_table(
     StorageError
         If the file cannot be written.
     """
-    with written_beside(place, what) as whole:
+    with written_beside(place, what, trajectory) as whole:
         if place.suffix == ".npz":
-            np.savez(whole, allow_pickle=False, **arrays)
+            np.savez(whole, **arrays)
         elif place.suffix == ".csv":
             made = table()
             rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in made.values()])

@@ -73,7 +73,6 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
         If only the last state is stored, or the scheme is explicit.
     """
     stepper, header = run._stepper, run._stepper._module.header
-    numbers = stepper._module.numbers
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.every is None:
@@ -86,8 +85,7 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
             f"{stepper.scheme} is explicit: its steps have no nodes at which forces do work.\n"
             "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
         )
-    with numbers.working():
-        found = numbers.result(_added_up(run, header.powers))
+    found = _integrated(run)
     lost = 0 * run.t if header.autonomous else found[:, -1]
     return _named(run, found), lost
 
@@ -103,10 +101,7 @@ def rough_parts(run: Energies) -> Reals:
 
 def parts_of_work(run: Energies) -> Reals:
     """Return what each force did up to stored states, then the integral of -dL/dt."""
-    numbers, header = run._stepper._module.numbers, run._stepper._module.header
-    with numbers.working():
-        found = numbers.result(_added_up(run, header.powers))
-    return _signed(run, np.asarray(found, dtype=np.float64))
+    return _signed(run, np.asarray(_integrated(run), dtype=np.float64))
 
 
 def _signed(run: Energies, parts: Reals) -> Reals:
@@ -114,6 +109,13 @@ def _signed(run: Energies, parts: Reals) -> Reals:
     if not run._stepper._module.header.autonomous:
         parts[:, -1] *= -1
     return parts
+
+
+def _integrated(run: Energies) -> Reals:
+    """Return the integrals of powers over steps that are taken again, up to stored states."""
+    numbers, header = run._stepper._module.numbers, run._stepper._module.header
+    with numbers.working():
+        return np.asarray(numbers.result(_added_up(run, header.powers)))
 
 
 def _added_up(run: Energies, count: int) -> Reals:

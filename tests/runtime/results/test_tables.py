@@ -100,3 +100,17 @@ def test_members_are_drawn():
     assert len(ax.lines) == 3
     assert many_of(None).plot().get_ylabel() == "members"
     plt.close("all")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_digits_are_refused_by_every_kind(tmp_path, kind):
+    run = ss.compile(ss.systems.pendulum(), precision=30).integrate([1], v0=[0], h="0.1", steps=2)
+    with pytest.raises(ss.InputError, match="many digits"):
+        run.save(tmp_path / f"run{kind}")
+
+
+def test_files_of_similar_names_are_left_alone(tmp_path):
+    for name in ("run.new.csv", "run.csv.new"):
+        (tmp_path / name).write_text("mine")
+    run_of().save(tmp_path / "run.csv")
+    assert {one.read_text() for one in tmp_path.glob("*new*")} == {"mine"}

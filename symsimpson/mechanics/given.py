@@ -1,0 +1,56 @@
+"""States and values of parameters that the functions of a system are given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.names import Named, spelled
+
+if TYPE_CHECKING:
+    from symsimpson.mechanics.system import MechanicalSystem
+
+__all__ = ["read_values", "read_vector"]
+
+
+def read_vector(system: MechanicalSystem, name: str, given: Any) -> NDArray[np.float64]:
+    """Read a number for each coordinate, in order or by name.
+
+    Raises
+    ------
+    InputError
+    """
+    table = Named("coordinate", [spelled(q) for q in system.coordinates])
+    try:
+        vector = np.array(table.in_order(name, given), dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (system.n,) or not np.isfinite(vector).all():
+        raise InputError(
+            f"{name} is {given!r}, not {system.n} finite numbers, one for each of "
+            f"{', '.join(table.shown)}."
+        )
+    return vector
+
+
+def read_values(
+    name: str, what: str, defaults: Mapping[Any, Any], given: Mapping[Any, Any] | None
+) -> list[float]:
+    """Read values by symbol or by name, in place of defaults, in their order.
+
+    Raises
+    ------
+    InputError
+    """
+    table = Named(what, [spelled(key) for key in defaults])
+    values = [float(x) for x in defaults.values()]
+    for key, value in (given or {}).items():
+        try:
+            values[table.found(key)] = float(value)
+        except InputError as error:
+            raise InputError(f"{name} names {spelled(key)!r}: {error}") from None
+    return values
