@@ -6,6 +6,7 @@ from .analysis.choose import Choice as Choice
 from .analysis.choose import choose as choose
 from .analysis.costs import StepCosts as StepCosts
 from .analysis.costs import step_costs as step_costs
+from .analysis.to_error import integrate as integrate
 from .api import compile as compile
 from .api import generate as generate
 from .api import load as load
@@ -50,6 +51,8 @@ from .runtime.results.events import Events as Events
 from .runtime.results.gradient import Gradient as Gradient
 from .runtime.results.gradient import hessian_product as hessian_product
 from .runtime.results.interpolate import DenseOutput as DenseOutput
+from .runtime.results.sampled import Sampled as Sampled
+from .runtime.results.sampled import Saved as Saved
 from .runtime.results.states import States as States
 from .runtime.results.status import Status as Status
 from .runtime.results.trajectory import Trajectory as Trajectory

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from symsimpson.runtime.ensembles.ensemble import Ensemble
     from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.sampled import Sampled, Saved
     from symsimpson.runtime.results.status import Status
     from symsimpson.runtime.results.trajectory import Trajectory
 
@@ -127,7 +128,7 @@ class ConvergenceError(SymsimpsonError):
         self,
         message: str,
         *,
-        trajectory: Trajectory | Events,
+        trajectory: Trajectory | Events | Sampled | Saved,
         step: int,
         time: float,
         residual: float,
@@ -147,6 +148,8 @@ class Interrupted(SymsimpsonError, KeyboardInterrupt):
     For many trajectories that is an Ensemble, for a section the Events.
     """
 
-    def __init__(self, message: str, *, trajectory: Trajectory | Ensemble | Events) -> None:
+    def __init__(
+        self, message: str, *, trajectory: Trajectory | Ensemble | Events | Sampled | Saved
+    ) -> None:
         super().__init__(message)
         self.trajectory = trajectory

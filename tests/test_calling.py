@@ -21,7 +21,7 @@ def stepper():
 
 WRONG = {
     "dt": (lambda s: s.integrate(**START, dt=0.1, steps=2), "has no argument dt=. Did you mean h="),
-    "t_eval": (lambda s: s.integrate(**START, h=0.1, t_eval=[1]), "mean every=.*The step is h="),
+    "t_eval": (lambda s: s.ensemble(**START, h=0.1, t_eval=[1]), "mean every=.*The step is h="),
     "parameter": (lambda s: s.integrate(**START, h=0.1, steps=1, parameter={}), "parameters="),
     "positional": (lambda s: s.integrate([1.0], [0.0], 0.1, 3), "at most 2: q0, v0.\nName the"),
     "ensemble": (lambda s: s.ensemble([[1.0]], v0=[0.0], dt=0.1, steps=1), "mean h="),

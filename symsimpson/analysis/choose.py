@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.ahead import late
 from symsimpson.analysis.candidates import Wanted
 from symsimpson.analysis.pilot import any_step, choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency
@@ -71,6 +72,7 @@ class Choice:
 
 
 @waiting("choosing a scheme and a step")
+@late()
 @any_step()
 @explained()
 def choose(

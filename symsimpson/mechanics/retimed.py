@@ -157,6 +157,7 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
         gyroscopic=system.gyroscopic,
         parameters=parameters,
         positions=system.positions or None,
+        units=system.units,
         invariants=invariants or None,
         original=system,
         rate=g,

@@ -28,6 +28,7 @@ from symsimpson.mechanics.loads import read_method
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
+from symsimpson.mechanics.units import NO_UNITS, read_units
 from symsimpson.progress import waiting
 from symsimpson.stopwatch import collecting, timed
 
@@ -87,6 +88,9 @@ class MechanicalSystem(Described):
         Holonomic constraints phi(q) = 0 in coordinates and parameters, fewer than coordinates:
         ``{"rod": x**2 + y**2 - l**2}``. M must be positive definite only for velocities with
         dphi/dq.v = 0.
+    units : mapping from str or symbol to str, optional
+        Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``: labels of figures and data, by
+        which figures draw angles and lengths on axes of their own. Nothing is converted.
 
     Raises
     ------
@@ -127,6 +131,7 @@ class MechanicalSystem(Described):
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
     inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
+    units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
     mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
@@ -141,8 +146,10 @@ class MechanicalSystem(Described):
         object.__setattr__(self, "constraints", constraints)
         with _stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
+        others = [*parameters, *inputs, *invariants, *positions]
         for key, value in {
             "coordinates": coordinates,
+            "units": MappingProxyType(read_units(name, self.units, coordinates, others)),
             "kinetic": sp.sympify(self.kinetic),
             "potential": sp.sympify(self.potential),
             "gyroscopic": sp.sympify(self.gyroscopic),
@@ -169,12 +176,13 @@ class MechanicalSystem(Described):
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
+        units: Mapping[Any, str] = NO_UNITS,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
 
         Parameters
         ----------
-        name, coordinates, parameters, positions, invariants, forces, dissipation, inputs
+        name, coordinates, parameters, positions, invariants, forces, dissipation, inputs, units
             As for :class:`MechanicalSystem`.
         lagrangian : sympy expression
             Quadratic in the velocities; linear terms are allowed.
@@ -219,6 +227,7 @@ class MechanicalSystem(Described):
             dissipation=dissipation,
             inputs=tuple(given),
             constraints=names_of(name, constraints),
+            units=units,
         )
 
     @classmethod
@@ -234,12 +243,13 @@ class MechanicalSystem(Described):
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
+        units: Mapping[Any, str] = NO_UNITS,
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters, positions, invariants, forces, dissipation, inputs, constraints
+        name, parameters, positions, invariants, forces, dissipation, inputs, constraints, units
             As for :class:`MechanicalSystem`; ``constraints`` stand beside those of ``lm``.
         lm : sympy.physics.mechanics.LagrangesMethod
             Its ``forcelist`` becomes the generalised force named "forcelist": each pair is a point
@@ -266,7 +276,7 @@ class MechanicalSystem(Described):
         return cls.from_lagrangian(
             name, lagrangian, coordinates, parameters, positions=positions,
             invariants=invariants, forces=forces, dissipation=dissipation, inputs=inputs,
-            constraints={**names_of(name, constraints), **names_of(name, held)},
+            constraints={**names_of(name, constraints), **names_of(name, held)}, units=units,
         )  # fmt: skip
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.ensembles.ensemble import Ensemble
     from symsimpson.runtime.results.chaos import Chaos
     from symsimpson.runtime.results.energies import Energies
+    from symsimpson.runtime.results.sampled import Saved
     from symsimpson.runtime.results.states import States
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
@@ -30,8 +32,14 @@ def label(name: Any) -> str:
     return f" {text}" if text.startswith("_") else text
 
 
+def with_unit(name: Any, units: Mapping[str, str]) -> str:
+    """Return a name as matplotlib writes it, and its unit if that is known."""
+    unit = units.get(spelled(name))
+    return label(name) + (f" [{unit}]" if unit else "")
+
+
 def plot(
-    some: States,
+    some: States | Saved,
     names: Any = None,
     *,
     connected: bool = True,
@@ -40,33 +48,48 @@ def plot(
     """Draw quantities over time: all coordinates, unless some are named."""
     single = isinstance(names, str) or hasattr(names, "free_symbols")
     wanted = [names] if single else list(names or some._stepper.coordinates)
-    found = {label(name): some[name] for name in wanted}
-    ax = axes(ax, (7, 3.5))
-    for name, values in found.items():
-        ax.plot(some.t, values, label=name, **({"lw": 1.2} if connected else DOTS))
-    ax.set(xlabel="t", title=f"{some._stepper.system}, {some._stepper.scheme}")
-    ax.grid(lw=0.4, alpha=0.6)
-    if len(wanted) == 1:
-        ax.set_ylabel(*found)
+    found, units = {spelled(name): some[name] for name in wanted}, some._stepper.units
+    by_unit: dict[str | None, list[str]] = {}
+    for name in found:
+        by_unit.setdefault(units.get(name), []).append(name)
+    title = f"{some._stepper.system}, {some._stepper.scheme}"
+    if ax is None and len(by_unit) > 1:  # one above the other: lengths say nothing beside angles
+        size = (7, 1.2 + 1.6 * len(by_unit))
+        panels = list(axes(None, size, nrows=len(by_unit), sharex=True))
     else:
-        ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
-    return ax
+        panels, by_unit = [axes(ax, (7, 3.5))], {None: list(found)}
+    how, drawn = ({"lw": 1.2} if connected else DOTS), 0
+    for own, (unit, together) in zip(panels, by_unit.items(), strict=True):
+        for name in together:
+            own.plot(some.t, found[name], label=label(name), color=f"C{drawn % 10}", **how)
+            drawn += 1
+        own.grid(lw=0.4, alpha=0.6)
+        if len(together) == 1:
+            own.set_ylabel(with_unit(together[0], units))
+        else:
+            same = {units.get(name) for name in together}
+            shared = unit or (same.pop() if len(same) == 1 else None)
+            own.set_ylabel(f"[{shared}]" if shared else "")
+            own.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+    panels[0].set_title(title)
+    panels[-1].set_xlabel(with_unit("t", units))
+    return panels[0]
 
 
 def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any:
     """Draw a quantity of members over time, or how its last values are spread."""
     from symsimpson.runtime.ensembles.ensemble import spread  # which draws by this module
 
-    values, some = many[name], spread(len(many), max(1, most))
+    values, some, units = many[name], spread(len(many), max(1, most)), many._stepper.units
     ax = axes(ax, (7, 3.5))
     if values.ndim == 2:
         times = np.broadcast_to(many.t, values.shape)
         ax.plot(times[some].T, values[some].T, lw=0.8, alpha=max(0.15, min(1.0, 8 / len(some))))
-        ax.set(xlabel="t", ylabel=label(name))
+        ax.set(xlabel=with_unit("t", units), ylabel=with_unit(name, units))
     else:
         last = values[np.isfinite(values)]
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
-        ax.set(xlabel=f"{label(name)} at the end", ylabel="members")
+        ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
     stepper = many._stepper
     ax.set_title(f"{stepper.system}, {stepper.scheme}: {len(some)} of {len(many)} members")
     ax.grid(lw=0.4, alpha=0.6)
@@ -84,7 +107,8 @@ def plot_phase(
     ax = axes(ax, (4.5, 4.5))
     ax.plot(*found, **({"lw": 0.8} if connected else DOTS))
     title = f"{some._stepper.system}, {some._stepper.scheme}"
-    ax.set(xlabel=label(x), ylabel=label(y), title=title)
+    units = some._stepper.units
+    ax.set(xlabel=with_unit(x, units), ylabel=with_unit(y, units), title=title)
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 
@@ -100,11 +124,13 @@ def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
         ax.plot(run.t, (kept - kept[0]) / run.energy_scale, lw=0.8, label="shadow energy")
         ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     name = f"{run._stepper.system}, {run._stepper.scheme}, h = {float(run.h):g}"
-    label = "(H - H0) / |H0|" if run.energy[0] != 0 else "H - H0"
-    if not constant:
-        label = "H - H0 - work"
+    relative = constant and run.energy[0] != 0
+    unit = run._stepper.units.get("energy")
+    shown = "(H - H0) / |H0|" if relative else "H - H0" if constant else "H - H0 - work"
+    shown += f" [{unit}]" if unit and not relative else ""
     what = "energy error" if constant else "energy balance"
-    ax.set(xlabel="t", ylabel=label, title=f"{what}: {name}")
+    time = with_unit("t", run._stepper.units)
+    ax.set(xlabel=time, ylabel=shown, title=f"{what}: {name}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 

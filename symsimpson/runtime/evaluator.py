@@ -87,6 +87,11 @@ class Evaluator:
         """Number of coordinates."""
         return self._module.header.n
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of quantities by name, as they were declared with the system."""
+        return dict(getattr(self._module.declared, "units", {}))
+
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.reference_state
         given = {

@@ -27,6 +27,7 @@ __all__ = [
     "read_steps",
     "read_times",
     "read_vector",
+    "refuse_together",
     "refused_start",
     "whole_number",
 ]
@@ -184,6 +185,28 @@ def read_step(h: Any, numbers: Numbers) -> Any:
 def read_every(every: Any) -> int:
     """Read the stride of storage; None, for the last state only, becomes 0."""
     return 0 if every is None else read_count("every", every, least=1)
+
+
+def refuse_together(
+    tangents: Any, sensitivities: Any, checkpoint: Any, every: Any, t_eval: Any
+) -> None:
+    """Refuse what does not go with chosen times or quantities.
+
+    Raises
+    ------
+    InputError
+    """
+    given = {"tangents": tangents, "sensitivities": sensitivities, "checkpoint": checkpoint}
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(
+                f"{name} needs the states of all steps, of which t_eval or save keeps some.\n"
+                "Leave t_eval and save out, and take run.at(times) or run['energy'] afterwards."
+            )
+    if t_eval is not None and every != 1:
+        raise InputError(
+            f"every={every!r} and t_eval both say which states to keep.\nPass one of them."
+        )
 
 
 def read_failure(on_failure: Any) -> None:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
 from symsimpson.calling import explaining
-from symsimpson.derivation import Report
-from symsimpson.errors import InputError, Interrupted
-from symsimpson.runtime.derivatives import Differentiating
+from symsimpson.errors import Interrupted
 from symsimpson.runtime.evaluator import Parameters
-from symsimpson.runtime.inputs import read_failure
+from symsimpson.runtime.examining import Examining
+from symsimpson.runtime.inputs import read_failure, refuse_together
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.integrate import integrate
@@ -21,15 +20,14 @@ from symsimpson.runtime.runs.spec import read_run
 from symsimpson.runtime.runs.timed import timed_run
 
 if TYPE_CHECKING:
-    from symsimpson.analysis.certificate import Certificate
     from symsimpson.runtime.ensembles.ensemble import Ensemble
-    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.sampled import Sampled, Saved
 
 __all__ = ["Stepper"]
 
 
 @explaining()
-class Stepper(Differentiating):
+class Stepper(Examining):
     """A variational integrator, ready to run; made by ``compile`` and ``load``.
 
     Parameters
@@ -75,29 +73,31 @@ class Stepper(Differentiating):
 
         return stepper(self)
 
-    def report(self) -> Report:
-        """Say how long deriving and compiling took, and how long the result is.
-
-        Returns
-        -------
-        Report
-            Seconds for each stage: reading T and V, structure, jet (derivatives at a node), text,
-            compiling or loading the kernels used so far. Also lines of code and operations.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> report = ss.compile(ss.systems.double_pendulum()).report()
-        >>> report.form, report.operations < 35, list(report.seconds)
-        ('unrolled', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
-        """
-        derived, lines = self._module.derivation, len(self.source.splitlines())
-        seconds = {"compilation": float(getattr(self._module.kernels, "seconds", 0.0))}
-        if derived is None:
-            return Report(seconds, lines, None, "")
-        form = "unrolled" if derived.unrolled else "loops"
-        return Report({**derived.seconds, **seconds}, lines, derived.operations, form)
-
+    @overload
+    def integrate(
+        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
+        t_end: Any = None, steps: int | None = None, t0: Any = 0.0,
+        parameters: Parameters | None = None, inputs: Any = None, every: int | None = 1,
+        t_eval: None = None, save: None = None, tangents: ArrayLike | None = None,
+        sensitivities: Any = None, checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_every: int | None = None, progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Trajectory: ...  # fmt: skip
+    @overload
+    def integrate(
+        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
+        t_eval: ArrayLike, save: None = None, t_end: Any = None, steps: int | None = None,
+        t0: Any = 0.0, parameters: Parameters | None = None, inputs: Any = None,
+        progress: bool | None = None, on_failure: Literal["raise", "return"] = "raise",
+    ) -> Sampled: ...  # fmt: skip
+    @overload
+    def integrate(
+        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
+        save: Any, t_eval: ArrayLike | None = None, t_end: Any = None, steps: int | None = None,
+        t0: Any = 0.0, parameters: Parameters | None = None, inputs: Any = None,
+        every: int | None = 1, progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Saved: ...  # fmt: skip
     def integrate(
         self,
         q0: ArrayLike,
@@ -111,13 +111,15 @@ class Stepper(Differentiating):
         parameters: Parameters | None = None,
         inputs: Any = None,
         every: int | None = 1,
+        t_eval: ArrayLike | None = None,
+        save: Any = None,
         tangents: ArrayLike | None = None,
         sensitivities: Any = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
-    ) -> Trajectory:
+    ) -> Trajectory | Sampled | Saved:
         """Integrate the equations of motion with a fixed step.
 
         Parameters
@@ -131,7 +133,7 @@ class Stepper(Differentiating):
         t_end : float, optional
             Final time, a whole number of steps from ``t0``.
         steps : int, optional
-            Number of steps; exactly one of ``t_end`` and ``steps``.
+            Number of steps; exactly one of ``t_end`` and ``steps``, unless ``t_eval`` is given.
         t0 : float
         parameters : mapping, optional
             Values by symbol or by name, in place of the defaults.
@@ -141,6 +143,11 @@ class Stepper(Differentiating):
             :func:`symsimpson.samples`.
         every : int or None
             Number of steps between stored states; None stores only the last state.
+        t_eval : array_like, optional
+            Times in the order of the run, at which alone states are kept.
+        save : str, symbol or sequence of them, optional
+            Quantities to keep in place of states, as in ``run["energy"]``; "q", "p" and "v" are all
+            of theirs. Neither goes with ``tangents``, ``sensitivities`` or ``checkpoint``.
         tangents : int or array_like, shape (2 n, k), optional
             Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
             vectors. ``run.tangent`` holds them.
@@ -160,6 +167,7 @@ class Stepper(Differentiating):
         Returns
         -------
         Trajectory
+            A :class:`Saved` where ``save`` is given, else a :class:`Sampled` where ``t_eval`` is.
 
         Raises
         ------
@@ -187,6 +195,14 @@ class Stepper(Differentiating):
         ((201, 1), True)
         """
         start, times = (q0, v0, p0), (h, t_end, steps, t0)
+        if t_eval is not None or save is not None:
+            from symsimpson.runtime.runs.chosen import chosen_run, last_time
+
+            refuse_together(tangents, sensitivities, checkpoint, every, t_eval)
+            if t_eval is not None and t_end is None and steps is None:
+                times = (h, *last_time(self, t_eval, h, t0), t0)
+            spec = read_run(self, start, times, parameters, every, inputs)
+            return chosen_run(self, spec, t_eval, save, progress, on_failure)
         more = inputs, tangents, sensitivities, checkpoint, progress
         if all(one is None for one in more) and on_failure in ("raise", "return"):
             over = brief_run(self, start, times, parameters, every)
@@ -299,102 +315,3 @@ class Stepper(Differentiating):
         if interrupted and on_failure == "raise":
             raise Interrupted(found.message, trajectory=found)
         return found
-
-    def poincare(
-        self,
-        expression: Any,
-        q0: ArrayLike,
-        v0: ArrayLike | None = None,
-        *,
-        p0: ArrayLike | None = None,
-        h: float,
-        t_end: float | None = None,
-        steps: int | None = None,
-        t0: float = 0.0,
-        direction: int = 0,
-        wrap: Any = (),
-        parameters: Parameters | None = None,
-        inputs: Any = None,
-        progress: bool | None = None,
-        on_failure: Literal["raise", "return"] = "raise",
-    ) -> Events:
-        """Integrate, and keep only the states in which an expression becomes zero.
-
-        Parameters
-        ----------
-        expression, direction, wrap
-            As for :meth:`Trajectory.events`.
-        q0, v0, p0, h, t_end, steps, t0, parameters, inputs, progress, on_failure
-            As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
-
-        Returns
-        -------
-        Events
-
-        Raises
-        ------
-        InputError, ConvergenceError, Interrupted
-            As :meth:`integrate`; the ``trajectory`` of the last two are the events so far.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> stepper = ss.compile(ss.systems.henon_heiles(), scheme="gauss8")
-        >>> section = stepper.poincare("x", [0, 0.1], v0=[0.4, 0], h=0.25, steps=20_000,
-        ...                            direction=1)
-        >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
-        (True, True)
-        """
-        from symsimpson.runtime.runs.section import poincare
-
-        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
-        return poincare(self, expression, spec, direction, wrap, progress, on_failure)
-
-    def certify(
-        self,
-        q0: ArrayLike | None = None,
-        v0: ArrayLike | None = None,
-        *,
-        p0: ArrayLike | None = None,
-        h: float | None = None,
-        parameters: Parameters | None = None,
-        inputs: Mapping[Any, float] | None = None,
-    ) -> Certificate:
-        """Verify by measurement that this stepper has the properties of its scheme.
-
-        All are measured in 50 digits on its source, which compiled code is then compared with.
-
-        Parameters
-        ----------
-        q0, v0, p0 : array_like, shape (n,), optional
-            The state to measure at; the system's reference state, or a random one, if left out.
-        h : float, optional
-            The step; found by trial if left out.
-        parameters : mapping, optional
-        inputs : mapping, optional
-            A constant value for each input; 1 by default.
-
-        Returns
-        -------
-        Certificate
-            Prints as a table with a verdict in each row; ``.passed`` is the overall verdict.
-
-        Raises
-        ------
-        InputError
-            If the input makes no sense.
-
-        Examples
-        --------
-        >>> import symsimpson as ss
-        >>> certificate = ss.compile(ss.systems.pendulum()).certify()
-        >>> certificate.passed, round(certificate["order"].measured, 1)
-        (True, 4.0)
-        """
-        if self._module.tools is None:
-            raise InputError(
-                f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
-                "Certify one that symsimpson.compile or symsimpson.load made."
-            )
-        more: dict[str, Any] = {"h": h, "parameters": parameters, "inputs": inputs}
-        return self._module.tools.certify(self, q0, v0, p0=p0, **more)

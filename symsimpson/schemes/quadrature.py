@@ -126,8 +126,10 @@ def _unit_roots(polynomial: sp.Expr) -> tuple[sp.Expr, ...]:
 
 
 def _weights(points: tuple[sp.Expr, ...]) -> tuple[sp.Expr, ...]:
-    """Integrate the Lagrange polynomials over [0, 1]."""
-    return tuple(
-        sp.radsimp(sp.expand(sp.integrate(sp.expand(basis), (_x, 0, 1))))
-        for basis in lagrange_basis(points, _x)
-    )
+    """Integrate the Lagrange polynomials over [0, 1], term by term."""
+    weights = []
+    for basis in lagrange_basis(points, _x):
+        terms = sp.expand(basis).as_coefficients_dict(_x)
+        whole = sum(c / (sp.degree(power, _x) + 1) for power, c in terms.items())
+        weights.append(sp.radsimp(sp.expand(whole)))
+    return tuple(weights)

@@ -14,20 +14,12 @@ from numpy.typing import NDArray
 
 from symsimpson.calling import explaining
 from symsimpson.extras import library
-from symsimpson.files import read_path
 from symsimpson.runtime.evaluator import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
-from symsimpson.runtime.results.states import States
+from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import (
-    TABLES,
-    check_kind,
-    columns,
-    dataframe,
-    write_dataset,
-    write_table,
-)
+from symsimpson.runtime.results.tables import columns, dataframe, write
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper
@@ -206,7 +198,7 @@ class Ensemble(Quantities, Differentiated):
             named |= {"t": (dims[:-1], self.t), "tau": (dims[:-1], self.tau)}
         elif self.q.ndim == 3:
             named["time"] = self.t
-        return xarray.Dataset(variables, named, self._about())
+        return with_units(xarray.Dataset(variables, named, self._about()), self._stepper.units)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``, a row for each stored state of each member.
@@ -227,7 +219,7 @@ class Ensemble(Quantities, Differentiated):
         >>> many.to_pandas().shape
         (12, 10)
         """
-        return dataframe(self._table(), "member", self._about())
+        return dataframe(self._table(), "member", self._about(), self._stepper.units)
 
     def _table(self) -> dict[str, NDArray[Any]]:
         shape = np.shape(self.energy)
@@ -260,15 +252,13 @@ class Ensemble(Quantities, Differentiated):
         >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
         >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
         """
-        place = read_path("the ensemble's file", path)
-        if check_kind(place) not in TABLES:
-            write_dataset(place, "ensemble", self.to_xarray())
-            return
+        write(path, "ensemble", self._arrays, self._table, self.to_xarray, consolidated=None)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
         names = ("t", "q", "p", "status", "steps", "newton_iterations")
         arrays = {name: np.asarray(getattr(self, name)) for name in names}
         arrays |= {f"parameter_{name}": x for name, x in self.parameters.items()}
-        arrays |= {f"reduced_{name}": x for name, x in self.reduced.items()}
-        write_table(place, "ensemble", arrays, self._table)
+        return arrays | {f"reduced_{name}": x for name, x in self.reduced.items()}
 
     def plot(self, name: str | None = None, *, most: int = 100, ax: Any = None) -> Any:
         """Draw a quantity of the members over time, or a histogram where last states are stored.

@@ -10,10 +10,10 @@ import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.extras import library
-from symsimpson.files import check_folder, read_path
+from symsimpson.files import read_path
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import TABLES, check_kind, write_dataset, write_table
+from symsimpson.runtime.results.tables import TABLES, check_kind, write
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
 
@@ -31,19 +31,16 @@ ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "s
 
 def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
     """Write a trajectory, and what is needed to have it back; or a table of it."""
-    where = read_path("the trajectory's file", path)
-    kind = check_kind(where)
-    if run.q.dtype != np.float64:
-        raise InputError(
-            "numbers of many digits do not fit into this kind of file.\n"
-            "Keep run.q and run.p in a file of your own."
-        )
-    check_folder(where, "trajectory", trajectory=run)
-    if kind in TABLES:
-        arrays = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
-        arrays |= {f"point_{name}": x for name, x in run.points.items()}
-        write_table(where, "table", arrays, run._table, trajectory=run)
-        return
+
+    def arrays() -> dict[str, Any]:
+        found = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
+        return found | {f"point_{name}": x for name, x in run.points.items()}
+
+    write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
+
+
+def _dataset(run: Trajectory) -> Any:
+    """Return all that a trajectory is made of."""
     found = run.to_xarray()
     text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
@@ -58,7 +55,7 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
         found["variations"] = (("time", "state", "variation"), run._tangents, about)
         if run._varied_by is not None:
             found.attrs["varied_by"] = list(run._varied_by) or [""]
-    write_dataset(where, "trajectory", found, consolidated=False, trajectory=run)
+    return found
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -105,10 +102,12 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     xarray = library("xarray", "a trajectory in a file", "data")
     try:
         if kind == ".nc":
-            with xarray.open_dataset(where, engine="netcdf4") as opened:
+            with xarray.open_dataset(where, engine="netcdf4", decode_times=False) as opened:
                 found = opened.load()
         else:
-            found = xarray.open_zarr(where, chunks=None, consolidated=False).load()
+            found = xarray.open_zarr(
+                where, chunks=None, consolidated=False, decode_times=False
+            ).load()
     except Exception as error:  # whatever a damaged file makes the libraries raise
         raise StorageError(
             f"{where}: the file cannot be read: {str(error)[:200]}.\n"

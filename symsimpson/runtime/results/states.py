@@ -22,6 +22,28 @@ if TYPE_CHECKING:
 __all__ = ["States"]
 
 
+def with_units(data: Any, units: Mapping[str, str]) -> Any:
+    """Write units that are known into an ``xarray.Dataset``, where its libraries look for them.
+
+    q, p and v hold several quantities: theirs stand in coordinates named ``units_q`` and so on,
+    and in the attributes where all are the same.
+    """
+    if "t" in units:
+        data["time"].attrs["units"] = units["t"]
+    for name, column in data.variables.items():
+        key = column.attrs.get("long_name", name) if name.startswith("invariant_") else name
+        key = key.removeprefix("point_")
+        if key in units and name != "coord":
+            data[name].attrs["units"] = units[key]
+    for name, prefix in (("q", ""), ("p", "p_"), ("v", "v_")):
+        own = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
+        if name in data and any(own):
+            data = data.assign_coords({f"units_{name}": ("coord", own)})
+            if len(set(own)) == 1:
+                data[name].attrs["units"] = own[0]
+    return data
+
+
 def stored(name: str, own: str) -> str:
     """Return a name if files take it as that of an attribute; else that of the module."""
     return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else own
@@ -120,11 +142,12 @@ class States(Quantities):
         *more : str
             Further ones.
         ax : matplotlib axes, optional
-            Drawn into; made if there are none.
+            Drawn into; made if there are none: one for each of the system's ``units``.
 
         Returns
         -------
         matplotlib axes
+            The first ones.
 
         Raises
         ------
@@ -209,7 +232,7 @@ class States(Quantities):
         >>> list(run.to_pandas().columns)
         ['theta', 'p_theta', 'v_theta', 'energy', 'bob_x', 'bob_y']
         """
-        return dataframe(self._table(), "t", self._about())
+        return dataframe(self._table(), "t", self._about(), self._stepper.units)
 
     def _table(self) -> dict[str, NDArray[Any]]:
         return {"t": self.t, **columns(self)}
@@ -239,11 +262,11 @@ class States(Quantities):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
         for name, place in self.points.items():
             corner = ("corner_" + name,) * (place.ndim - 2)
-            about = {"long_name": "where it is"}
+            about = {"long_name": f"place of {name}"}
             variables[f"point_{name}"] = (("time", *corner, f"axis_{name}"), place, about)
         variables |= self._further()
         names = {"time": self.t, "coord": list(self._stepper.coordinates)}
-        return xarray.Dataset(variables, names, self._about())
+        return with_units(xarray.Dataset(variables, names, self._about()), self._stepper.units)
 
     def _further(self) -> dict[str, Any]:
         """Variables of a dataset that not all states have."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.extras import library
-from symsimpson.files import written_beside
+from symsimpson.files import check_folder, read_path, written_beside
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.quantities import Quantities
     from symsimpson.runtime.results.trajectory import Trajectory
 
-__all__ = ["KINDS", "check_kind", "columns", "dataframe", "write_dataset", "write_table"]
+__all__ = ["KINDS", "check_kind", "columns", "dataframe", "write"]
 
 #: Tables: what is written cannot be opened as a run again.
 TABLES = (".npz", ".csv", ".parquet")
@@ -62,50 +63,70 @@ def columns(some: Quantities) -> dict[str, NDArray[Any]]:
     return found
 
 
-def dataframe(table: Mapping[str, NDArray[Any]], index: str, about: dict[str, Any]) -> Any:
-    """Return columns as a ``pandas.DataFrame``."""
+def dataframe(
+    table: Mapping[str, NDArray[Any]], index: str, about: dict[str, Any],
+    units: Mapping[str, str] | None = None,
+) -> Any:  # fmt: skip
+    """Return columns as a ``pandas.DataFrame``, which has their units among its ``attrs``."""
     pandas = library("pandas", "to_pandas", "data")
     frame = pandas.DataFrame(dict(table)).set_index(index)
-    frame.attrs = about
+    frame.attrs = about | ({"units": dict(units)} if units else {})
     return frame
 
 
-def write_dataset(
-    place: Path, what: str, dataset: Any, *, consolidated: bool | None = None,
-    trajectory: Trajectory | None = None,
+def write(
+    path: str | os.PathLike[str], what: str, arrays: Callable[[], Mapping[str, Any]],
+    table: Callable[[], Mapping[str, Any]], dataset: Callable[[], Any], *,
+    trajectory: Trajectory | None = None, consolidated: bool | None = False,
 ) -> None:  # fmt: skip
-    """Write an ``xarray.Dataset`` to netCDF (.nc), or to a store of Zarr.
+    """Write a result into a file of the kind that its ending says.
+
+    Parameters
+    ----------
+    path : path
+    what : str
+        What it is, for messages.
+    arrays : callable
+        Gives arrays of any shape, for .npz; what has many digits is refused.
+    table : callable
+        Gives columns, for .csv and .parquet.
+    dataset : callable
+        Gives an ``xarray.Dataset``, for netCDF (.nc) and stores of Zarr.
+    trajectory : Trajectory, optional
+        Carried by errors, so that it is not lost.
+    consolidated : bool or None
+        Whether a store of Zarr has all of its metadata in one place.
 
     Raises
     ------
+    InputError
+        If the name ends otherwise, a library is missing, or numbers have many digits.
     StorageError
         If the file cannot be written.
     """
+    place = read_path(f"the {what}'s file", path)
+    kind, made = check_kind(place), arrays()
+    if any(np.asarray(x).dtype == object for x in made.values()):
+        raise InputError(
+            "numbers of many digits do not fit into this kind of file.\n"
+            "Keep the arrays q and p in a file of your own."
+        )
+    check_folder(place, what, trajectory=trajectory)
     with written_beside(place, what, trajectory) as whole:
-        if place.suffix == ".nc":
-            dataset.to_netcdf(whole, engine="netcdf4")
-        else:
-            dataset.to_zarr(whole, mode="w", consolidated=consolidated, zarr_format=2)
-
-
-def write_table(
-    place: Path, what: str, arrays: Mapping[str, Any], table: Callable[[], Mapping[str, Any]],
-    *, trajectory: Trajectory | None = None,
-) -> None:  # fmt: skip
-    """Write arrays of any shape (.npz), or a table of columns (.csv, .parquet).
-
-    Raises
-    ------
-    StorageError
-        If the file cannot be written.
-    """
-    with written_beside(place, what, trajectory) as whole:
-        if place.suffix == ".npz":
-            np.savez(whole, **arrays)
-        elif place.suffix == ".csv":
-            made = table()
-            rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in made.values()])
-            head = ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in made)
+        if kind == ".nc":
+            dataset().to_netcdf(whole, engine="netcdf4")
+        elif kind == ".zarr":
+            dataset().to_zarr(whole, mode="w", consolidated=consolidated, zarr_format=2)
+        elif kind == ".npz":
+            np.savez(whole, **made)
+        elif kind == ".csv":
+            head, rows = csv_of(table())
             np.savetxt(whole, rows, delimiter=",", header=head, comments="", fmt="%.17g")
         else:
             library("pandas", "a .parquet file", "data").DataFrame(dict(table())).to_parquet(whole)
+
+
+def csv_of(table: Mapping[str, Any]) -> tuple[str, NDArray[Any]]:
+    """Return the line of names and the rows of a table."""
+    rows = np.column_stack([np.asarray(x, dtype=np.float64) for x in table.values()])
+    return ",".join(f'"{x}"' if set(x) & set(',"\n') else x for x in table), rows

@@ -43,6 +43,7 @@ from symsimpson.runtime.runs.verdict import looked_at
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.results.sampled import Sampled, Saved
 
 __all__ = ["integrate"]
 
@@ -287,7 +288,9 @@ def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Rea
     return found.reshape(len(rows), -1, 2 * stepper.n).swapaxes(1, 2)
 
 
-def raise_failure(run: Run, ended: Trajectory, result: Trajectory | Events) -> None:
+def raise_failure(
+    run: Run, ended: Trajectory, result: Trajectory | Events | Sampled | Saved
+) -> None:
     """Raise the error of a run that did not reach its end, with what it has come to."""
     if ended.status is Status.INTERRUPTED:
         raise Interrupted(ended.message, trajectory=result)

@@ -1,0 +1,98 @@
+"""A run to a wanted error, whose scheme and step are chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from symsimpson.analysis.choose import choose
+from symsimpson.analysis.remembered import remembered
+from symsimpson.calling import explained
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.runtime.results.sampled import Sampled, Saved
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["integrate"]
+
+
+@explained()
+def integrate(
+    system: MechanicalSystem,
+    q0: ArrayLike,
+    v0: ArrayLike | None = None,
+    *,
+    p0: ArrayLike | None = None,
+    t_end: float,
+    error: float = 1e-6,
+    on: Literal["state", "energy"] = "state",
+    parameters: Mapping[Any, Any] | None = None,
+    schemes: Sequence[str | Scheme] | None = None,
+    every: int | None = 1,
+    t_eval: ArrayLike | None = None,
+    save: Any = None,
+    progress: bool | None = None,
+    on_failure: Literal["raise", "return"] = "raise",
+) -> Trajectory | Sampled | Saved:
+    """Integrate to a wanted error, with a scheme and a step that are chosen for it.
+
+    The choice is that of :func:`symsimpson.choose`, which takes some seconds. It is kept on disk:
+    the same call makes no choice again. For many runs of a system, choose once and take the
+    stepper.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+    q0, v0, p0, t_end, error, on, parameters, schemes
+        As for :func:`symsimpson.choose`. ``error`` is measured by short runs, not bounded.
+    every, t_eval, save, progress, on_failure
+        As for :meth:`Stepper.integrate`.
+
+    Returns
+    -------
+    Trajectory, or a Sampled or Saved
+        Its ``message`` says what was chosen, and why.
+
+    Raises
+    ------
+    InputError
+        If the input makes no sense, or no scheme reaches the error.
+    ConvergenceError, Interrupted
+        As :meth:`Stepper.integrate`.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.integrate(ss.systems.pendulum(), [1.0], v0=[0.0], t_end=20.0, error=1e-8)
+    >>> run.success, " with h = " in run.message
+    (True, True)
+    """
+    named = {getattr(key, "name", str(key)): value for key, value in (parameters or {}).items()}
+    question = {
+        "q0": spelled(q0), "v0": spelled(v0), "p0": spelled(p0), "t_end": t_end, "error": error,
+        "on": on, "parameters": sorted((key, repr(value)) for key, value in named.items()),
+        "schemes": None if schemes is None else [repr(scheme) for scheme in schemes],
+    }  # fmt: skip
+    given: dict[str, Any] = {"p0": p0, "parameters": parameters}
+    choice = remembered(
+        system, question,
+        lambda: choose(
+            system, q0, v0, t_end=t_end, error=error, on=on, schemes=schemes, **given
+        ),
+    )  # fmt: skip
+    more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
+    run: Trajectory | Sampled | Saved = choice.stepper.integrate(
+        q0, v0, h=choice.h, t_end=t_end, progress=progress, on_failure=on_failure, **given, **more
+    )
+    return replace(run, message=f"{run.message} {choice.reason}")
+
+
+def spelled(state: Any) -> Any:
+    """Return what tells a state from another."""
+    if isinstance(state, Mapping):
+        return sorted((str(name), repr(value)) for name, value in state.items())
+    return state if state is None else repr(np.asarray(state).tolist())

@@ -1,0 +1,59 @@
+"""Units of quantities, as labels: nothing is converted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from symsimpson.errors import ModelError
+from symsimpson.names import did_you_mean, spelled
+
+__all__ = ["NO_UNITS", "read_units"]
+
+NO_UNITS: Mapping[Any, str] = MappingProxyType({})
+
+
+def read_units(
+    name: str, given: Mapping[Any, Any] | None, coordinates: Iterable[Any], others: Iterable[Any]
+) -> dict[str, str]:
+    """Read units by name, and add those of velocities.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    given : mapping or None
+        Units by names or symbols.
+    coordinates : iterable of functions
+    others : iterable of str or symbols
+        Further quantities that a system has: parameters, inputs, invariants, points.
+
+    Raises
+    ------
+    ModelError
+        If a name is none of these, or a unit is no text.
+    """
+    own = [spelled(q) for q in coordinates]
+    known = [*own, *(f"{x}_{q}" for x in "vp" for q in own), *map(spelled, others), "t", "energy"]
+    found: dict[str, str] = {}
+    for key, unit in dict(given or {}).items():
+        quantity = spelled(key)
+        if quantity not in known:
+            raise ModelError(
+                f"system '{name}': units has {quantity!r}, which it does not have."
+                f"{did_you_mean(quantity, known)}\n"
+                "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
+                "parameters, invariants, points, 't' or 'energy'."
+            )
+        if not isinstance(unit, str):
+            raise ModelError(
+                f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"
+                "Units are labels: units={'x': 'm', 't': 's'}."
+            )
+        found[quantity] = unit
+    if "t" in found:
+        for q in own:
+            if q in found:
+                found.setdefault(f"v_{q}", f"{found[q]}/{found['t']}")
+    return found

@@ -1,0 +1,151 @@
+"""What steppers tell of themselves, and find in runs that are not kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from numpy.typing import ArrayLike
+
+from symsimpson.calling import explaining
+from symsimpson.derivation import Report
+from symsimpson.errors import InputError
+from symsimpson.runtime.derivatives import Differentiating
+from symsimpson.runtime.evaluator import Parameters
+from symsimpson.runtime.runs.spec import read_run
+
+if TYPE_CHECKING:
+    from symsimpson.analysis.certificate import Certificate
+    from symsimpson.runtime.results.events import Events
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Examining"]
+
+
+@explaining()
+class Examining(Differentiating):
+    """The report, the certificate and sections of a stepper."""
+
+    def report(self) -> Report:
+        """Say how long deriving and compiling took, and how long the result is.
+
+        Returns
+        -------
+        Report
+            Seconds for each stage: reading T and V, structure, jet (derivatives at a node), text,
+            compiling or loading the kernels used so far. Also lines of code and operations.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> report = ss.compile(ss.systems.double_pendulum()).report()
+        >>> report.form, report.operations < 35, list(report.seconds)
+        ('unrolled', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
+        """
+        derived, lines = self._module.derivation, len(self.source.splitlines())
+        seconds = {"compilation": float(getattr(self._module.kernels, "seconds", 0.0))}
+        if derived is None:
+            return Report(seconds, lines, None, "")
+        form = "unrolled" if derived.unrolled else "loops"
+        return Report({**derived.seconds, **seconds}, lines, derived.operations, form)
+
+    def poincare(
+        self,
+        expression: Any,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float,
+        t_end: float | None = None,
+        steps: int | None = None,
+        t0: float = 0.0,
+        direction: int = 0,
+        wrap: Any = (),
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Events:
+        """Integrate, and keep only the states in which an expression becomes zero.
+
+        Parameters
+        ----------
+        expression, direction, wrap
+            As for :meth:`Trajectory.events`.
+        q0, v0, p0, h, t_end, steps, t0, parameters, inputs, progress, on_failure
+            As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
+
+        Returns
+        -------
+        Events
+
+        Raises
+        ------
+        InputError, ConvergenceError, Interrupted
+            As :meth:`integrate`; the ``trajectory`` of the last two are the events so far.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.henon_heiles(), scheme="gauss8")
+        >>> section = stepper.poincare("x", [0, 0.1], v0=[0.4, 0], h=0.25, steps=20_000,
+        ...                            direction=1)
+        >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
+        (True, True)
+        """
+        from symsimpson.runtime.runs.section import poincare
+
+        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
+        return poincare(
+            cast("Stepper", self), expression, spec, direction, wrap, progress, on_failure
+        )
+
+    def certify(
+        self,
+        q0: ArrayLike | None = None,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: float | None = None,
+        parameters: Parameters | None = None,
+        inputs: Mapping[Any, float] | None = None,
+    ) -> Certificate:
+        """Verify by measurement that this stepper has the properties of its scheme.
+
+        All are measured in 50 digits on its source, which compiled code is then compared with.
+
+        Parameters
+        ----------
+        q0, v0, p0 : array_like, shape (n,), optional
+            The state to measure at; the system's reference state, or a random one, if left out.
+        h : float, optional
+            The step; found by trial if left out.
+        parameters : mapping, optional
+        inputs : mapping, optional
+            A constant value for each input; 1 by default.
+
+        Returns
+        -------
+        Certificate
+            Prints as a table with a verdict in each row; ``.passed`` is the overall verdict.
+
+        Raises
+        ------
+        InputError
+            If the input makes no sense.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> certificate = ss.compile(ss.systems.pendulum()).certify()
+        >>> certificate.passed, round(certificate["order"].measured, 1)
+        (True, 4.0)
+        """
+        if self._module.tools is None:
+            raise InputError(
+                f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
+                "Certify one that symsimpson.compile or symsimpson.load made."
+            )
+        more: dict[str, Any] = {"h": h, "parameters": parameters, "inputs": inputs}
+        return self._module.tools.certify(self, q0, v0, p0=p0, **more)

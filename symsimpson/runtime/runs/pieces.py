@@ -1,0 +1,98 @@
+"""A long run of which nobody keeps all states: each piece of it is looked at and forgotten."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.runs.arrival import STRIDE
+from symsimpson.runtime.runs.driving import since
+from symsimpson.runtime.runs.integrate import begin_run, look_at_step, new_run, trajectory_of
+from symsimpson.runtime.runs.resolution import sampling_stride
+from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.verdict import looked_at
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.stepper import Stepper
+
+__all__ = ["Taken", "by_pieces"]
+
+#: So many states are held at a time, but no more numbers than that.
+PIECE, MOST_NUMBERS = 8192, 2**23
+#: Times that are so small a part of a step behind the end are that of the end, rounded.
+SLACK = 1e-9
+
+#: Takes from a piece, which begins with the last state of the one before, what is to be kept: rows
+#: of which the first column is the time. It is told how many steps were done before.
+Taken = tuple[Any, ...]
+
+
+def by_pieces(
+    stepper: Stepper, spec: RunSpec, take: Callable[[Trajectory, int], Taken],
+    progress: bool | None,
+) -> tuple[Run, Trajectory, list[Taken]]:  # fmt: skip
+    """Run, and keep what is taken of each piece.
+
+    Returns
+    -------
+    Run, Trajectory, list
+        The run, its last state and how it ended, and what was taken, up to where it went well.
+
+    Raises
+    ------
+    InputError
+        If the run cannot begin.
+    """
+    count, piece = spec.steps, min(PIECE, max(16, MOST_NUMBERS // (2 * stepper.n)))
+    run = new_run(stepper, spec, 1, piece + 1)
+    begin_run(stepper, run, spec)
+    look_at_step(stepper, run, spec)
+    stride = STRIDE if spec.t_end is not None else sampling_stride(stepper, count)
+    found, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.kept))]
+    if not count:
+        found.append(take(_piece(stepper, run, spec), 0))
+    with run.watched(count, progress if spec.t_end is None else bool(progress)):
+        while run.step < count and run.alive:
+            run.advance(min(run.step + piece, count))
+            found.append(take(_piece(stepper, run, spec), run.first))
+            if stride:  # states to look at, behind those of the piece before
+                first = stride - run.first % stride
+                here = slice(first, run.step - run.first + 1, stride)
+                seen.append(tuple(x[here, :, 0].copy() for x in (run.q, run.p, run.kept)))
+            run.forget()
+    # the states are gone, but for the last and those to look at
+    run.every = stride
+    q, p, kept = (np.concatenate(states) for states in zip(*seen, strict=True))
+    stored = q, p, np.zeros(0, dtype=np.int64), kept
+    last = trajectory_of(stepper, run, count, run.status, spec, stored, 0)
+    if run.arrived and last.success:
+        found.append(take(_piece(stepper, run, spec, last), run.step))
+    if stride and run.status is not Status.INTERRUPTED and count:
+        last = looked_at(stepper, run, last, stored)
+        sign, slack = (1 if spec.h > 0 else -1), abs(spec.h) * SLACK
+        found = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in found]
+    return run, last, found
+
+
+def _piece(
+    stepper: Stepper, run: Run, spec: RunSpec, end: Trajectory | None = None
+) -> Trajectory:  # fmt: skip
+    """Return the states that a run has stored, or the last one and the end."""
+    kept = run.step - run.first + 1
+    tau = np.arange(run.first, run.step + 1) * run.h
+    t = run.kept[:kept, 0, 0] if run.header.retimed else run.t0 + tau
+    columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
+    if end is not None:
+        ends = end.t, end.tau, end.q, end.p
+        columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
+    t, tau, q, p = columns
+    return Trajectory(
+        t=t, q=q, p=p, newton_iterations=run.iterations[:kept, 0], h=run.h, steps=len(t) - 1,
+        every=1, status=Status.SUCCESS, message="", _stepper=stepper, _values=run.parameters,
+        _inputs=since(spec.inputs, run.first), _tau=tau if run.header.retimed else None,
+    )  # fmt: skip
