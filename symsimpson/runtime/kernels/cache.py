@@ -109,7 +109,9 @@ def _machine() -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
-def compiled(text: str, label: str, use: Callable[[ModuleType, bool], Result]) -> Result:
+def compiled(
+    text: str, label: str, use: Callable[[ModuleType, bool], Result], file: str | None = None
+) -> Result:
     """Import a module from its text and compile what is used of it, or load that from disk.
 
     Parameters
@@ -120,6 +122,8 @@ def compiled(text: str, label: str, use: Callable[[ModuleType, bool], Result]) -
         Names what ``use`` takes of it; part of the key.
     use : callable
         Takes the module, and whether numba is to keep on disk what it compiles of it.
+    file : str, optional
+        What the module is, if its code follows from more than that: from all of ``text``.
 
     Returns
     -------
@@ -128,7 +132,7 @@ def compiled(text: str, label: str, use: Callable[[ModuleType, bool], Result]) -
     """
     content = _content(text, label)
     if content not in _results:
-        _results[content] = _load_or_build(text, f"{label}_{content[:32]}", use)
+        _results[content] = _load_or_build(file or text, f"{label}_{content[:32]}", use)
     return _results[content]  # type: ignore[return-value]
 
 

@@ -8,19 +8,25 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numba import cfunc
+from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from symsimpson.definitions import redefined
 from symsimpson.runtime.kernels.cache import compiled, location
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
-from symsimpson.runtime.kernels.vectors import wide
+from symsimpson.runtime.kernels.vectors import vector_bits
+from symsimpson.walk.kernels import stubs, walker_digest, walking
 
-__all__ = ["Kernels"]
+__all__ = ["Kernels", "not_walked"]
+
+#: Kernels that the walker refused in this process, and why: numba compiled them as they stand.
+not_walked: list[str] = []
 
 #: Runs begin with it: compiled beside the kernels of a step, because they share functions.
 _BEGIN = "legendre"
-#: What kernels call has no way in from Python, which takes long to compile.
+#: What kernels call, where numba compiles it: there is no way in from Python.
 _INNER = "compiled = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)"
 #: The library's sine and cosine, which have a value for any angle.
 _ANY_ANGLE = """\
@@ -39,9 +45,8 @@ class Kernels(KernelSets):
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
         super().__init__(header, by_stages=header.by_stages and lanes == 1)
         # values of parameters are no part of what is compiled, nor is the banner above the module
-        changed = redefined(
-            text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": wide(_INNER)}
-        )
+        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
+        self._lanes = lanes
         self._text = changed[changed.index('"""') :]
         self._single: dict[tuple[str, bool], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled
@@ -90,18 +95,30 @@ class Kernels(KernelSets):
         return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
 
     def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
-        def compile_kernels(module: ModuleType, keep: bool) -> tuple[list[Any], list[int]]:
-            from numba import cfunc
+        bits = vector_bits()
+        some = [name for name in names if name]
 
-            kernels: list[Any] = [
-                cfunc(module.SIGNATURE, cache=keep, **module.OPTIONS)(getattr(module, name))
-                for name in names if name
-            ]  # fmt: skip
-            found = iter(kernels)
-            addresses = [next(found).address if name else 0 for name in names]
-            return kernels, list(map(int, addresses))
+        def compile_kernels(module: ModuleType, keep: bool) -> tuple[list[Any], dict[str, int]]:
+            for name in some:
+                setattr(module, f"walk_{name}", walking(text, name, self._lanes, bits))
+            return _compiled(module, some, keep)
+
+        def by_numba(module: ModuleType, keep: bool) -> tuple[list[Any], dict[str, int]]:
+            return _compiled(module, some, keep)
 
         start = time.perf_counter()
-        found = compiled(text, label, compile_kernels)[1]
+        key = f"{walker_digest()}\n{bits}\n{text}"
+        try:
+            found = compiled(key, label, compile_kernels, stubs(text, some))[1]
+        except NumbaError as error:
+            not_walked.append(f"{label}: {str(error)[-400:]}")
+            found = compiled(text, label, by_numba)[1]
         self.seconds += time.perf_counter() - start
-        return found
+        return [found[name] if name else 0 for name in names]
+
+
+def _compiled(module: ModuleType, names: list[str], keep: bool) -> tuple[list[Any], dict[str, int]]:
+    """Return kernels of a module, and their addresses."""
+    options = {**module.OPTIONS, "cache": keep}
+    kernels = [cfunc(module.SIGNATURE, **options)(getattr(module, name)) for name in names]
+    return kernels, {name: int(one.address or 0) for name, one in zip(names, kernels, strict=True)}

@@ -13,34 +13,12 @@ import llvmlite.binding as llvm
 
 from symsimpson.errors import InputError
 
-__all__ = ["VARIABLE", "vector_bits", "wide"]
+__all__ = ["VARIABLE", "vector_bits"]
 
 VARIABLE = "SYMSIMPSON_VECTOR_BITS"
 #: The widths that machines have, by the feature that tells of them.
 _WIDTHS = {"avx512f": 512, "avx": 256}
 _NARROW = 128
-
-#: Kernels find their workspace by this: in passing, it says how wide their vectors are to be.
-_CARRAY = '''\
-from numba.extending import intrinsic
-import numba
-
-
-@intrinsic
-def carray(typing_context, pointer, shape):
-    """Return the workspace as an array."""
-    function = typing_context.resolve_value_type(numba.carray)
-    found = function.get_call_type(typing_context, (pointer, shape), {{}})
-
-    def code(context, builder, signature, arguments):
-        # llvmlite lists the attributes that it knows; this is none of them
-        set.add(builder.function.attributes, '"prefer-vector-width"="{bits}"')
-        no_type = context.get_dummy_value()
-        return context.get_function(function, found)(builder, [*arguments, no_type])
-
-    return found.return_type(pointer, shape), code
-
-'''
 
 
 def vector_bits() -> int:
@@ -67,8 +45,3 @@ def vector_bits() -> int:
 def _widest() -> int:
     features = llvm.get_host_cpu_features()
     return next((bits for name, bits in _WIDTHS.items() if features.get(name)), _NARROW)
-
-
-def wide(definition: str) -> str:
-    """Put what kernels find their workspace by before a definition that stands above them."""
-    return _CARRAY.format(bits=vector_bits()) + definition

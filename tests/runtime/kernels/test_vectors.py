@@ -20,7 +20,7 @@ def iteration(bits, monkeypatch):
     """The assembly of an iteration whose nodes fill one register of 512 bits."""
     monkeypatch.setenv(VARIABLE, bits)
     text = source(ss.systems.double_pendulum(), "gauss16")
-    text = redefined(text, {"compiled": wide("compiled = njit(**OPTIONS)")})
+    text = redefined(text, {"compiled": ("compiled = njit(**OPTIONS)")})
 
     def build(module, keep):
         return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)

@@ -1,0 +1,118 @@
+"""Walked kernels as functions that numba compiles: it gives module, options, machine and cache."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from llvmlite import ir
+
+from symsimpson.errors import GenerationError
+from symsimpson.walk.blocks import Blocks
+from symsimpson.walk.text import Text, read_text
+from symsimpson.walk.values import DOUBLE, Refused
+from symsimpson.walk.walker import Walker
+
+__all__ = ["stubs", "walker_digest", "walking"]
+
+
+@cache
+def walker_digest() -> str:
+    """Return what tells this walker from others, which may make other code of the same text."""
+    files = sorted(resources.files("symsimpson.walk").iterdir(), key=lambda one: one.name)
+    content = b"".join(one.read_bytes() for one in files if one.name.endswith(".py"))
+    return hashlib.sha256(content).hexdigest()
+
+
+_STUB = """
+
+def {name}(h, t, workspace):
+    walk_{name}(h, t, workspace)
+"""
+
+
+def stubs(text: str, names: list[str]) -> str:
+    """Return a text with functions to compile in place of kernels, for the same signature."""
+    lines = [line for line in text.splitlines() if line.startswith(("SIGNATURE =", "OPTIONS ="))]
+    return "\n".join(lines) + "\n" + "".join(_STUB.format(name=name) for name in names)
+
+
+def walking(text: str, name: str, lanes: int, bits: int) -> Any:
+    """Return what a stub calls: its code is that of the kernel, walked when it is compiled.
+
+    Parameters
+    ----------
+    text : str
+        The module.
+    name : str
+        Of the kernel.
+    lanes : int
+    bits : int
+        How wide vectors may be.
+    """
+    from numba import types
+    from numba.extending import intrinsic
+
+    @intrinsic
+    def walked(context: Any, h: Any, t: Any, workspace: Any) -> Any:
+        def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
+            set.add(builder.function.attributes, wide(bits))  # it is inlined there
+            made = function(context, builder.module, read_text(text), name, lanes, bits)
+            builder.call(made, arguments)
+            return context.get_dummy_value()
+
+        pointer: Any = types.CPointer  # which has no types of its own
+        return types.void(types.float64, types.float64, pointer(types.float64)), code
+
+    return walked
+
+
+def function(
+    context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
+) -> ir.Function:
+    """Walk a kernel into a module: lanes as one vector, or one after the other."""
+    if lanes > 1:
+        try:
+            return _walked(context, module, text, name, lanes, bits, vector=True)
+        except Refused:  # lanes that go different ways
+            pass
+    return _walked(context, module, text, name, lanes, bits, vector=False)
+
+
+def wide(bits: int) -> str:
+    """Return what lets vectors be so wide; llvmlite does not know it, so it is added past it."""
+    return f'"prefer-vector-width"="{bits}"'
+
+
+def _walked(
+    context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int, *, vector: bool
+) -> ir.Function:
+    kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
+    made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+    made.linkage = "internal"
+    made.attributes.add("alwaysinline")
+    set.add(made.attributes, wide(bits))
+    builder = ir.IRBuilder(made.append_basic_block("entry"))
+    h, t, workspace = made.args
+
+    def call(one: Any, arguments: list[Any]) -> Any:
+        from numba import types
+
+        signature = types.float64(*[types.float64] * len(arguments))
+        kind = context.typing_context.resolve_value_type(one)
+        found = kind.get_call_type(context.typing_context, signature.args, {})
+        return context.get_function(kind, found)(builder, arguments)
+
+    walker = Walker(text, Blocks(builder, workspace, lanes), call)
+    try:
+        walker.kernel(name, h, t, lanes, vector=vector)
+    except Refused:
+        module.globals.pop(made.name)
+        raise
+    except GenerationError:
+        module.globals.pop(made.name)
+        raise
+    builder.ret_void()
+    return made

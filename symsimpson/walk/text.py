@@ -1,0 +1,61 @@
+"""The text of a module as the walker takes it: functions to walk, and constants."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from symsimpson.definitions import syntax
+
+__all__ = ["ARGUMENTS", "Text", "read_text"]
+
+#: What each kernel takes.
+ARGUMENTS = ["h", "t", "workspace"]
+#: What stands for a compiler in a text.
+_COMPILER = ("numba", "numba.extending")
+
+
+@dataclass(frozen=True)
+class Text:
+    """Functions and constants of a module.
+
+    Attributes
+    ----------
+    functions : mapping from str to ast.FunctionDef
+        Kernels, and what they call.
+    constants : mapping from str to number, tuple or ndarray
+        Everything else that has a name, functions of ``math`` among it.
+    """
+
+    functions: Mapping[str, ast.FunctionDef]
+    constants: Mapping[str, Any]
+
+
+@lru_cache(maxsize=4)  # kernels of a module are made one after the other
+def read_text(text: str) -> Text:
+    """Read a module; what makes its tables is executed, so that it must be trusted."""
+    functions, others = {}, []
+    for node in syntax(text).body:
+        match node:
+            case ast.FunctionDef(name=name) if _walked(node):
+                functions[name] = node
+            case ast.ImportFrom(module=module) if module in _COMPILER:
+                continue
+            case ast.Import() | ast.Assign(targets=[ast.Name(id="compiled")]):
+                continue
+            case _:
+                others.append(node)
+    constants: dict[str, Any] = {}
+    exec(compile(ast.Module(others, []), "<constants of a module>", "exec"), constants)
+    tables = {k: np.asarray(v) for k, v in constants.items() if isinstance(v, list)}
+    return Text(functions, constants | tables)
+
+
+def _walked(node: ast.FunctionDef) -> bool:
+    marks = [mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)]
+    return "compiled" in marks or [one.arg for one in node.args.args] == ARGUMENTS

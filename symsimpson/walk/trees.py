@@ -1,0 +1,180 @@
+"""Questions about syntax trees: what they assign, how long they are, whether loops are vectors."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from symsimpson.walk.text import Text
+
+__all__ = ["assigned", "reads_rows", "vectors", "weight"]
+
+#: How often a loop of unknown length is taken to turn.
+TURNS = 4
+
+
+def assigned(body: Iterable[ast.stmt]) -> frozenset[str]:
+    """Return the names that statements give a value."""
+    return frozenset(name for statement in body for name in _assigned(statement))
+
+
+@lru_cache(maxsize=4096)
+def _assigned(statement: ast.stmt) -> frozenset[str]:
+    stored = (
+        node.id for node in ast.walk(statement)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    )  # fmt: skip
+    return frozenset(stored)
+
+
+@lru_cache(maxsize=65536)
+def reads_rows(node: ast.expr) -> bool:
+    """Return whether an expression reads at places that may not be there."""
+    return any(isinstance(part, ast.Subscript) for part in ast.walk(node))
+
+
+@lru_cache(maxsize=16384)
+def _weight(node: ast.AST) -> tuple[int, tuple[str, ...]]:
+    """Return the operations of a statement without calls, and the functions that it calls."""
+    own, calls = 0, []
+    for child in _parts(node):
+        match child:
+            case ast.For(iter=ast.Call(args=[ast.Constant(value=int(count))]), body=body):
+                turns = count
+            case ast.For(body=body):
+                turns = TURNS
+            case ast.BinOp() | ast.Compare() | ast.IfExp() | ast.Subscript():
+                own += 1
+                continue
+            case ast.Call(func=ast.Name(id=name)):
+                calls.append(name)
+                continue
+            case _:
+                continue
+        for statement in body:
+            inner, called = _weight(statement)
+            own += turns * inner
+            calls += turns * list(called)
+    return own, tuple(calls)
+
+
+def _parts(node: ast.AST) -> Iterator[ast.AST]:
+    """Walk a tree, but not into loops below it."""
+    yield node
+    if isinstance(node, ast.For):
+        return
+    for child in ast.iter_child_nodes(node):
+        yield from _parts(child)
+
+
+def weight(node: ast.AST, text: Text) -> int:
+    """Return about how many operations a statement has, in the functions that it calls too."""
+    own, calls = _weight(node)
+    functions = (text.functions[name] for name in calls if name in text.functions)
+    return own + sum(weight(statement, text) for f in functions for statement in f.body)
+
+
+def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[str, int]) -> bool:
+    """Return whether the turns of a loop may be done at once, with vectors.
+
+    They may where statements only compute, read and write; where each row that has the number of
+    the turn in it has it as a last summand; and where no row that one turn writes is another's.
+    """
+    set_here: set[str] = set()
+    written: list[tuple[int, int]] = []
+    read: list[tuple[int, int]] = []
+
+    def rows(place: ast.expr, into: list[tuple[int, int]]) -> bool:
+        base = _base(place, name)
+        free = base is place
+        if free and _names(place) & {name}:
+            return False
+        first = 0 if base is None else _number(base, text, known)
+        if first is None:
+            return False
+        into.append((first, first + 1) if free else (first + turns.start, first + turns.stop))
+        return True
+
+    def fine(expression: ast.AST) -> bool:
+        match expression:
+            case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
+                return rows(row, read)
+            case ast.Subscript():
+                return not _names(expression) & {name}
+            case ast.Name(id=used):
+                return used != name and (used in set_here or used not in inside)
+            case ast.Call(func=ast.Name(id=called), args=arguments):
+                function = text.functions.get(called)
+                if function is not None and not _straight(function):
+                    return False
+                return all(fine(one) for one in arguments)
+        return all(fine(child) for child in ast.iter_child_nodes(expression))
+
+    inside = assigned(node.body)
+    for statement in node.body:
+        match statement:
+            case ast.Assign(targets=[target], value=value) if fine(value):
+                targets = target.elts if isinstance(target, ast.Tuple) else [target]
+            case ast.AugAssign(target=ast.Subscript() as target, value=value) if fine(value):
+                if not fine(target):
+                    return False
+                targets = [target]
+            case _:
+                return False
+        for one in targets:
+            match one:
+                case ast.Name(id=new):
+                    set_here.add(new)
+                case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
+                    if _base(row, name) is row or not rows(row, written):
+                        return False
+                case _:
+                    return False
+    return bool(written) and all(
+        own == other or own[1] <= other[0] or other[1] <= own[0]
+        for own in written for other in [*written, *read]
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=256)
+def _straight(function: ast.FunctionDef) -> bool:
+    """Return whether a function only computes with numbers."""
+    allowed = (ast.Assign, ast.Return, ast.Expr)
+    plain = all(isinstance(statement, allowed) for statement in function.body)
+    return plain and not any(
+        isinstance(node, ast.Subscript) or (isinstance(node, ast.Name) and node.id == "W")
+        for node in ast.walk(function)
+    )
+
+
+def _base(place: ast.expr, name: str) -> ast.expr | None:
+    """Return a row without a last summand of this name: the row itself if it has none, or None."""
+    match place:
+        case ast.Name(id=own) if own == name:
+            return None
+        case ast.BinOp(left=left, op=ast.Add(), right=ast.Name(id=own)) if own == name:
+            return left
+    return place
+
+
+@lru_cache(maxsize=65536)
+def _names(node: ast.AST) -> frozenset[str]:
+    return frozenset(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
+
+
+def _number(node: ast.expr, text: Text, known: Mapping[str, int]) -> int | None:
+    """Return the value of a row that is known; None if it is not."""
+    match node:
+        case ast.Constant(value=int(value)):
+            return value
+        case ast.Name(id=name):
+            found: Any = known.get(name, text.constants.get(name))
+            return found if isinstance(found, int) else None
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() as op, right=right):
+            a, b = _number(left, text, known), _number(right, text, known)
+            if a is None or b is None:
+                return None
+            return a + b if isinstance(op, ast.Add) else a - b if isinstance(op, ast.Sub) else a * b
+    return None

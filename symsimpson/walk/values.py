@@ -1,0 +1,280 @@
+"""Values that become instructions of LLVM: numbers, and vectors of them.
+
+A number that is known while a text is walked stays a number of Python. It becomes a constant only
+where it meets one that is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+
+__all__ = ["BIT", "DOUBLE", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
+
+DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+#: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are.
+FLAGS = ("contract", "nsz")
+KNOWN = (bool, int, float, np.integer, np.floating)
+
+
+class Refused(Exception):
+    """A construct that no kernel of a generated module has."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """A whole number that counts the lanes of a vector, from ``first`` on."""
+
+    first: Any
+
+
+def known(value: Any) -> bool:
+    """Return whether a value is a number of Python."""
+    return isinstance(value, KNOWN)
+
+
+class Values:
+    """Makes instructions; numbers that are known are computed at once.
+
+    Parameters
+    ----------
+    builder : llvmlite.ir.IRBuilder
+    """
+
+    def __init__(self, builder: ir.IRBuilder) -> None:
+        self.builder = builder
+
+    # -- kinds of values
+
+    def real(self, value: Any) -> Any:
+        """Return a value as a double, or a vector of doubles."""
+        if known(value):
+            return ir.Constant(DOUBLE, float(value))
+        if isinstance(value, Along):
+            raise Refused("the number of a lane as a real number")
+        if value.type == INT:
+            return self.builder.sitofp(value, DOUBLE)
+        return value
+
+    def whole(self, value: Any) -> Any:
+        """Return a value as a whole number of 64 bits."""
+        if known(value):
+            return ir.Constant(INT, int(value))
+        if isinstance(value, Along) or value.type != INT:
+            raise Refused("a real number as a row or a count")
+        return value
+
+    def bit(self, value: Any) -> Any:
+        """Return a value as true or false."""
+        return ir.Constant(BIT, int(bool(value))) if known(value) else value
+
+    def alike(self, *values: Any) -> list[Any]:
+        """Return values of one type: vectors if one is a vector, doubles if one is a double."""
+        kinds = {value.type for value in values if not known(value)}
+        width = next((kind.count for kind in kinds if isinstance(kind, ir.VectorType)), 0)
+        elements = {kind.element if isinstance(kind, ir.VectorType) else kind for kind in kinds}
+        if BIT in elements:
+            made = [self.bit(value) for value in values]
+        elif elements == {INT} and not any(isinstance(value, float) for value in values):
+            made = [self.whole(value) for value in values]
+        else:
+            made = [self.real(value) for value in values]
+        return [self.spread(value, width) for value in made] if width else made
+
+    def spread(self, value: Any, width: int) -> Any:
+        """Return a vector that has a number in all lanes."""
+        if isinstance(value.type, ir.VectorType):
+            return value
+        kind = ir.VectorType(value.type, width)
+        if isinstance(value, ir.Constant):
+            return ir.Constant(kind, [value] * width)
+        nothing, number = ir.Constant(kind, ir.Undefined), ir.IntType(32)
+        first = self.builder.insert_element(nothing, value, number(0))
+        zeros = ir.Constant(ir.VectorType(number, width), [number(0)] * width)
+        return self.builder.shuffle_vector(first, nothing, zeros)
+
+    # -- arithmetic
+
+    def add(self, a: Any, b: Any) -> Any:
+        """A + b."""
+        if isinstance(a, Along) or isinstance(b, Along):
+            return self._along(a, b, self.add)
+        if known(a) and known(b):
+            return a + b
+        for one, other in ((a, b), (b, a)):
+            if known(one) and one == 0 and not self._turns(one, other):
+                return other
+        return self._two("add", "fadd", a, b)
+
+    def subtract(self, a: Any, b: Any) -> Any:
+        """A - b."""
+        if known(a) and known(b):
+            return a - b
+        if isinstance(a, Along) and not isinstance(b, Along):
+            return Along(self.subtract(a.first, b))
+        if known(b) and b == 0 and not self._turns(b, a):
+            return a
+        if known(a) and a == 0 and not self._turns(a, b):
+            return self.negative(b)
+        return self._two("sub", "fsub", a, b)
+
+    def multiply(self, a: Any, b: Any) -> Any:
+        """A b; nothing is left of a factor 1, and zero of a factor 0."""
+        if known(a) and known(b):
+            return a * b
+        for one, other in ((a, b), (b, a)):
+            if known(one) and not self._turns(one, other):
+                if one == 1:
+                    return other
+                if one == -1 and self._is_real(other):
+                    return self.negative(other)
+                if one == 0:
+                    return one
+        return self._two("mul", "fmul", a, b)
+
+    def divide(self, a: Any, b: Any) -> Any:
+        """a/b."""
+        if known(a) and known(b):
+            return a / b
+        if known(b) and b == 1 and self._is_real(a):
+            return a
+        a, b = self.alike(self.real(a), self.real(b))
+        return self.builder.fdiv(a, b, flags=FLAGS)
+
+    def power(self, a: Any, b: Any) -> Any:
+        """a^b for a whole b, by squares."""
+        if known(a) and known(b):
+            return a**b
+        if not isinstance(b, (int, np.integer)):
+            raise Refused("a power that is no whole number")
+        if b < 0:
+            return self.divide(1.0, self.power(a, -b))
+        result, square, rest = None, a, int(b)
+        while rest:
+            if rest & 1:
+                result = square if result is None else self.multiply(result, square)
+            rest >>= 1
+            if rest:
+                square = self.multiply(square, square)
+        return 1.0 if result is None else result
+
+    def negative(self, a: Any) -> Any:
+        """-a."""
+        if known(a):
+            return -a
+        if not self._is_real(a):
+            return self.builder.neg(a)
+        return self.builder.fneg(a, flags=FLAGS)
+
+    def compare(self, sign: str, a: Any, b: Any) -> Any:
+        """A < b and the like; of NaN all but != are false."""
+        if known(a) and known(b):
+            return {"<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b, "==": a == b, "!=": a != b}[
+                sign
+            ]
+        a, b = self.alike(a, b)
+        if not self._is_real(a):
+            return self.builder.icmp_signed(sign, a, b)
+        made = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
+        return made(sign, a, b, flags=FLAGS)
+
+    def both(self, a: Any, b: Any) -> Any:
+        """Both of two truths."""
+        return self._logic(a, b, settles=False)
+
+    def either(self, a: Any, b: Any) -> Any:
+        """One of two truths, or both."""
+        return self._logic(a, b, settles=True)
+
+    def no(self, a: Any) -> Any:
+        """The opposite of a truth."""
+        return (not a) if known(a) else self.builder.not_(a)
+
+    def choose(self, truth: Any, a: Any, b: Any) -> Any:
+        """A where something is true, else b."""
+        if known(truth):
+            return a if truth else b
+        if known(a) and known(b) and a == b and str(a) == str(b):
+            return a
+        if known(a) and known(b):  # numbers of Python have no type yet
+            a = self.whole(a) if isinstance(a, int) and isinstance(b, int) else self.real(a)
+        a, b = self.alike(a, b)
+        if isinstance(truth.type, ir.VectorType):
+            a, b = (self.spread(x, truth.type.count) for x in (a, b))
+        return self.builder.select(truth, a, b)
+
+    def absolute(self, a: Any) -> Any:
+        """|a|."""
+        if known(a):
+            return abs(a)
+        if a.type == INT:
+            return self.choose(self.compare("<", a, 0), self.negative(a), a)
+        return self._intrinsic("fabs", a)
+
+    def root(self, a: Any) -> Any:
+        """The square root of a."""
+        return self._intrinsic("sqrt", self.real(a))
+
+    def cut(self, a: Any) -> Any:
+        """The whole number of a real one."""
+        if known(a):
+            return int(a)
+        if isinstance(a.type, ir.VectorType):
+            raise Refused("counts that differ from lane to lane")
+        return a if a.type == INT else self.builder.fptosi(a, INT)
+
+    def element(self, a: Any, lane: int) -> Any:
+        """The number in a lane."""
+        return self.builder.extract_element(a, ir.IntType(32)(lane))
+
+    def joined(self, numbers: list[Any]) -> Any:
+        """Numbers as a vector."""
+        vector = ir.Constant(ir.VectorType(numbers[0].type, len(numbers)), ir.Undefined)
+        for lane, number in enumerate(numbers):
+            vector = self.builder.insert_element(vector, number, ir.IntType(32)(lane))
+        return vector
+
+    # -- inside
+
+    def _along(self, a: Any, b: Any, operation: Any) -> Along:
+        if isinstance(b, Along):
+            a, b = b, a
+        if isinstance(b, Along):
+            raise Refused("a row of twice the number of a lane")
+        return Along(operation(a.first, b))
+
+    def _turns(self, one: Any, other: Any) -> bool:
+        """Return whether a known number would make a whole number a real one."""
+        return isinstance(one, float) and not isinstance(other, Along) and not self._is_real(other)
+
+    @staticmethod
+    def _is_real(value: Any) -> bool:
+        if known(value):
+            return isinstance(value, float)
+        kind = value.type
+        return (kind.element if isinstance(kind, ir.VectorType) else kind) == DOUBLE
+
+    def _two(self, of_whole: str, of_real: str, a: Any, b: Any) -> Any:
+        a, b = self.alike(a, b)
+        if self._is_real(a):
+            return getattr(self.builder, of_real)(a, b, flags=FLAGS)
+        return getattr(self.builder, of_whole)(a, b, flags=("nsw",))
+
+    def _logic(self, a: Any, b: Any, *, settles: bool) -> Any:
+        for one, other in ((a, b), (b, a)):
+            if known(one):
+                return one if bool(one) is settles else other
+        a, b = self.alike(a, b)
+        return (self.builder.or_ if settles else self.builder.and_)(a, b)
+
+    def _intrinsic(self, name: str, a: Any) -> Any:
+        vector = isinstance(a.type, ir.VectorType)
+        full = f"llvm.{name}.{f'v{a.type.count}' if vector else ''}f64"
+        module = self.builder.module
+        made = module.globals.get(full)
+        if made is None:
+            made = ir.Function(module, ir.FunctionType(a.type, [a.type]), full)
+        return self.builder.call(made, [a], fastmath=FLAGS)
