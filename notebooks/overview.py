@@ -24,7 +24,7 @@ def main() -> None:
     x = 0.25 * (np.sin(path["q1"]) + np.sin(path["q2"]))
     height = -0.25 * (np.cos(path["q1"]) + np.cos(path["q2"]))
     left.plot(x, height, lw=0.5)
-    left.set(aspect="equal", xlabel="x / m", ylabel="y / m", title="double pendulum, the lower bob")
+    left.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title="double pendulum, the lower bob")
 
     simpson = ss.compile(pendulum, "simpson")
     long = simpson.integrate([0.8, 1.0], p0=p0, h=0.02, t_end=2000.0, every=10)
@@ -32,7 +32,7 @@ def main() -> None:
     H = simpson.energy(y[:, :2], y[:, 2:4])
     middle.semilogy(long.t[1:], np.abs((H - H[0]) / H[0])[1:], color="C1", label="RK4")
     middle.semilogy(long.t[1:], np.abs(long.energy_error)[1:], color="C0", lw=0.6, label="Simpson")
-    middle.set(xlabel="t / s", ylabel="relative energy error", title="equal steps, 2000 s")
+    middle.set(xlabel="t [s]", ylabel="relative energy error", title="equal steps, 2000 s")
     middle.legend(loc="center", bbox_to_anchor=(0.55, 0.68), ncols=2)
 
     three = ss.systems.pythagorean()
