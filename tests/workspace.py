@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import mpmath as mp
 import numpy as np
 import pytest
+from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
+from symsimpson.runtime.kernels.vectors import vector_bits
+from symsimpson.walk.kernels import stubs, walking
 
 TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
           "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
@@ -72,3 +77,14 @@ def take_step(module, W, h, iterations=8, newton=None):
 def state(module, W, lane=0):
     n = module.DIMENSION
     return [*W[block(module, "POSITION", n), lane], *W[block(module, "MOMENTUM", n), lane]]
+
+
+def walked(text, names, lanes=1, bits=None):
+    """Kernels of a text as they are compiled for runs, by name."""
+    module = ModuleType("walked")
+    exec(stubs(text, list(names)), vars(module))
+    for name in names:
+        setattr(module, f"walk_{name}", walking(text, name, lanes, bits or vector_bits()))
+    return {
+        name: cfunc(module.SIGNATURE, **module.OPTIONS)(getattr(module, name)) for name in names
+    }

@@ -1,16 +1,18 @@
-"""Loops, branches, variables, tables and the workspace in LLVM."""
+"""Loops, branches, variables and tables in LLVM."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 
-from symsimpson.walk.values import BIT, DOUBLE, INT, Along, Refused, Values, known
+from symsimpson.walk.arrays import BYTE, Array, Arrays
+from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, Along, Refused, known
 
-__all__ = ["Blocks", "Slot"]
+__all__ = ["Blocks", "Loop", "Slot"]
 
 
 class Slot:
@@ -20,57 +22,20 @@ class Slot:
         self.place = place
 
 
-class Blocks(Values):
-    """Values with control flow, tables, and the workspace.
+@dataclass(frozen=True)
+class Loop:
+    """Blocks that a loop goes on with, and that stand behind it."""
 
-    Parameters
-    ----------
-    builder : llvmlite.ir.IRBuilder
-    workspace : llvmlite value
-        A pointer to doubles.
-    lanes : int
-        Numbers in a row of the workspace.
-    """
+    following: Any
+    after: Any
 
-    def __init__(self, builder: ir.IRBuilder, workspace: Any, lanes: int) -> None:
-        super().__init__(builder)
-        self._workspace, self.lanes = workspace, lanes
+
+class Blocks(Arrays):
+    """Values with control flow, variables and tables."""
+
+    def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:
+        super().__init__(builder, flags)
         self._tables: dict[int, tuple[Any, Any]] = {}
-
-    # -- the workspace
-
-    def load(self, place: tuple[Any, Any], width: int) -> Any:
-        """Return what stands in a row, as a vector where the place counts its lanes."""
-        number, along = self._place(*place)
-        pointer = self._pointer(number, width if along else 0)
-        found = self.builder.load(pointer)
-        found.align = 8
-        return found
-
-    def store(self, place: tuple[Any, Any], value: Any, width: int) -> None:
-        """Put a value into a row."""
-        number, along = self._place(*place)
-        value = self.real(value)
-        if along:
-            value = self.spread(value, width)
-        elif isinstance(value.type, ir.VectorType):
-            raise Refused("numbers of all lanes in one place")
-        self.builder.store(value, self._pointer(number, width if along else 0)).align = 8
-
-    def _place(self, row: Any, lane: Any) -> tuple[Any, bool]:
-        if isinstance(row, Along):
-            if self.lanes != 1:
-                raise Refused("rows as lanes of a vector, where they have lanes of their own")
-            return row.first, True
-        if isinstance(lane, Along):
-            return self.add(self.multiply(row, self.lanes), lane.first), True
-        return self.add(self.multiply(row, self.lanes), lane), False
-
-    def _pointer(self, place: Any, width: int) -> Any:
-        pointer = self.builder.gep(self._workspace, [self.whole(place)], inbounds=True)
-        if width:
-            return self.builder.bitcast(pointer, ir.VectorType(DOUBLE, width).as_pointer())
-        return pointer
 
     # -- tables
 
@@ -169,9 +134,14 @@ class Blocks(Values):
             builder.position_at_end(block)
             found.append(way())
             ends.append(builder.block)
+        if isinstance(found[0], Array):  # a part of an array is computed without reading it
+            for end in ends:
+                builder.position_at_end(end)
+                builder.branch(blocks[2])
+            builder.position_at_end(blocks[2])
+            return self._joined(found, ends)
         if all(known(x) for x in found):
-            same = all(isinstance(x, int) for x in found)
-            found = [self.whole(x) if same else self.real(x) for x in found]
+            found = [self.typed(x, y) for x, y in zip(found, found[::-1], strict=True)]
         kinds = {x.type for x in found if not known(x)}
         for k, end in enumerate(ends):
             builder.position_at_end(end)
@@ -186,12 +156,29 @@ class Blocks(Values):
             result.add_incoming(value, end)
         return result
 
-    def loop(self, ends: tuple[Any, Any, int], body: Callable[[Any], None]) -> None:
-        """Walk a body that stays a loop."""
+    def _joined(self, arrays: list[Array], ends: list[Any]) -> Array:
+        """Return the array of the way that was taken."""
+
+        def join(parts: list[Any]) -> Any:
+            if all(known(x) and x == parts[0] for x in parts):
+                return parts[0]
+            values = [self.whole(x) if known(x) else x for x in parts]
+            result = self.builder.phi(values[0].type)
+            for value, end in zip(values, ends, strict=True):
+                result.add_incoming(value, end)
+            return result
+
+        shape, strides = (
+            tuple(join(list(x)) for x in zip(*parts, strict=True))
+            for parts in ([a.shape for a in arrays], [a.strides for a in arrays])
+        )
+        return Array(join([a.pointer for a in arrays]), shape, strides)
+
+    def loop(self, ends: tuple[Any, Any, int], body: Callable[[Any, Loop], bool]) -> None:
+        """Walk a body that stays a loop; it is told where to go on and where to break."""
         builder, (first, end, step) = self.builder, ends
         first, end, certain = self.whole(first), self.whole(end), known(first) and known(end)
-        inside = builder.append_basic_block("loop")
-        after = builder.append_basic_block("after")
+        inside, following, after = map(builder.append_basic_block, ("loop", "next", "after"))
         sign = "<" if step > 0 else ">"
         before = builder.block
         if certain:
@@ -201,12 +188,85 @@ class Blocks(Values):
         builder.position_at_end(inside)
         number = builder.phi(INT)
         number.add_incoming(first, before)
-        body(number)
-        following = builder.add(number, INT(step), flags=("nsw",))
-        number.add_incoming(following, builder.block)
-        builder.cbranch(builder.icmp_signed(sign, following, end), inside, after)
+        if not body(number, Loop(following, after)):
+            builder.branch(following)
+        builder.position_at_end(following)
+        later = builder.add(number, INT(step), flags=("nsw",))
+        number.add_incoming(later, following)
+        builder.cbranch(builder.icmp_signed(sign, later, end), inside, after)
         builder.position_at_end(after)
 
-    def exit_block(self) -> Any:
-        """Return a block to which a function leaves."""
-        return self.builder.append_basic_block("left")
+    def repeat(self, truth: Callable[[], Any], body: Callable[[Loop], bool]) -> None:
+        """Walk a body while something is true."""
+        builder = self.builder
+        test, inside, after = map(builder.append_basic_block, ("while", "loop", "after"))
+        builder.branch(test)
+        builder.position_at_end(test)
+        builder.cbranch(self.bit(truth()), inside, after)
+        builder.position_at_end(inside)
+        if not body(Loop(test, after)):
+            builder.branch(test)
+        builder.position_at_end(after)
+
+    def call_at(self, address: Any, arguments: list[Any]) -> None:
+        """Call a kernel by its address."""
+        kind = ir.FunctionType(ir.VoidType(), [one.type for one in arguments])
+        self.builder.call(self.builder.inttoptr(address, kind.as_pointer()), arguments)
+
+    def new_block(self, name: str) -> Any:
+        """Return a block that is not entered yet."""
+        return self.builder.append_basic_block(name)
+
+    # -- memory
+
+    def room(self, kind: Any, shape: list[Any], value: Any, freed: list[Any]) -> Array:
+        """Return an array of a function's own, all of one value unless that is None.
+
+        What is to be freed when the function is left goes to a list, as a place of its address.
+        """
+        builder, module = self.builder, self.builder.module
+        size: Any = 1
+        for one in shape:
+            size = self.multiply(size, one)
+        raw = BYTE.as_pointer()
+        kinds = {"malloc": ir.FunctionType(raw, [INT]),
+                 "free": ir.FunctionType(ir.VoidType(), [raw])}  # fmt: skip
+        known_as = {name: module.globals.get(name) or ir.Function(module, made, name)
+                    for name, made in kinds.items()}  # fmt: skip
+        with builder.goto_entry_block():
+            place = builder.alloca(raw)
+            builder.store(ir.Constant(raw, None), place)
+        if not freed:
+            freed.append(known_as["free"])
+        freed.append(place)
+        least = self.multiply(self._largest(size), 8)  # a size of 0 has an address, too
+        made = builder.call(known_as["malloc"], [self.whole(least)])
+        # an array that is made again in a loop takes the place of the one before
+        builder.call(known_as["free"], [builder.load(place)])
+        builder.store(made, place)
+        strides: list[Any] = [1]
+        for one in reversed(shape[1:]):
+            strides.insert(0, self.multiply(strides[0], one))
+        array = Array(builder.bitcast(made, kind.as_pointer()), tuple(shape), tuple(strides))
+        if value is not None:
+            flat = Array(array.pointer, (size,), (1,))
+            self.each(size, lambda k: self.store(flat, [k], value, 0))
+        return array
+
+    def each(self, count: Any, act: Callable[[Any], None]) -> None:
+        """Do something for each number below a count."""
+
+        def body(number: Any, loop: Loop) -> bool:
+            act(number)
+            return False
+
+        if not (known(count) and count == 0):
+            self.loop((0, count, 1), body)
+
+    def release(self, freed: list[Any]) -> None:
+        """Free what a function had."""
+        for place in freed[1:]:
+            self.builder.call(freed[0], [self.builder.load(place)])
+
+    def _largest(self, size: Any) -> Any:
+        return max(size, 1) if known(size) else self.add(size, 1)

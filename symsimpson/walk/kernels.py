@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -10,12 +11,13 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.errors import GenerationError
-from symsimpson.walk.blocks import Blocks
+from symsimpson.walk.arrays import Array
+from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text, read_text
 from symsimpson.walk.values import DOUBLE, Refused
 from symsimpson.walk.walker import Walker
 
-__all__ = ["stubs", "walker_digest", "walking"]
+__all__ = ["library", "stubs", "walker_digest", "walking", "wide"]
 
 
 @cache
@@ -81,6 +83,19 @@ def function(
     return _walked(context, module, text, name, lanes, bits, vector=False)
 
 
+def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
+    """Return what calls functions of ``math`` as numba does."""
+    from numba import types
+
+    def call(builder: ir.IRBuilder, function: Any, arguments: list[Any]) -> Any:
+        kind = context.typing_context.resolve_value_type(function)
+        numbers = [types.float64] * len(arguments)
+        found = kind.get_call_type(context.typing_context, numbers, {})
+        return context.get_function(kind, found)(builder, arguments)
+
+    return call
+
+
 def wide(bits: int) -> str:
     """Return what lets vectors be so wide; llvmlite does not know it, so it is added past it."""
     return f'"prefer-vector-width"="{bits}"'
@@ -97,17 +112,10 @@ def _walked(
     builder = ir.IRBuilder(made.append_basic_block("entry"))
     h, t, workspace = made.args
 
-    def call(one: Any, arguments: list[Any]) -> Any:
-        from numba import types
-
-        signature = types.float64(*[types.float64] * len(arguments))
-        kind = context.typing_context.resolve_value_type(one)
-        found = kind.get_call_type(context.typing_context, signature.args, {})
-        return context.get_function(kind, found)(builder, arguments)
-
-    walker = Walker(text, Blocks(builder, workspace, lanes), call)
+    rows = Array(workspace, (None, lanes), (lanes, 1))
+    walker = Walker(text, Calls(builder), library(context))
     try:
-        walker.kernel(name, h, t, lanes, vector=vector)
+        walker.kernel(name, h, t, rows, vector=vector)
     except Refused:
         module.globals.pop(made.name)
         raise

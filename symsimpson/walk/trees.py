@@ -9,7 +9,7 @@ from typing import Any
 
 from symsimpson.walk.text import Text
 
-__all__ = ["assigned", "reads_rows", "vectors", "weight"]
+__all__ = ["assigned", "leaves", "reads_rows", "vectors", "weight"]
 
 #: How often a loop of unknown length is taken to turn.
 TURNS = 4
@@ -29,10 +29,17 @@ def _assigned(statement: ast.stmt) -> frozenset[str]:
     return frozenset(stored)
 
 
+@lru_cache(maxsize=4096)
+def leaves(node: ast.For) -> bool:
+    """Return whether turns of a loop may end early."""
+    return any(isinstance(part, (ast.Break, ast.Continue)) for part in ast.walk(node))
+
+
 @lru_cache(maxsize=65536)
 def reads_rows(node: ast.expr) -> bool:
-    """Return whether an expression reads at places that may not be there."""
-    return any(isinstance(part, ast.Subscript) for part in ast.walk(node))
+    """Return whether an expression reads where nothing may be, or divides whole numbers."""
+    risky = (ast.Subscript, ast.FloorDiv, ast.Mod)
+    return any(isinstance(part, risky) for part in ast.walk(node))
 
 
 @lru_cache(maxsize=16384)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-__all__ = ["BIT", "DOUBLE", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
+__all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are.
@@ -44,8 +44,8 @@ class Values:
     builder : llvmlite.ir.IRBuilder
     """
 
-    def __init__(self, builder: ir.IRBuilder) -> None:
-        self.builder = builder
+    def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:
+        self.builder, self._flags = builder, flags
 
     # -- kinds of values
 
@@ -57,12 +57,16 @@ class Values:
             raise Refused("the number of a lane as a real number")
         if value.type == INT:
             return self.builder.sitofp(value, DOUBLE)
+        if value.type == BIT:
+            return self.builder.uitofp(value, DOUBLE)
         return value
 
     def whole(self, value: Any) -> Any:
         """Return a value as a whole number of 64 bits."""
         if known(value):
             return ir.Constant(INT, int(value))
+        if not isinstance(value, Along) and value.type == BIT:
+            return self.builder.zext(value, INT)
         if isinstance(value, Along) or value.type != INT:
             raise Refused("a real number as a row or a count")
         return value
@@ -71,14 +75,21 @@ class Values:
         """Return a value as true or false."""
         return ir.Constant(BIT, int(bool(value))) if known(value) else value
 
+    def typed(self, a: Any, beside: Any) -> Any:
+        """Return a known number as a value of the type that both of two have."""
+        if isinstance(a, bool) and isinstance(beside, bool):
+            return self.bit(a)
+        both = isinstance(a, int) and isinstance(beside, int)
+        return self.whole(a) if both else self.real(a)
+
     def alike(self, *values: Any) -> list[Any]:
         """Return values of one type: vectors if one is a vector, doubles if one is a double."""
         kinds = {value.type for value in values if not known(value)}
         width = next((kind.count for kind in kinds if isinstance(kind, ir.VectorType)), 0)
         elements = {kind.element if isinstance(kind, ir.VectorType) else kind for kind in kinds}
-        if BIT in elements:
+        if elements == {BIT} and all(isinstance(x, bool) for x in values if known(x)):
             made = [self.bit(value) for value in values]
-        elif elements == {INT} and not any(isinstance(value, float) for value in values):
+        elif elements <= {INT, BIT} and not any(isinstance(value, float) for value in values):
             made = [self.whole(value) for value in values]
         else:
             made = [self.real(value) for value in values]
@@ -106,7 +117,7 @@ class Values:
             return a + b
         for one, other in ((a, b), (b, a)):
             if known(one) and one == 0 and not self._turns(one, other):
-                return other
+                return self._number(other)
         return self._two("add", "fadd", a, b)
 
     def subtract(self, a: Any, b: Any) -> Any:
@@ -116,7 +127,7 @@ class Values:
         if isinstance(a, Along) and not isinstance(b, Along):
             return Along(self.subtract(a.first, b))
         if known(b) and b == 0 and not self._turns(b, a):
-            return a
+            return self._number(a)
         if known(a) and a == 0 and not self._turns(a, b):
             return self.negative(b)
         return self._two("sub", "fsub", a, b)
@@ -128,7 +139,7 @@ class Values:
         for one, other in ((a, b), (b, a)):
             if known(one) and not self._turns(one, other):
                 if one == 1:
-                    return other
+                    return self._number(other)
                 if one == -1 and self._is_real(other):
                     return self.negative(other)
                 if one == 0:
@@ -142,7 +153,35 @@ class Values:
         if known(b) and b == 1 and self._is_real(a):
             return a
         a, b = self.alike(self.real(a), self.real(b))
-        return self.builder.fdiv(a, b, flags=FLAGS)
+        return self.builder.fdiv(a, b, flags=self._flags)
+
+    def quotient(self, a: Any, b: Any) -> Any:
+        """The whole number below a/b, of whole numbers."""
+        if known(a) and known(b):
+            return a // b
+        a, b = self.whole(a), self.whole(b)
+        found = self.builder.sdiv(a, b)
+        return self.subtract(found, self._below(a, b))
+
+    def rest(self, a: Any, b: Any) -> Any:
+        """What a number leaves when divided by another, of the sign of that."""
+        if known(a) and known(b):
+            return a % b
+        if self._is_real(a) or self._is_real(b):
+            a, b = self.alike(a, b)
+            left = self.builder.frem(a, b, flags=self._flags)
+            other = self.builder.xor(self.compare("<", left, 0.0), self.compare("<", b, 0.0))
+            wrong = self.builder.and_(other, self.compare("!=", left, 0.0))
+            return self.choose(wrong, self.add(left, b), left)
+        a, b = self.whole(a), self.whole(b)
+        found = self.builder.srem(a, b)
+        return self.add(found, self.choose(self._below(a, b), b, 0))
+
+    def _below(self, a: Any, b: Any) -> Any:
+        """Return whether a division that cuts gives more than one that goes down."""
+        left = self.builder.srem(a, b)
+        apart = self.builder.icmp_signed("<", self.builder.xor(left, b), INT(0))
+        return self.builder.and_(apart, self.builder.icmp_signed("!=", left, INT(0)))
 
     def power(self, a: Any, b: Any) -> Any:
         """a^b for a whole b, by squares."""
@@ -167,7 +206,7 @@ class Values:
             return -a
         if not self._is_real(a):
             return self.builder.neg(a)
-        return self.builder.fneg(a, flags=FLAGS)
+        return self.builder.fneg(a, flags=self._flags)
 
     def compare(self, sign: str, a: Any, b: Any) -> Any:
         """A < b and the like; of NaN all but != are false."""
@@ -179,7 +218,7 @@ class Values:
         if not self._is_real(a):
             return self.builder.icmp_signed(sign, a, b)
         made = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
-        return made(sign, a, b, flags=FLAGS)
+        return made(sign, a, b, flags=self._flags)
 
     def both(self, a: Any, b: Any) -> Any:
         """Both of two truths."""
@@ -200,7 +239,7 @@ class Values:
         if known(a) and known(b) and a == b and str(a) == str(b):
             return a
         if known(a) and known(b):  # numbers of Python have no type yet
-            a = self.whole(a) if isinstance(a, int) and isinstance(b, int) else self.real(a)
+            a = self.typed(a, b)
         a, b = self.alike(a, b)
         if isinstance(truth.type, ir.VectorType):
             a, b = (self.spread(x, truth.type.count) for x in (a, b))
@@ -246,6 +285,10 @@ class Values:
             raise Refused("a row of twice the number of a lane")
         return Along(operation(a.first, b))
 
+    def _number(self, value: Any) -> Any:
+        """Return a value, a truth as 0 or 1."""
+        return self.whole(value) if getattr(value, "type", None) == BIT else value
+
     def _turns(self, one: Any, other: Any) -> bool:
         """Return whether a known number would make a whole number a real one."""
         return isinstance(one, float) and not isinstance(other, Along) and not self._is_real(other)
@@ -259,8 +302,10 @@ class Values:
 
     def _two(self, of_whole: str, of_real: str, a: Any, b: Any) -> Any:
         a, b = self.alike(a, b)
+        if a.type == BIT:
+            a, b = self.whole(a), self.whole(b)
         if self._is_real(a):
-            return getattr(self.builder, of_real)(a, b, flags=FLAGS)
+            return getattr(self.builder, of_real)(a, b, flags=self._flags)
         return getattr(self.builder, of_whole)(a, b, flags=("nsw",))
 
     def _logic(self, a: Any, b: Any, *, settles: bool) -> Any:
@@ -277,4 +322,4 @@ class Values:
         made = module.globals.get(full)
         if made is None:
             made = ir.Function(module, ir.FunctionType(a.type, [a.type]), full)
-        return self.builder.call(made, [a], fastmath=FLAGS)
+        return self.builder.call(made, [a], fastmath=self._flags)

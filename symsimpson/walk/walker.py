@@ -9,14 +9,19 @@ not depend on each other, is walked once, with vectors.
 from __future__ import annotations
 
 import ast
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from symsimpson.errors import GenerationError
-from symsimpson.walk.blocks import Blocks, Slot
+from symsimpson.walk.arrays import BYTE, Array, Range
+from symsimpson.walk.blocks import Loop, Slot
+from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text
-from symsimpson.walk.trees import assigned, reads_rows, vectors, weight
-from symsimpson.walk.values import KNOWN, Along, Refused, known
+from symsimpson.walk.trees import assigned, leaves, reads_rows, vectors, weight
+from symsimpson.walk.values import DOUBLE, INT, KNOWN, Along, Refused, known
 
 __all__ = ["Walker"]
 
@@ -26,35 +31,48 @@ FEW = 400
 WIDTHS = (4, 8, 16)
 
 Env = dict[str, Any]
+#: Numbers of arrays that a function makes for itself.
+KINDS = {"np.float64": DOUBLE, "np.int64": INT, "np.bool_": BYTE}
 COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
 class Frame:
-    """A function that is being walked: where it is left to, and how deep in branches it is."""
+    """A function that is being walked: where it is left to, with what, and its loops."""
 
     def __init__(self) -> None:
         self.exit: Any = None
         self.depth = 0
         self.result: Any = None
+        self.slots: Any = None
+        self.loops: list[Loop] = []
+        self.freed: list[Any] = []
 
 
 class Walker:
-    """Walks kernels of a text.
+    """Walks functions of a text.
 
     Parameters
     ----------
     text : Text
-    values : Blocks
+    values : Calls
     call : callable
-        Calls a function of ``math`` with one value that is no vector.
+        Makes a call, with a builder, of a function of ``math`` with values that are no vectors.
+    few : int
+        Loops of fewer operations in all are no loops.
+    apart : frozenset of str
+        Functions that stay functions, where they are called with the same kinds of values.
     """
 
-    def __init__(self, text: Text, values: Blocks, call: Callable[[Any, list[Any]], Any]) -> None:
-        self._text, self._values, self._call = text, values, call
+    def __init__(
+        self, text: Text, values: Calls, call: Callable[[Any, Any, list[Any]], Any], few: int = FEW,
+        apart: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self._text, self._values, self._call, self._few = text, values, call, few
+        self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
         self._frames: list[Frame] = []
 
-    def kernel(self, name: str, h: Any, t: Any, lanes: int, *, vector: bool) -> None:
+    def kernel(self, name: str, h: Any, t: Any, workspace: Array, *, vector: bool) -> None:
         """Walk a kernel for all lanes, as one vector if that is wanted.
 
         Raises
@@ -64,22 +82,31 @@ class Walker:
         Refused
             If lanes cannot be one vector.
         """
-        env: Env = {"h": h, "t": t, "workspace": None, "LANES": lanes}
+        lanes = workspace.shape[1]
+        env: Env = {"h": h, "t": t, "LANES": lanes}
+        self._frames.append(Frame())
         for statement in self._text.functions[name].body:
             match statement:
                 case ast.Assign(targets=[ast.Name(id="W")]):
-                    env["W"] = None
+                    env["W"] = workspace
                 case ast.For(target=ast.Name(id="lane")) if vector:
                     self._width = lanes
                     env["lane"] = Along(0)
-                    self._frames.append(Frame())
                     self._block(statement.body, env)
-                    self._frames.pop()
                     self._width = 0
                 case _:
-                    self._frames.append(Frame())
                     self._statement(statement, env)
-                    self._frames.pop()
+        self._frames.pop()
+
+    def function(self, name: str, arguments: list[Any]) -> Any:
+        """Walk a function, and return its result.
+
+        Raises
+        ------
+        GenerationError
+            If the text has something that is not known, with the line.
+        """
+        return self._inside(self._text.functions[name], arguments)
 
     # -- statements
 
@@ -116,6 +143,13 @@ class Walker:
                 return self._if(self._value(test, env), body, other, env)
             case ast.For():
                 self._for(node, env)
+            case ast.While(test=test, body=body, orelse=[]):
+                self._while(test, body, env)
+            case ast.Break() | ast.Continue():
+                loop = self._frames[-1].loops[-1]
+                broken = isinstance(node, ast.Break)
+                self._values.builder.branch(loop.after if broken else loop.following)
+                return True
             case ast.Return(value=value):
                 return self._leave(None if value is None else self._value(value, env))
             case _:
@@ -123,36 +157,60 @@ class Walker:
         return False
 
     def _leave(self, result: Any) -> bool:
-        frame = self._frames[-1]
-        if not frame.depth:
+        """Leave a function, from a branch or a loop by way of a block and variables."""
+        frame, values = self._frames[-1], self._values
+        if not frame.depth and frame.exit is None:
             frame.result = result
-        elif result is not None:
-            raise Refused("a result in a branch")
-        else:
-            frame.exit = frame.exit or self._values.exit_block()
-            self._values.builder.branch(frame.exit)
+            return True
+        if result is not None:
+            results = result if isinstance(result, list) else [result]
+            if frame.slots is None:
+                frame.slots = [values.slot(one, self._width) for one in results]
+                frame.result = frame.slots if isinstance(result, list) else frame.slots[0]
+            for slot, one in zip(frame.slots, results, strict=True):
+                values.write(slot, one)
+        frame.exit = frame.exit or values.new_block("left")
+        values.builder.branch(frame.exit)
         return True
 
     def _assign(self, target: ast.expr, value: Any, env: Env) -> None:
         self._put(target, self._places(target, env), value, env)
 
     def _places(self, target: ast.expr, env: Env) -> Any:
-        """Return row and lane of a place in the workspace; None for a name."""
+        """Return an array and places in it; None for a name."""
         match target:
             case ast.Name():
                 return None
-            case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, lane])):
-                return self._value(row, env), self._value(lane, env)
+            case ast.Subscript(value=value, slice=ast.Tuple(elts=places)):
+                return self._value(value, env), [self._place(x, env) for x in places]
+            case ast.Subscript(value=value, slice=place):
+                return self._value(value, env), [self._place(place, env)]
         raise Refused("an assignment to something else")
 
+    def _place(self, node: ast.expr, env: Env) -> Any:
+        match node:
+            case ast.Slice(lower=lower, upper=upper, step=None):
+                first = 0 if lower is None else self._value(lower, env)
+                return Range(first, None if upper is None else self._value(upper, env))
+        return self._value(node, env)
+
+    def _read(self, place: Any) -> Any:
+        """Return what stands in an array, a table or a list."""
+        source, places = place
+        if isinstance(source, Array):
+            return self._values.load(source, places, self._width)
+        if isinstance(source, list):
+            return source[places[0]]
+        return self._values.entry(source, places)
+
     def _at(self, target: Any, place: Any, env: Env) -> Any:
-        if place is None:
-            return self._named(target.id, env)
-        return self._values.load(place, self._width)
+        return self._named(target.id, env) if place is None else self._read(place)
 
     def _put(self, target: Any, place: Any, value: Any, env: Env) -> None:
         if place is not None:
-            self._values.store(place, value, self._width)
+            if not isinstance(place[0], Array):
+                raise Refused("an assignment into something else")
+            self._values.store(place[0], place[1], value, self._width)
         elif isinstance(env.get(target.id), Slot):
             self._values.write(env[target.id], value)
         else:
@@ -206,36 +264,52 @@ class Walker:
         first, end, step = ([0, *ends, 1] if len(ends) == 1 else [*ends, 1])[:3]
         if known(first) and known(end):
             turns = range(first, end, step)
+            if not turns:
+                return
             if step == 1 and self._as_vector(node, name, turns, env):
                 return
-            if len(turns) <= 1 or len(turns) * self._weight(node.body, env) <= FEW:
+            few = len(turns) == 1 or len(turns) * self._weight(node.body, env) <= self._few
+            if few and not leaves(node):
                 for number in turns:
                     env[name] = number
-                    self._block(node.body, env)
+                    if self._block(node.body, env):
+                        raise Refused("a loop that is left")
                 return
         self._keep(node, name, (first, end, step), env)
 
     def _keep(self, node: ast.For, name: str, ends: Any, env: Env) -> None:
         """Walk a loop that stays one."""
-        inside = assigned(node.body) - {name}
-        self._let_change(inside, env)
+        self._let_change(assigned(node.body) - {name}, env)
         own = dict(env)
 
-        def body(number: Any) -> None:
-            turn = dict(own)
-            turn[name] = number
-            if self._block(node.body, turn):
-                raise Refused("a loop that is left")
+        def body(number: Any, loop: Loop) -> bool:
+            return self._turn(node.body, own | {name: number}, loop)
 
+        self._values.loop(ends, body)
+        env.pop(name, None)
+
+    def _while(self, test: ast.expr, statements: Any, env: Env) -> None:
+        self._let_change(assigned(statements), env)
+        own = dict(env)
+
+        def body(loop: Loop) -> bool:
+            return self._turn(statements, dict(own), loop)
+
+        self._values.repeat(lambda: self._value(test, dict(own)), body)
+
+    def _turn(self, statements: Any, env: Env, loop: Loop) -> bool:
+        """Walk one turn of a loop; returns whether it ends elsewhere."""
         frame = self._frames[-1]
         frame.depth += 1
-        self._values.loop(ends, body)
+        frame.loops.append(loop)
+        left = self._block(statements, env)
+        frame.loops.pop()
         frame.depth -= 1
-        env.pop(name, None)
+        return left
 
     def _as_vector(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
         """Walk a loop with vectors, if its turns go along neighbouring rows and are independent."""
-        if self._width or self._values.lanes != 1 or len(turns) not in WIDTHS:
+        if self._width or len(turns) not in WIDTHS or not self._single(env):
             return False
         constants = {key: value for key, value in env.items() if isinstance(value, int)}
         if not vectors(node, name, turns, self._text, constants):
@@ -247,6 +321,12 @@ class Walker:
         finally:
             self._width = 0
         return True
+
+    @staticmethod
+    def _single(env: Env) -> bool:
+        """Return whether rows of the workspace stand beside each other."""
+        workspace = env.get("W")
+        return isinstance(workspace, Array) and workspace.strides == (1, 1)
 
     def _weight(self, body: Any, env: Env) -> int:
         return sum(weight(statement, self._text) for statement in body)
@@ -275,12 +355,19 @@ class Walker:
                 return values.negative(self._value(operand, env))
             case ast.UnaryOp(op=ast.Not(), operand=operand):
                 return values.no(self._value(operand, env))
-            case ast.Subscript(value=ast.Name(id="W")):
-                return values.load(self._places(node, env), self._width)
-            case ast.Subscript(value=ast.Name(id=name), slice=ast.Tuple(elts=places)):
-                return values.entry(self._named(name, env), [self._value(x, env) for x in places])
-            case ast.Subscript(value=ast.Name(id=name), slice=place):
-                return values.entry(self._named(name, env), [self._value(place, env)])
+            case ast.Subscript():
+                return self._read(self._places(node, env))
+            case ast.Attribute(value=ast.Name(id="np"), attr=name):
+                return getattr(np, name)
+            case ast.Attribute(value=value, attr="shape"):
+                return list(self._array(value, env).shape)
+            case ast.Attribute(value=value, attr="size"):
+                return self._array(value, env).size
+            case ast.Compare(left=left, ops=[ast.In()], comparators=[ast.Tuple(elts=parts)]):
+                a, found = self._value(left, env), False
+                for part in parts:
+                    found = values.either(found, values.compare("==", a, self._value(part, env)))
+                return found
             case ast.Compare(left=left, ops=[op], comparators=[right]):
                 a, b = self._value(left, env), self._value(right, env)
                 return values.compare(COMPARED[type(op)], a, b)
@@ -291,7 +378,13 @@ class Walker:
             case ast.Tuple(elts=parts):
                 return [self._value(part, env) for part in parts]
             case ast.Call(func=ast.Name(id=name), args=arguments):
-                return self._called(name, [self._value(x, env) for x in arguments], env)
+                return self._called(name, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=arguments):
+                kind = next((ast.unparse(word.value) for word in node.keywords), "np.float64")
+                return self._numpy(name, kind, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=value, attr=name), args=arguments):
+                given = [self._value(x, env) for x in arguments]
+                return self._method(self._array(value, env), name, given)
         raise Refused(f"an expression of type {type(node).__name__}")
 
     def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
@@ -311,10 +404,10 @@ class Walker:
                 return values.both(a, b)
             case ast.BitOr():
                 return values.either(a, b)
-            case ast.FloorDiv() if known(a) and known(b):
-                return a // b
-            case ast.Mod() if known(a) and known(b):
-                return a % b
+            case ast.FloorDiv():
+                return values.quotient(a, b)
+            case ast.Mod():
+                return values.rest(a, b)
         raise Refused(f"an operation of type {type(op).__name__}")
 
     def _truths(self, parts: list[ast.expr], env: Env, *, settles: bool) -> Any:
@@ -355,10 +448,11 @@ class Walker:
 
     # -- calls
 
-    def _called(self, name: str, arguments: list[Any], env: Env) -> Any:
+    def _called(self, name: str, arguments: list[Any]) -> Any:
         values = self._values
         if name in self._text.functions:
-            return self._inside(self._text.functions[name], arguments)
+            walk = self._outside if name in self._apart else self._inside
+            return walk(self._text.functions[name], arguments)
         match name, arguments:
             case (("real" | "float"), [value]):
                 return float(value) if isinstance(value, (str, *KNOWN)) else values.real(value)
@@ -369,8 +463,13 @@ class Walker:
             case (("min" | "max"), _):
                 return self._extreme("<" if name == "min" else ">", arguments)
             case "len", [table]:
-                return len(table)
+                return table.size if isinstance(table, Array) else len(table)
+            case "call", [address, h, t, Array(pointer=workspace)]:
+                return values.call_at(address, [values.real(h), values.real(t), workspace])
         function = self._text.constants.get(name)
+        original = getattr(getattr(function, "py_func", None), "__name__", None)
+        if original in self._text.functions:  # another name of a function
+            return self._called(str(original), arguments)
         if function is None or not callable(function):
             raise Refused(f"a call of {name}")
         if all(known(x) for x in arguments):
@@ -378,12 +477,51 @@ class Walker:
         if name == "sqrt":
             return values.root(arguments[0])
         if not self._width:
-            return self._call(function, [values.real(x) for x in arguments])
+            return self._call(self._values.builder, function, [values.real(x) for x in arguments])
         spread = [values.spread(values.real(x), self._width) for x in arguments]
         return values.joined([
-            self._call(function, [values.element(x, lane) for x in spread])
+            self._call(self._values.builder, function, [values.element(x, lane) for x in spread])
             for lane in range(self._width)
         ])  # fmt: skip
+
+    def _array(self, node: ast.expr, env: Env) -> Array:
+        found = self._value(node, env)
+        if not isinstance(found, Array):
+            raise Refused("something else where an array is wanted")
+        return found
+
+    def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
+        """Call a function of numpy."""
+        values = self._values
+        match name, arguments:
+            case (("zeros" | "empty" | "full"), [shape, *rest]):
+                sizes = shape if isinstance(shape, list) else [shape]
+                value = rest[0] if rest else None if name == "empty" else 0
+                return values.room(KINDS[kind], sizes, value, self._frames[-1].freed)
+            case "sqrt", [value]:
+                return values.root(value)
+            case "isnan", [value]:
+                return values.compare("!=", value, value)
+            case "log", [value]:
+                return self._call(self._values.builder, math.log, [values.real(value)])
+            case "int64", [value]:
+                return values.cut(value)
+        raise Refused(f"a call of np.{name}")
+
+    def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
+        """Call a method of an array of one axis."""
+        values = self._values
+        match name, arguments:
+            case "copy", []:
+                freed = self._frames[-1].freed
+                made = values.room(array.pointer.type.pointee, [array.size], None, freed)
+                values.each(
+                    array.size, lambda k: values.store(made, [k], values.load(array, [k], 0), 0)
+                )
+                return made
+            case "reshape", [1, -1]:
+                return Array(array.pointer, (1, array.size), (array.size, *array.strides))
+        raise Refused(f"a call of .{name}")
 
     def _extreme(self, sign: str, arguments: list[Any]) -> Any:
         found = arguments[0]
@@ -391,16 +529,30 @@ class Walker:
             found = self._values.choose(self._values.compare(sign, value, found), value, found)
         return found
 
+    def _outside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
+        """Walk a function by itself, once for each kind of its arguments, and call it."""
+        values = self._values
+        key, given = values.packed(function.name, arguments)
+        if key not in self._made:
+            self._made[key] = values.apart(
+                function.name, given, lambda own: self._inside(function, values.unpacked(key, own))
+            )
+        made, results = self._made[key]
+        return values.call_apart(made, given, results)
+
     def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
         """Walk a function where it is called."""
         env = dict(zip([one.arg for one in function.args.args], arguments, strict=True))
-        frame = Frame()
+        frame, values = Frame(), self._values
         self._frames.append(frame)
         left = self._block(function.body, env)
         self._frames.pop()
         if frame.exit is not None:
-            builder = self._values.builder
+            builder = values.builder
             if not (left and builder.block.is_terminated):
                 builder.branch(frame.exit)
             builder.position_at_end(frame.exit)
-        return frame.result
+        values.release(frame.freed)
+        if isinstance(frame.result, list):
+            return [values.read(x) if isinstance(x, Slot) else x for x in frame.result]
+        return values.read(frame.result) if isinstance(frame.result, Slot) else frame.result

@@ -26,11 +26,13 @@ def choices(monkeypatch, tmp_path):
 
 def test_a_choice_is_made_once_for_the_same_question(choices, tmp_path):
     run = ss.integrate(PENDULUM, [1.0], **ASKED)
-    assert run.success and len(choices) == 1
+    assert run.success
+    assert len(choices) == 1
     assert "simpson with h = " in run.message
     again = ss.integrate(PENDULUM, np.array([1.0]), **ASKED, t_eval=[1.0, 2.0])
     assert len(choices) == 1
-    assert again.message == run.message and again.h == run.h
+    assert again.message == run.message
+    assert again.h == run.h
     exact = ss.compile(PENDULUM, "gauss16").integrate([1.0], v0=[0.0], h=0.05, t_end=5.0)
     assert abs(run.q[-1] - exact.q[-1]).max() < 1e-6
 
@@ -58,4 +60,5 @@ def test_files_are_not_trusted(choices, tmp_path):
 def test_a_folder_that_cannot_be_written_keeps_nothing(choices, tmp_path):
     (tmp_path / "choices").write_text("a file")
     ss.integrate(PENDULUM, [1.0], **ASKED)
-    assert ss.integrate(PENDULUM, [1.0], **ASKED).success and len(choices) == 2
+    assert ss.integrate(PENDULUM, [1.0], **ASKED).success
+    assert len(choices) == 2

@@ -5,25 +5,19 @@ import re
 import mpmath
 import numpy as np
 import pytest
-from numba import cfunc
-from workspace import new_workspace, sweep
+from workspace import new_workspace, sweep, walked
 
 import symsimpson as ss
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
 from symsimpson.interface import NEWTON
 from symsimpson.runtime.driver.compiled import driver
-from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.runs.driving import NO_INPUTS
 
 
 def kernels(text, lanes):
-    def build(module, keep):
-        made = {k: cfunc(module.SIGNATURE, **module.OPTIONS)(getattr(module, k))
-                for k in ("prepare", "start", "newton", "advance")}  # fmt: skip
-        return module, made
-
-    return compiled(text.replace("LANES = 1\n", f"LANES = {lanes}\n"), f"lanes{lanes}", build)
+    text = text.replace("LANES = 1\n", f"LANES = {lanes}\n")
+    return bind_float(text), walked(text, ("prepare", "start", "newton", "advance"), lanes)
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
@@ -44,12 +38,8 @@ def test_eight_lanes_are_packed(scheme):
 )  # fmt: skip
 def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     """All loops over nodes, although the last one is short: compilers like to unroll it."""
-
-    def build(module, keep):
-        return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
-
-    iterate = compiled(source(ss.systems.CATALOGUE[name](), scheme), "iterate", build)
-    assembly = iterate._library.get_asm_str()
+    text = source(ss.systems.CATALOGUE[name](), scheme)
+    assembly = walked(text, ["iterate"])["iterate"]._library.get_asm_str()
     packed = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)pd\b", assembly))
     single = len(re.findall(r"\bv?(?:add|mul|sub|div|fn?m(?:add|sub)\w*)sd\b", assembly))
     assert packed > least

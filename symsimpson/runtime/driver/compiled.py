@@ -13,6 +13,8 @@ from symsimpson.ahead import compiles_late
 from symsimpson.definitions import redefined, syntax
 from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.kernels.vectors import vector_bits
+from symsimpson.walk.functions import function_stub, walking_function
+from symsimpson.walk.kernels import walker_digest
 
 __all__ = ["driver", "driver_text"]
 
@@ -67,10 +69,19 @@ def driver(
         from numba import njit
 
         options = {**module.DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
-        return {
-            one: njit(module.SIGNATURES[one], **options)(getattr(module, one).py_func)
-            for one in names
-        }
+        functions = {
+            x.name: x for x in syntax(text).body
+            if isinstance(x, ast.FunctionDef) and ast.unparse(x.decorator_list[0]) != "intrinsic"
+        }  # fmt: skip
+        made = {}
+        for one in names:
+            signature = module.SIGNATURES[one]
+            walk = walking_function(functions, vars(module), one, signature, vector_bits())
+            setattr(module, f"walk_{one}", walk)
+            made[one] = njit(signature, **options)(getattr(module, f"walked_{one}"))
+        return made
 
     text = driver_text(lanes, renewing=renewing, iterated=iterated)
-    return compiled(text, "-".join(["driver", *names]), build)[name]
+    file = text + "".join(function_stub(text, one) for one in names)
+    key = f"{walker_digest()}\n{file}"
+    return compiled(key, "-".join(["driver", *names]), build, file)[name]

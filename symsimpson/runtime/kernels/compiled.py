@@ -13,6 +13,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from symsimpson.definitions import redefined
+from symsimpson.errors import GenerationError
 from symsimpson.runtime.kernels.cache import compiled, location
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
@@ -110,7 +111,7 @@ class Kernels(KernelSets):
         key = f"{walker_digest()}\n{bits}\n{text}"
         try:
             found = compiled(key, label, compile_kernels, stubs(text, some))[1]
-        except NumbaError as error:
+        except (NumbaError, GenerationError) as error:
             not_walked.append(f"{label}: {str(error)[-400:]}")
             found = compiled(text, label, by_numba)[1]
         self.seconds += time.perf_counter() - start

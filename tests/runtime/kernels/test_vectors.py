@@ -5,13 +5,11 @@ import re
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from numba import cfunc
+from workspace import walked
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
-from symsimpson.definitions import redefined
-from symsimpson.runtime.kernels.cache import compiled
-from symsimpson.runtime.kernels.vectors import VARIABLE, vector_bits, wide
+from symsimpson.runtime.kernels.vectors import VARIABLE, vector_bits
 
 WIDE = llvm.get_host_cpu_features().get("avx512f", False)
 
@@ -20,12 +18,7 @@ def iteration(bits, monkeypatch):
     """The assembly of an iteration whose nodes fill one register of 512 bits."""
     monkeypatch.setenv(VARIABLE, bits)
     text = source(ss.systems.double_pendulum(), "gauss16")
-    text = redefined(text, {"compiled": ("compiled = njit(**OPTIONS)")})
-
-    def build(module, keep):
-        return cfunc(module.SIGNATURE, **module.OPTIONS)(module.iterate)
-
-    return compiled(text, "iterate", build)._library.get_asm_str()
+    return walked(text, ["iterate"], bits=int(bits))["iterate"]._library.get_asm_str()
 
 
 @pytest.mark.skipif(not WIDE, reason="this machine has no vectors of 512 bits")

@@ -1,0 +1,100 @@
+"""Functions that stay functions: what they take, and what they give back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+
+from symsimpson.walk.arrays import Array
+from symsimpson.walk.blocks import Blocks
+from symsimpson.walk.values import BIT, DOUBLE, INT, known
+
+__all__ = ["Calls"]
+
+#: Results stand behind each other in so much memory.
+MOST_RESULTS = 8
+
+
+class Calls(Blocks):
+    """Blocks, with functions beside the one that is walked."""
+
+    def packed(self, name: str, arguments: list[Any]) -> tuple[Any, list[Any]]:
+        """Return what a function is made for, and the values to call it with.
+
+        Numbers that are known are part of the function. An array is a pointer, and what is not
+        known of its shape and strides.
+        """
+        kinds: list[Any] = []
+        given: list[Any] = []
+
+        def take(value: Any) -> Any:
+            if known(value):
+                return type(value).__name__, value
+            given.append(value)
+            return str(value.type)
+
+        for one in arguments:
+            if isinstance(one, Array):
+                pointer = take(one.pointer)
+                kinds.append((pointer, *(tuple(map(take, x)) for x in (one.shape, one.strides))))
+            else:
+                kinds.append(take(one))
+        return (name, tuple(kinds)), given
+
+    def unpacked(self, key: Any, own: list[Any]) -> list[Any]:
+        """Return the arguments of a function, made of the values that it was called with."""
+        rest = iter(own)
+
+        def back(kind: Any) -> Any:
+            return kind[1] if isinstance(kind, tuple) else next(rest)
+
+        found = []
+        for kind in key[1]:
+            if isinstance(kind, tuple) and len(kind) == 3:
+                pointer = next(rest)
+                shape, strides = (tuple(map(back, part)) for part in kind[1:])
+                found.append(Array(pointer, shape, strides))
+            else:
+                found.append(back(kind))
+        return found
+
+    def apart(
+        self, name: str, given: list[Any], walk: Callable[[list[Any]], Any]
+    ) -> tuple[Any, Any]:
+        """Walk a function by itself; returns it, and the types of its results."""
+        module, builder = self.builder.module, self.builder
+        kind = ir.FunctionType(ir.VoidType(), [INT.as_pointer(), *(x.type for x in given)])
+        made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+        made.linkage = "internal"
+        for attribute in builder.function.attributes:
+            set.add(made.attributes, attribute)
+        self.builder = ir.IRBuilder(made.append_basic_block("entry"))
+        found = walk(list(made.args[1:]))
+        results = found if isinstance(found, list) else [] if found is None else [found]
+        typed = [self.whole(x) if isinstance(x, int) and not isinstance(x, bool) else
+                 self.bit(x) if isinstance(x, bool) else self.real(x) if known(x) else x
+                 for x in results]  # fmt: skip
+        for k, value in enumerate(typed):
+            self.builder.store(value, self._result(made.args[0], k, value.type))
+        self.builder.ret_void()
+        self.builder = builder
+        types = [value.type for value in typed]
+        return made, types if isinstance(found, list) else types[0] if types else None
+
+    def call_apart(self, function: Any, given: list[Any], results: Any) -> Any:
+        """Call such a function."""
+        with self.builder.goto_entry_block():
+            place = self.builder.alloca(INT, MOST_RESULTS)
+        self.builder.call(function, [place, *given])
+        if results is None:
+            return None
+        if not isinstance(results, list):
+            return self.builder.load(self._result(place, 0, results))
+        return [self.builder.load(self._result(place, k, x)) for k, x in enumerate(results)]
+
+    def _result(self, place: Any, number: int, kind: Any) -> Any:
+        assert kind in (BIT, DOUBLE, INT)
+        pointer = self.builder.gep(place, [INT(number)], inbounds=True)
+        return self.builder.bitcast(pointer, kind.as_pointer())

@@ -1,0 +1,92 @@
+"""Functions of numbers and arrays that are walked, where numba calls them by its own types."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from typing import Any
+
+from llvmlite import ir
+
+from symsimpson.walk.arrays import Array
+from symsimpson.walk.calls import Calls
+from symsimpson.walk.kernels import library, wide
+from symsimpson.walk.text import Text
+from symsimpson.walk.values import INT
+from symsimpson.walk.walker import Walker
+
+#: Loops of fewer operations in all are no loops.
+FEW = 16
+
+__all__ = ["function_stub", "walking_function"]
+
+
+def function_stub(text: str, name: str) -> str:
+    """Return a function that calls what :func:`walking_function` gives, with the same arguments."""
+    (node,) = (x for x in ast.parse(text).body if getattr(x, "name", "") == name)
+    assert isinstance(node, ast.FunctionDef)
+    names = ", ".join(one.arg for one in node.args.args)
+    return f"\n\ndef walked_{name}({names}):\n    return walk_{name}({names})\n"
+
+
+def walking_function(
+    functions: Mapping[str, ast.FunctionDef], constants: Mapping[str, Any], name: str,
+    signature: Any, bits: int,
+) -> Any:  # fmt: skip
+    """Return what a stub calls: its code is that of a function, walked when it is compiled.
+
+    Parameters
+    ----------
+    functions : mapping from str to ast.FunctionDef
+    constants : mapping
+        What they name beside each other.
+    name : str
+    signature : numba signature
+    bits : int
+        How wide vectors may be.
+    """
+    from numba import types
+    from numba.extending import intrinsic
+
+    def code(context: Any, builder: Any, called: Any, arguments: list[Any]) -> Any:
+        # no fused products: times are what Python makes of the same steps
+        values = Calls(builder, ())
+        set.add(builder.function.attributes, wide(bits))
+        text = Text(functions, constants)
+        given = [
+            _array(context, values, kind, one) if isinstance(kind, types.Array) else one
+            for kind, one in zip(called.args, arguments, strict=True)
+        ]
+        found = Walker(text, values, library(context), FEW, apart).function(name, given)
+        if called.return_type == types.void:
+            return context.get_dummy_value()
+        result = called.return_type
+        return values.bit(found) if result == types.boolean else values.whole(found)
+
+    # what is called in each step stands in the loop
+    apart = frozenset(
+        one
+        for one, node in functions.items()
+        if "INLINE" not in ast.unparse(node.decorator_list[0])
+    )
+    count = len(signature.args)
+    names = ", ".join(f"a{k}" for k in range(count))
+    made: dict[str, Any] = {"signature": signature, "code": code}
+    exec(f"def walked(typing_context, {names}): return signature, code", made)
+    return intrinsic(made["walked"])
+
+
+def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:
+    """Return an array of numba's."""
+    builder = values.builder
+    array = context.make_array(kind)(context, builder, value)
+    shape = tuple(builder.extract_value(array.shape, k) for k in range(kind.ndim))
+    if kind.layout == "C":
+        strides: list[Any] = [1]
+        for size in reversed(shape[1:]):
+            strides.insert(0, values.multiply(strides[0], size))
+    else:
+        size = ir.Constant(INT, kind.dtype.bitwidth // 8)
+        strides = [builder.sdiv(builder.extract_value(array.strides, k), size)
+                   for k in range(kind.ndim)]  # fmt: skip
+    return Array(array.data, shape, tuple(strides))
