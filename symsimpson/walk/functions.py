@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 from llvmlite import ir
@@ -18,28 +19,34 @@ from symsimpson.walk.walker import Walker
 #: Loops of fewer operations in all are no loops.
 FEW = 16
 
-__all__ = ["function_stub", "walking_function"]
+__all__ = ["function_stub", "read_functions", "walking_function"]
 
 
-def function_stub(text: str, name: str) -> str:
+def function_stub(name: str, count: int) -> str:
     """Return a function that calls what :func:`walking_function` gives, with the same arguments."""
-    (node,) = (x for x in ast.parse(text).body if getattr(x, "name", "") == name)
-    assert isinstance(node, ast.FunctionDef)
-    names = ", ".join(one.arg for one in node.args.args)
-    return f"\n\ndef walked_{name}({names}):\n    return walk_{name}({names})\n"
+    names = _names(count)
+    return f"def {name}({names}):\n    return walk_{name}({names})\n"
 
 
-def walking_function(
-    functions: Mapping[str, ast.FunctionDef], constants: Mapping[str, Any], name: str,
-    signature: Any, bits: int,
-) -> Any:  # fmt: skip
+@lru_cache(maxsize=4)  # functions of a text are made one after the other
+def read_functions(text: str) -> Text:
+    """Read a text of functions for numba, which is executed for its constants."""
+    functions = {
+        node.name: node for node in ast.parse(text).body
+        if isinstance(node, ast.FunctionDef) and node.decorator_list
+    }  # fmt: skip
+    constants: dict[str, Any] = {}
+    exec(compile(text, "<functions for numba>", "exec"), constants)
+    return Text(functions, constants)
+
+
+def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: int) -> Any:
     """Return what a stub calls: its code is that of a function, walked when it is compiled.
 
     Parameters
     ----------
-    functions : mapping from str to ast.FunctionDef
-    constants : mapping
-        What they name beside each other.
+    text : callable
+        Gives the functions; called when something is compiled.
     name : str
     signature : numba signature
     bits : int
@@ -52,28 +59,33 @@ def walking_function(
         # no fused products: times are what Python makes of the same steps
         values = Calls(builder, ())
         set.add(builder.function.attributes, wide(bits))
-        text = Text(functions, constants)
+        whole = text()
+        # what is called in each step stands in the loop
+        apart = frozenset(
+            k for k, node in whole.functions.items() if "INLINE" not in _options(node)
+        )
         given = [
             _array(context, values, kind, one) if isinstance(kind, types.Array) else one
             for kind, one in zip(called.args, arguments, strict=True)
         ]
-        found = Walker(text, values, library(context), FEW, apart).function(name, given)
+        found = Walker(whole, values, library(context), FEW, apart).function(name, given)
         if called.return_type == types.void:
             return context.get_dummy_value()
         result = called.return_type
         return values.bit(found) if result == types.boolean else values.whole(found)
 
-    # what is called in each step stands in the loop
-    apart = frozenset(
-        one
-        for one, node in functions.items()
-        if "INLINE" not in ast.unparse(node.decorator_list[0])
-    )
-    count = len(signature.args)
-    names = ", ".join(f"a{k}" for k in range(count))
+    names = _names(len(signature.args))
     made: dict[str, Any] = {"signature": signature, "code": code}
     exec(f"def walked(typing_context, {names}): return signature, code", made)
     return intrinsic(made["walked"])
+
+
+def _names(count: int) -> str:
+    return ", ".join(f"a{k}" for k in range(count))
+
+
+def _options(node: ast.FunctionDef) -> str:
+    return ast.unparse(node.decorator_list[0]) if node.decorator_list else ""
 
 
 def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
-from importlib import resources
+from importlib import import_module, resources
 from types import ModuleType
 from typing import Any
 
+from numba import njit
+
 from symsimpson.ahead import compiles_late
 from symsimpson.definitions import redefined, syntax
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
+from symsimpson.runtime.driver.steps import SIGNATURES
 from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.kernels.vectors import vector_bits
-from symsimpson.walk.functions import function_stub, walking_function
+from symsimpson.walk.functions import function_stub, read_functions, walking_function
 from symsimpson.walk.kernels import walker_digest
+from symsimpson.walk.text import Text
 
 __all__ = ["driver", "driver_text"]
 
@@ -32,19 +37,27 @@ TOGETHER = (
 
 
 @cache
+def _files() -> tuple[str, ...]:
+    """Return the files that the driver is made of, the agreement with modules first."""
+    folder = resources.files("symsimpson.runtime.driver")
+    files = [resources.files("symsimpson").joinpath("interface.py")]
+    files += [folder.joinpath(f"{part}.py") for part in PARTS]
+    return tuple(file.read_text("utf-8") for file in files)
+
+
+def _constants(lanes: int, renewing: bool, iterated: bool) -> dict[str, object]:
+    return {"LANES": lanes, "RENEWING": renewing, "ITERATED": iterated}
+
+
+@cache
 def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True) -> str:
     """Return the text of the driver for a number of lanes, behind the agreement with modules.
 
     One that is ``renewing`` makes variations orthonormal on the way; short runs of one that is
     ``iterated`` solve their steps by iteration.
     """
-    folder = resources.files("symsimpson.runtime.driver")
-    files = [resources.files("symsimpson").joinpath("interface.py")]
-    files += [folder.joinpath(f"{part}.py") for part in PARTS]
-    text = "\n\n".join(_without_own_imports(file.read_text("utf-8")) for file in files)
-    constants = {
-        "LANES": lanes, "RENEWING": renewing, "ITERATED": iterated, "VECTOR_BITS": vector_bits(),
-    }  # fmt: skip
+    text = "\n\n".join(map(_without_own_imports, _files()))
+    constants = _constants(lanes, renewing, iterated)
     return redefined(text, {name: f"{name} = {value}" for name, value in constants.items()})
 
 
@@ -64,24 +77,28 @@ def driver(
     """Return a function of the driver for a number of lanes, compiled with what belongs to it."""
     plain = lanes == 1 and iterated and not renewing and not compiles_late()
     names = next((group for group in TOGETHER if plain and name in group), (name,))
+    bits, signatures = vector_bits(), _signatures()
+
+    def text() -> Text:
+        return read_functions(driver_text(lanes, renewing=renewing, iterated=iterated))
 
     def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
-        from numba import njit
-
-        options = {**module.DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
-        functions = {
-            x.name: x for x in syntax(text).body
-            if isinstance(x, ast.FunctionDef) and ast.unparse(x.decorator_list[0]) != "intrinsic"
-        }  # fmt: skip
         made = {}
         for one in names:
-            signature = module.SIGNATURES[one]
-            walk = walking_function(functions, vars(module), one, signature, vector_bits())
+            walk = walking_function(text, one, signatures[one], bits)
             setattr(module, f"walk_{one}", walk)
-            made[one] = njit(signature, **options)(getattr(module, f"walked_{one}"))
+            options: dict[str, Any] = {**DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
+            made[one] = njit(signatures[one], **options)(getattr(module, one))
         return made
 
-    text = driver_text(lanes, renewing=renewing, iterated=iterated)
-    file = text + "".join(function_stub(text, one) for one in names)
-    key = f"{walker_digest()}\n{file}"
-    return compiled(key, "-".join(["driver", *names]), build, file)[name]
+    of = (walker_digest(), bits, _constants(lanes, renewing, iterated), names, *_files())
+    file = "\n\n".join(function_stub(one, len(signatures[one].args)) for one in names)
+    return compiled("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
+
+
+@cache
+def _signatures() -> Mapping[str, Any]:
+    """Return what is called from Python, and with what."""
+    for part in PARTS:  # each adds its own
+        import_module(f"symsimpson.runtime.driver.{part}")
+    return SIGNATURES

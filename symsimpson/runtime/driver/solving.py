@@ -5,9 +5,7 @@ that it hands on would be counted in every step, which costs a twentieth of a sm
 """
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
 from symsimpson.interface import (
     ACTIVE,
@@ -38,8 +36,6 @@ ROUND_OFF = 2.0**-92
 #: By what the ratio of a correction to the square of the one before is raised in each step (it is
 #: kept squared), until it is 1 or seen again: trust fades, so that it is measured anew.
 FADING = 1.05**2
-#: How wide vectors are to be, wherever kernels are called.
-VECTOR_BITS = 128
 #: What is called by compiled code alone has no way in from Python, which takes long to compile.
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
@@ -47,22 +43,9 @@ DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
 INLINE = {"inline": "always", **DRIVER_OPTIONS}
 
 
-@intrinsic
-def call(typing_context, address, h, t, workspace):
-    """Call a kernel ``void(double, double, double*)`` at an address."""
-    signature = types.void(types.int64, types.float64, types.float64, workspace)
-
-    def code(context, builder, signature, arguments):
-        # llvmlite lists the attributes that it knows; this is none of them
-        set.add(builder.function.attributes, f'"prefer-vector-width"="{VECTOR_BITS}"')
-        double = ir.DoubleType()
-        function = ir.FunctionType(ir.VoidType(), [double, double, double.as_pointer()])
-        pointer = builder.inttoptr(arguments[0], function.as_pointer())
-        array = context.make_array(signature.args[3])(context, builder, arguments[3])
-        builder.call(pointer, [arguments[1], arguments[2], array.data])
-        return context.get_dummy_value()
-
-    return signature, code
+def call(address, h, t, workspace):
+    """Call a kernel ``void(double, double, double*)`` at an address; the walker does."""
+    raise NotImplementedError
 
 
 @njit(**DRIVER_OPTIONS)
