@@ -398,8 +398,10 @@ class Walker:
                 return values.multiply(a, b)
             case ast.Div():
                 return values.divide(a, b)
-            case ast.Pow():
+            case ast.Pow() if isinstance(b, int):
                 return values.power(a, b)
+            case ast.Pow():
+                return self._library(math.pow, [a, b])
             case ast.BitAnd():
                 return values.both(a, b)
             case ast.BitOr():
@@ -474,8 +476,11 @@ class Walker:
             raise Refused(f"a call of {name}")
         if all(known(x) for x in arguments):
             return function(*arguments)
-        if name == "sqrt":
-            return values.root(arguments[0])
+        return values.root(arguments[0]) if name == "sqrt" else self._library(function, arguments)
+
+    def _library(self, function: Any, arguments: list[Any]) -> Any:
+        """Call a function of ``math``, lane by lane."""
+        values = self._values
         if not self._width:
             return self._call(self._values.builder, function, [values.real(x) for x in arguments])
         spread = [values.spread(values.real(x), self._width) for x in arguments]
@@ -503,7 +508,7 @@ class Walker:
             case "isnan", [value]:
                 return values.compare("!=", value, value)
             case "log", [value]:
-                return self._call(self._values.builder, math.log, [values.real(value)])
+                return self._library(math.log, [value])
             case "int64", [value]:
                 return values.cut(value)
         raise Refused(f"a call of np.{name}")

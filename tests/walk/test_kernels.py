@@ -1,0 +1,146 @@
+"""Kernels that are walked: the same numbers as Python makes of their text, in every form."""
+
+import ast
+import ctypes
+import math
+import re
+
+import numpy as np
+import pytest
+from numba import cfunc
+from workspace import sweep, walked
+
+import symsimpson as ss
+from symsimpson.binding import MATH, bind, plain_arithmetic
+from symsimpson.codegen.pipeline import derive, source
+from symsimpson.definitions import redefined
+from symsimpson.discrete.reductions import read_exploit
+from symsimpson.runtime.kernels import cache, compiled
+from symsimpson.schemes.named import read_scheme
+from symsimpson.systems import EVERY
+from symsimpson.walk.text import ARGUMENTS, read_text
+from symsimpson.walk.values import Refused
+from symsimpson.walk.walker import Walker
+
+SYSTEMS = ["double_pendulum", *sorted(set(EVERY) - {"double_pendulum"})]
+KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double, ctypes.c_void_p)
+#: Rows behind those of a module, in which variations and records stand.
+ROOM = 20_000
+START = {"q0": [1.0], "v0": [0.0]}
+
+
+def in_floats(text):
+    """A module in Python's floats, with the tests of convergence that its text has."""
+    functions = {name: getattr(math, name) for name in [*MATH, "atan2"]}
+    names = plain_arithmetic(functions, float)
+    own = {node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
+    return bind(text, {k: v for k, v in names.items() if k not in own and k != "FRESH"})
+
+
+def names_of(text):
+    functions = read_text(text).functions
+    return [k for k, f in functions.items() if [a.arg for a in f.args.args] == ARGUMENTS]
+
+
+def workspace(module, lanes):
+    """Numbers for which everything has a value, in all rows."""
+    W = np.random.default_rng(1).uniform(0.2, 1.0, (module.ROWS + ROOM, lanes))
+    given = {"ACTIVE": 1, "COUNT": 1, "STATUS": 0, "TANGENTS": 2, "STAGE_COUNT": 3,
+             "STAGE_EXPECTED": 2, "STAGE_TURNED": 1e9}  # fmt: skip
+    for block, value in given.items():
+        if hasattr(module, block):
+            W[getattr(module, block)] = value
+    if hasattr(module, "EXCHANGE"):
+        W[module.EXCHANGE : module.EXCHANGE + module.UNKNOWNS + 9] = 0
+    return W
+
+
+def compare(text, lanes, made, wanted):
+    """Call each kernel after the one before, and compare all rows."""
+    module = in_floats(text)
+    W = workspace(module, lanes)
+    for name, kernel in made.items():
+        found, right = W.copy(), W.copy()
+        KERNEL(kernel.address)(0.01, 0.3, found.ctypes.data)
+        wanted(name, right)
+        finite = np.isfinite(right)
+        assert (np.isfinite(found) == finite).all(), name
+        apart = np.abs(found - right)[finite] / np.maximum(1.0, np.abs(right[finite]))
+        assert apart.max(initial=0.0) < 1e-10, name
+        if finite.all():
+            W = right
+
+
+def check(text, lanes=1):
+    text = redefined(text, {"LANES": f"LANES = {lanes}"})
+    module = in_floats(text)
+
+    def in_python(name, W):
+        try:
+            getattr(module, name)(0.01, 0.3, W)
+        except (ZeroDivisionError, OverflowError, ValueError):
+            W[:] = np.nan
+
+    made = walked(text, names_of(text), lanes)
+    compare(text, lanes, made, in_python)
+
+
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_numba_makes_the_same_of_the_file_as_it_stands(lanes):
+    text = source(ss.systems.double_pendulum(), "simpson")
+    text = redefined(text, {"LANES": f"LANES = {lanes}"})
+    module = {}
+    exec(text, module)
+    names = names_of(text)
+    plain = {k: cfunc(module["SIGNATURE"], **module["OPTIONS"])(module[k]) for k in names}
+
+    def by_numba(name, W):
+        KERNEL(plain[name].address)(0.01, 0.3, W.ctypes.data)
+
+    compare(text, lanes, walked(text, names, lanes), by_numba)
+
+
+@pytest.mark.parametrize("scheme", sweep(["gauss8", "simpson", "midpoint", "lobatto6", "gauss16"]))
+@pytest.mark.parametrize("system", sweep(SYSTEMS))
+def test_all_systems(system, scheme):
+    check(source(EVERY[system](), scheme))
+
+
+@pytest.mark.parametrize("system", sweep(["double_pendulum", "cartesian_pendulum", "n_pendulum",
+                                          "fermi_pasta_ulam", "four_bar", "water"]))  # fmt: skip
+def test_derivatives_of_steps(system):
+    found = derive(EVERY[system](), read_scheme("simpson"), read_exploit("all"), ())
+    check(found.text)
+
+
+@pytest.mark.parametrize("scheme", sweep(["blanes_moan4", "lobatto2", "radau3", "kahan_li8"]))
+def test_explicit_steps_and_others(scheme):
+    check(source(ss.systems.henon_heiles(), scheme), lanes=8)
+
+
+@pytest.mark.parametrize("system", sweep(["n_pendulum", "hanging_chain", "heavy_top"]))
+def test_lanes(system):
+    check(source(EVERY[system](), "simpson"), lanes=8)
+
+
+@pytest.mark.slow
+def test_retimed_systems():
+    check(source(ss.systems.kepler().retimed("encounters"), "gauss8"))
+
+
+def test_what_is_not_walked_is_compiled_by_numba_and_counted(monkeypatch, tmp_path):
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(cache, "_results", {})
+    monkeypatch.setattr(compiled, "not_walked", [])
+    walked_run = ss.compile(ss.systems.pendulum(), "midpoint").integrate(**START, h=0.1, steps=40)
+    assert compiled.not_walked == []
+
+    def refuse(*_):
+        raise Refused("something new")
+
+    monkeypatch.setattr(cache, "_results", {})
+    monkeypatch.setattr(Walker, "_binary", refuse)
+    monkeypatch.setattr(compiled, "walker_digest", lambda: "another walker")
+    run = ss.compile(ss.systems.pendulum(), "midpoint").integrate(**START, h=0.1, steps=40)
+    assert re.match(r"newton: line \d+: the kernel has something new: ", compiled.not_walked[0])
+    assert np.abs(run.q - walked_run.q).max() < 1e-14

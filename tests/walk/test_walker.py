@@ -1,0 +1,192 @@
+"""The walker on small texts: each construct, and what it refuses."""
+
+import ctypes
+
+import numpy as np
+import pytest
+from numba import njit, types
+from workspace import walked
+
+from symsimpson.errors import GenerationError
+from symsimpson.walk.functions import function_stub, read_functions, walking_function
+
+HEAD = """\
+from math import exp, sqrt
+SIGNATURE = "void(float64, float64, CPointer(float64))"
+OPTIONS = {"fastmath": {"contract", "nsz"}, "error_model": "numpy"}
+real = float
+ROWS = 64
+LANES = 1
+TABLE = (3, 1, 2, 0)
+"""
+
+
+def text_of(body, functions="", lanes=1):
+    lines = "".join(f"        {line}\n" for line in body.strip().splitlines())
+    kernel = (
+        "def kernel(h, t, workspace):\n    W = carray(workspace, (ROWS, LANES))\n"
+        f"    for lane in range(LANES):\n{lines}"
+    )
+    return HEAD.replace("LANES = 1", f"LANES = {lanes}") + functions + kernel
+
+
+def run(body, functions="", lanes=1):
+    """Run a kernel on rows 0, 1, 2, ...; in Python, and walked."""
+    text = text_of(body, functions, lanes)
+    start = np.arange(64.0)[:, None] + np.arange(lanes) / 8
+    names = {"carray": lambda W, shape: W, "compiled": lambda f: f}
+    exec(text, names)
+    wanted, found = start.copy(), start.copy()
+    names["kernel"](0.5, 2.0, wanted)
+    address = walked(text, ["kernel"], lanes)["kernel"].address
+    ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double, ctypes.c_void_p)(address)(
+        0.5, 2.0, found.ctypes.data
+    )
+    return found, wanted
+
+
+LEAVE = """\
+@compiled
+def leave(W, lane):
+    if W[1, lane] > 0.5:
+        W[2, lane] = 7.0
+        return
+    W[2, lane] = 8.0
+    W[3, lane] = 9.0
+"""
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "W[0, lane] = h*W[1, lane] + t - W[2, lane]/W[3, lane]",
+        "W[0, lane] = W[1, lane]**2 + W[2, lane]**3 + W[3, lane]**-2 + W[4, lane]**0",
+        "W[0, lane] = W[1, lane] if W[2, lane] > 1 else -W[3, lane]",
+        "W[0, lane] = min(W[1, lane], W[2, lane], 1.5) + max(abs(-W[3, lane]), 2)",
+        "W[0, lane] = sqrt(W[4, lane]) + exp(-W[1, lane])",
+        "a, b = W[1, lane], 2\nW[0, lane] = a*b\nW[1, lane] += W[0, lane]",
+        "x = real(0)\nfor k in range(1, 4):\n    x += W[TABLE[k], lane]\nW[9, lane] = x",
+        "for k in range(4):\n    if TABLE[k] == 0 or W[1, lane] > 9:\n        W[k, lane] = 5.0",
+        "W[0, lane] = 1.0 if (W[1, lane] > 0) & (not W[2, lane] < 0) | (W[3, lane] == 9) else 0.0",
+    ],
+)
+@pytest.mark.parametrize("lanes", [1, 4])
+def test_statements_and_expressions(body, lanes):
+    found, wanted = run(body, lanes=lanes)
+    np.testing.assert_allclose(found, wanted, rtol=1e-15)
+
+
+def test_loops_that_stay_loops():
+    """With entries of tables, variables and branches inside; ends that are not known."""
+    body = """\
+largest, place = W[0, lane], 0
+for i in range(60):
+    if W[i, lane]*(40 - i) > largest:
+        largest = W[i, lane]*(40 - i)
+        place = i
+for i in range(int(W[3, lane])):
+    for j in range(i, 4):
+        W[10 + j, lane] += W[TABLE[j], lane]*TABLE[i]
+W[0, lane] = largest
+W[1, lane] = place
+"""
+    found, wanted = run(body)
+    assert (found == wanted).all()
+    assert found[1, 0] == 20
+
+
+def test_a_branch_in_which_a_function_is_left():
+    found, wanted = run("leave(W, lane)\nW[5, lane] = W[2, lane]", LEAVE)
+    assert (found == wanted).all()
+    assert found[5, 0] == 7
+
+
+@pytest.mark.parametrize(
+    "body",
+    [  # rows beside each other are vectors, unless one turn needs what another wrote
+        "for k in range(8):\n    W[16 + k, lane] = W[8 + k, lane]*W[1, lane] + W[24 + k, lane]",
+        "for k in range(8):\n    W[16 + k, lane] = W[15 + k, lane] + 1",
+        "for k in range(8):\n    W[16 + k, lane] = W[20, lane] + W[16 + k, lane]",
+        "for k in range(8):\n    W[16 + k, lane] += W[32 + k, lane]",
+        "for k in range(4):\n    W[2*k, lane] = W[8 + k, lane]",
+        "x = 0.0\nfor k in range(8):\n    x = x + W[8 + k, lane]\n    W[16 + k, lane] = x",
+    ],
+)
+def test_turns_that_depend_on_each_other_are_taken_one_by_one(body):
+    found, wanted = run(body)
+    assert (found == wanted).all()
+
+
+def test_lanes_may_go_different_ways():
+    """Then they are walked one after the other."""
+    body = "if W[1, lane] > 1.2:\n    W[0, lane] = exp(-W[1, lane])\nelse:\n    W[2, lane] = 3.0"
+    found, wanted = run(body, lanes=4)
+    np.testing.assert_allclose(found, wanted, rtol=1e-15)
+
+
+def test_what_is_refused_is_named_with_its_line():
+    with pytest.raises(
+        GenerationError, match=r"line 11: the kernel has an expression of type List"
+    ):
+        walked(text_of("W[0, lane] = [1][0]"), ["kernel"])
+    with pytest.raises(GenerationError, match="which has no value here"):
+        walked(text_of("W[0, lane] = unheard_of"), ["kernel"])
+
+
+TEXT = """\
+import numpy as np
+from numba import njit
+
+@njit(inline="INLINE")
+def inner(x, k):
+    if k < 0:
+        return -1.0
+    return x[k]
+
+@njit()
+def pair(x, k):
+    if k == 2:
+        return 5, 0.5
+    return k, x[k]
+
+@njit()
+def function(x, y, n, flag):
+    own = np.zeros((n, 2))
+    row, count = own[n - 1], 0
+    k = -1
+    while True:
+        k += 1
+        if k == 1:
+            continue
+        if k >= n or x[k] > 50.0:
+            break
+        number, value = pair(x, k)
+        row[0] += value * number
+        count += number % 3 + (number // 2 if flag else 0)
+    part = x[1:n].copy()
+    for i in range(part.size):
+        if part[i] > 30.0:
+            return -i
+        y[i, 1] = part[i] + own[n - 1, 0] + inner(x, i - 1)
+    return count + y.shape[1]
+"""
+
+
+def test_functions_of_arrays():
+    """Rooms of their own, rows and parts of arrays, loops that are left, results of two numbers."""
+    signature = types.int64(
+        types.float64[::1], types.float64[:, :], types.int64, types.boolean
+    )  # fmt: skip
+    names = {}
+    exec(function_stub("function", 4), names)
+    names["walk_function"] = walking_function(
+        lambda: read_functions(TEXT), "function", signature, 128
+    )
+    made = njit(signature)(names["function"])
+    plain = {}
+    exec(TEXT.replace("@njit()", "").replace('@njit(inline="INLINE")', ""), plain)
+    for length, flag in ((6, True), (6, False), (40, True), (2, False)):
+        x = np.arange(float(length)) * 1.5
+        y, z = np.zeros((60, 4))[:, ::2], np.zeros((60, 2))
+        assert made(x, y, length, flag) == plain["function"](x, z, length, flag)
+        assert (y == z).all()
