@@ -51,6 +51,7 @@ def test_the_symbolic_half_does_without_numba():
         ("schemes", {"mechanics", "discrete", "codegen", "runtime", *TOP}),
         ("discrete", {"codegen", "runtime", *TOP}),
         ("codegen", {"runtime", *TOP}),
+        ("walk", {"graph", "mechanics", "schemes", "discrete", "codegen", "runtime", *TOP}),
         ("runtime", {"mechanics", "schemes", "discrete", "codegen", *TOP}),
         ("systems", {"schemes", "discrete", "codegen", "runtime", *TOP}),
     ],

@@ -1,0 +1,226 @@
+"""Expressions of a text, done with values."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from symsimpson.walk.arrays import Array, Range
+from symsimpson.walk.blocks import Loop, Slot
+from symsimpson.walk.calls import Calls
+from symsimpson.walk.text import Text
+from symsimpson.walk.trees import reads_rows
+from symsimpson.walk.values import Refused, known
+
+__all__ = ["Env", "Expressions", "Frame"]
+
+#: Names of a function that is being walked, with what they stand for.
+Env = dict[str, Any]
+#: A loop over constants with fewer operations in all its turns is walked turn by turn.
+FEW = 400
+COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+
+
+class Frame:
+    """A function that is being walked: where it is left to, with what, and its loops."""
+
+    def __init__(self) -> None:
+        self.exit: Any = None
+        self.depth = 0
+        self.result: Any = None
+        self.slots: Any = None
+        self.loops: list[Loop] = []
+        self.freed: list[Any] = []
+
+
+class Expressions:
+    """Walks expressions of a text.
+
+    Parameters
+    ----------
+    text : Text
+    values : Calls
+    call : callable
+        Makes a call, with a builder, of a function of ``math`` with values that are no vectors.
+    few : int
+        Loops of fewer operations in all are no loops.
+    apart : frozenset of str
+        Functions that stay functions, where they are called with the same kinds of values.
+    """
+
+    def __init__(
+        self, text: Text, values: Calls, call: Callable[[Any, Any, list[Any]], Any], few: int = FEW,
+        apart: frozenset[str] = frozenset(),
+    ) -> None:  # fmt: skip
+        self._text, self._values, self._call, self._few = text, values, call, few
+        self._apart, self._made = apart, dict[Any, Any]()
+        self._width = 0
+        self._frames: list[Frame] = []
+
+    def _called(self, name: str, arguments: list[Any]) -> Any:
+        """Call a function by its name."""
+        raise NotImplementedError
+
+    def _library(self, function: Any, arguments: list[Any]) -> Any:
+        """Call a function of ``math``."""
+        raise NotImplementedError
+
+    def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
+        """Call a function of numpy."""
+        raise NotImplementedError
+
+    def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
+        """Call a method of an array."""
+        raise NotImplementedError
+
+    def _places(self, target: ast.expr, env: Env) -> Any:
+        """Return an array and places in it; None for a name."""
+        match target:
+            case ast.Name():
+                return None
+            case ast.Subscript(value=value, slice=ast.Tuple(elts=places)):
+                return self._value(value, env), [self._place(x, env) for x in places]
+            case ast.Subscript(value=value, slice=place):
+                return self._value(value, env), [self._place(place, env)]
+        raise Refused("an assignment to something else")
+
+    def _place(self, node: ast.expr, env: Env) -> Any:
+        match node:
+            case ast.Slice(lower=lower, upper=upper, step=None):
+                first = 0 if lower is None else self._value(lower, env)
+                return Range(first, None if upper is None else self._value(upper, env))
+        return self._value(node, env)
+
+    def _read(self, place: Any) -> Any:
+        """Return what stands in an array, a table or a list."""
+        source, places = place
+        if isinstance(source, Array):
+            return self._values.load(source, places, self._width)
+        if isinstance(source, list):
+            return source[places[0]]
+        return self._values.entry(source, places)
+
+    def _named(self, name: str, env: Env) -> Any:
+        if name in env:
+            value = env[name]
+            return self._values.read(value) if isinstance(value, Slot) else value
+        try:
+            return self._text.constants[name]
+        except KeyError:
+            raise Refused(f"{name}, which has no value here") from None
+
+    def _value(self, node: ast.expr, env: Env) -> Any:
+        values = self._values
+        match node:
+            case ast.Constant(value=value):
+                return value
+            case ast.Name(id=name):
+                return self._named(name, env)
+            case ast.BinOp(left=left, op=op, right=right):
+                return self._binary(op, self._value(left, env), self._value(right, env))
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return values.negative(self._value(operand, env))
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return values.no(self._value(operand, env))
+            case ast.Subscript():
+                return self._read(self._places(node, env))
+            case ast.Attribute(value=ast.Name(id="np"), attr=name):
+                return getattr(np, name)
+            case ast.Attribute(value=value, attr="shape"):
+                return list(self._array(value, env).shape)
+            case ast.Attribute(value=value, attr="size"):
+                return self._array(value, env).size
+            case ast.Compare(left=left, ops=[ast.In()], comparators=[ast.Tuple(elts=parts)]):
+                a, found = self._value(left, env), False
+                for part in parts:
+                    found = values.either(found, values.compare("==", a, self._value(part, env)))
+                return found
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                a, b = self._value(left, env), self._value(right, env)
+                return values.compare(COMPARED[type(op)], a, b)
+            case ast.BoolOp(op=op, values=parts):
+                return self._truths(parts, env, settles=isinstance(op, ast.Or))
+            case ast.IfExp(test=test, body=body, orelse=other):
+                return self._either(self._value(test, env), body, other, env)
+            case ast.Tuple(elts=parts):
+                return [self._value(part, env) for part in parts]
+            case ast.Call(func=ast.Name(id=name), args=arguments):
+                return self._called(name, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=ast.Name(id="np"), attr=name), args=arguments):
+                kind = next((ast.unparse(word.value) for word in node.keywords), "np.float64")
+                return self._numpy(name, kind, [self._value(x, env) for x in arguments])
+            case ast.Call(func=ast.Attribute(value=value, attr=name), args=arguments):
+                given = [self._value(x, env) for x in arguments]
+                return self._method(self._array(value, env), name, given)
+        raise Refused(f"an expression of type {type(node).__name__}")
+
+    def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
+        values = self._values
+        match op:
+            case ast.Add():
+                return values.add(a, b)
+            case ast.Sub():
+                return values.subtract(a, b)
+            case ast.Mult():
+                return values.multiply(a, b)
+            case ast.Div():
+                return values.divide(a, b)
+            case ast.Pow() if isinstance(b, int):
+                return values.power(a, b)
+            case ast.Pow():
+                return self._library(math.pow, [a, b])
+            case ast.BitAnd():
+                return values.both(a, b)
+            case ast.BitOr():
+                return values.either(a, b)
+            case ast.FloorDiv():
+                return values.quotient(a, b)
+            case ast.Mod():
+                return values.rest(a, b)
+        raise Refused(f"an operation of type {type(op).__name__}")
+
+    def _truths(self, parts: list[ast.expr], env: Env, *, settles: bool) -> Any:
+        """Return whether all are true, or one of them; what settles it is the last one asked."""
+        truth = self._value(parts[0], env)
+        for part in parts[1:]:
+            if known(truth):
+                if bool(truth) is settles:
+                    return truth
+                truth = self._value(part, env)
+                continue
+
+            def rest(part: ast.expr = part) -> Any:
+                return self._value(part, env)
+
+            if self._width or not reads_rows(part):
+                join = self._values.either if settles else self._values.both
+                truth = join(truth, rest())
+            elif settles:
+                truth = self._values.picked(truth, lambda: True, rest)
+            else:
+                truth = self._values.picked(truth, rest, lambda: False)
+        return truth
+
+    def _either(self, truth: Any, body: ast.expr, other: ast.expr, env: Env) -> Any:
+        if known(truth):
+            return self._value(body if truth else other, env)
+
+        def one() -> Any:
+            return self._value(body, env)
+
+        def two() -> Any:
+            return self._value(other, env)
+
+        if not self._width and (reads_rows(body) or reads_rows(other)):
+            return self._values.picked(truth, one, two)
+        return self._values.choose(truth, one(), two())
+
+    def _array(self, node: ast.expr, env: Env) -> Array:
+        found = self._value(node, env)
+        if not isinstance(found, Array):
+            raise Refused("something else where an array is wanted")
+        return found
