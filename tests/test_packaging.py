@@ -59,7 +59,7 @@ def test_the_source_distribution_has_the_tests(built):
 def test_the_core_needs_five_packages():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     needed = {x.split(">")[0] for x in project["dependencies"]}
-    assert needed == {"sympy", "numpy", "numba", "mpmath", "lazy_loader"}
+    assert needed == {"sympy", "numpy", "numba", "mpmath", "lazy_loader", "filelock"}
 
 
 def test_versions_agree():

@@ -142,7 +142,7 @@ class Values:
                     return self._number(other)
                 if one == -1 and self._is_real(other):
                     return self.negative(other)
-                if one == 0:
+                if one == 0 and self._flags:  # without them it may tell what is not finite
                     return one
         return self._two("mul", "fmul", a, b)
 

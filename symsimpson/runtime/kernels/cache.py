@@ -29,6 +29,7 @@ import llvmlite
 import llvmlite.binding as llvm
 import numba
 import numpy as np
+from filelock import FileLock, Timeout
 
 from symsimpson.errors import GenerationError
 from symsimpson.garbage import rarely_collected
@@ -41,6 +42,10 @@ Result = TypeVar("Result")
 _VARIABLE = "SYMSIMPSON_CACHE_DIR"
 _DIGESTS = "digests.json"
 _results: dict[str, object] = {}
+#: So many entries can be made at a time; nobody waits longer, in seconds, for whoever makes one.
+LOCKS, LONGEST = 64, 600.0
+#: Settings of numba that change nothing in what it compiles.
+_IDLE = ("CACHE_DIR", "NUM_THREADS", "THREADING_LAYER", "THREADING_LAYER_PRIORITY", "WARNINGS")
 
 
 def cache_folder() -> Path:
@@ -104,9 +109,18 @@ def _machine() -> str:
     parts = (
         sys.version, numba.__version__, llvmlite.__version__, np.__version__,
         llvm.get_process_triple(), llvm.get_host_cpu_name(),
-        str(llvm.get_host_cpu_features().flatten()),
+        str(llvm.get_host_cpu_features().flatten()), *_settings(),
     )  # fmt: skip
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _settings() -> list[str]:
+    """Return what the environment tells numba and LLVM, in which code may differ."""
+    idle = {f"NUMBA_{name}" for name in _IDLE}
+    return sorted(
+        f"{name}={value}" for name, value in os.environ.items()
+        if name.startswith("NUMBA_") and name not in idle
+    )  # fmt: skip
 
 
 def compiled(
@@ -151,22 +165,49 @@ def _content(text: str, label: str) -> str:
 
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     folder = cache_folder()
-    entry = folder / key
-    name = f"symsimpson_compiled_{key}"
-    if entry.is_dir():
-        if _intact(entry):
-            try:
-                return _import(entry / f"{name}.py", name, use)
-            except Exception:  # whatever a stale pickle may raise, the entry can be made again
-                sys.modules.pop(name, None)
-        shutil.rmtree(entry, ignore_errors=True)
-    with waiting("compiling, once for this machine"), rarely_collected():
+    found = _loaded(folder, key, use)
+    if found is not None:
+        return found
+    with waiting("compiling, once for this machine"), rarely_collected(), _alone(folder, key):
+        found = _loaded(folder, key, use)  # another process may have made it meanwhile
+        if found is not None:
+            return found
         try:
             return _build(folder, key, text, use)
         except OSError as error:  # a disk that is full
+            name = f"symsimpson_compiled_{key}"
             sys.modules.pop(name, None)
             _without_cache(folder, str(error.strerror or error))
             return _in_memory(name, text, use)
+
+
+def _loaded(folder: Path, key: str, use: Callable[[ModuleType, bool], Result]) -> Result | None:
+    """Load an entry, if there is a whole one; what is left of another is taken away."""
+    entry, name = folder / key, f"symsimpson_compiled_{key}"
+    if not entry.is_dir():
+        return None
+    if _intact(entry):
+        try:
+            return _import(entry / f"{name}.py", name, use)
+        except Exception:  # whatever a stale pickle may raise, the entry can be made again
+            sys.modules.pop(name, None)
+    shutil.rmtree(entry, ignore_errors=True)
+    return None
+
+
+@contextlib.contextmanager
+def _alone(folder: Path, key: str) -> Iterator[None]:
+    """Let one process at a time make an entry; the system frees the lock of one that died."""
+    lock = FileLock(folder / f".lock-{int(key[-4:], 16) % LOCKS}", timeout=LONGEST)
+    try:
+        lock.acquire()
+    except (OSError, NotImplementedError, Timeout):  # then both make it, and one is kept
+        yield
+        return
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _build(folder: Path, key: str, text: str, use: Callable[[ModuleType, bool], Result]) -> Result:

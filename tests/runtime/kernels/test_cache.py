@@ -191,3 +191,40 @@ def test_what_one_run_has_compiled_is_all_that_later_ones_need(asked_for, scheme
     go(1000, every=None)
     go(20_000)  # no short run
     assert not asked_for
+
+
+def test_processes_that_need_the_same_code_make_it_once(tmp_path):
+    folder = tmp_path / "cache"
+    processes = [start(folder, factor=3) for _ in range(2)]
+    results = [finish(one) for one in processes]
+    assert results[0][0] == results[1][0]
+    made = [name for _, names in results for name in names]
+    assert made.count("newton") == 1
+    assert len(made) == len(set(made))
+
+
+def test_the_lock_of_a_process_that_died_is_free(tmp_path):
+    folder = tmp_path / "cache"
+    folder.mkdir(mode=0o700)
+    hold = (
+        "import sys, time; from filelock import FileLock\n"
+        f"locks = [FileLock(f'{folder}/.lock-{{k}}') for k in range(64)]\n"
+        "[lock.acquire() for lock in locks]; print('held', flush=True); time.sleep(600)"
+    )
+    with subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == b"held\n"
+        holder.kill()
+        holder.wait()
+    assert "newton" in run(folder)[1]
+
+
+def test_what_numba_is_told_is_part_of_the_key(monkeypatch):
+    keys = []
+    for name, value in (("NUMBA_OPT", "3"), ("NUMBA_OPT", "0"), ("NUMBA_NUM_THREADS", "1")):
+        with monkeypatch.context() as changed:
+            changed.setenv(name, value)
+            cache._machine.cache_clear()
+            keys.append(cache._machine())
+    cache._machine.cache_clear()
+    assert len(set(keys)) == 3
+    assert keys[2] == cache._machine()
