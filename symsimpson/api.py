@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from dataclasses import astuple
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from symsimpson.calling import explained
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
+from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, StorageError
@@ -23,6 +25,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.kernels.texts import kept
 from symsimpson.runtime.loaded import Tools
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
@@ -144,7 +147,7 @@ def _compiled(
         system, varied = extended(system, [known[name] for name in varied])
         tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
-        derivation = derive(system, scheme, exploit, varied, running)
+        derivation = _derived(system, scheme, exploit, varied, running)
     return Stepper(
         derivation.text,
         f"{system.name}__{scheme.name}",
@@ -156,6 +159,23 @@ def _compiled(
         tools=tools,
         differentiate=partial(_compiled, system, scheme, exploit, numbers, progress),
     )
+
+
+def _derived(
+    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
+    varied: tuple[str, ...] | None, running: Any,
+) -> Derivation:  # fmt: skip
+    """Derive a module, or take what another process has derived of the same declaration."""
+
+    def derived() -> Derivation:
+        return derive(system, scheme, exploit, varied, running)
+
+    if system.retiming is not None or running is not None or system.large:
+        return derived()
+    energies = (system.kinetic, system.potential, system.gyroscopic)
+    parts: list[object] = [system.digest, *energies, astuple(scheme), sorted(exploit), varied]
+    parts += [(symbol.name, value) for symbol, value in system.parameters.items()]
+    return kept(map(str, parts), derived)
 
 
 @waiting("deriving")
