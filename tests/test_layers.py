@@ -91,3 +91,12 @@ def test_no_scheme_is_singled_out():
             if isinstance(node, ast.Compare):
                 constants = {c.value for c in ast.walk(node) if isinstance(c, ast.Constant)}
                 assert constants.isdisjoint({"simpson", "midpoint"}), path
+
+
+def test_declaring_does_without_sympys_mechanics():
+    """It would take a third of a second to import, with its units and constants."""
+    code = (
+        "import sys, symsimpson as ss; ss.systems.pendulum(); print('sympy.physics' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert done.stdout == "False\n"

@@ -14,9 +14,9 @@ from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.errors import ModelError
+from symsimpson.mechanics.coordinates import time
 
 __all__ = [
     "check_names",
@@ -73,9 +73,9 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
     if not coordinates:
         raise fail(system, "there are no coordinates.", "Give at least one function of time.")
     for q in coordinates:
-        if isinstance(q, AppliedUndef) and [str(t) for t in q.args] == [str(dynamicsymbols._t)]:
+        if isinstance(q, AppliedUndef) and [str(t) for t in q.args] == [str(time)]:
             _check_time(system, q)
-        if not isinstance(q, AppliedUndef) or q.args != (dynamicsymbols._t,):
+        if not isinstance(q, AppliedUndef) or q.args != (time,):
             raise fail(
                 system,
                 f"the coordinate {spell(q)} is not a function of time, sympy's dynamicsymbols._t.",
@@ -105,7 +105,7 @@ def read_coordinates(system: str, coordinates: Any) -> tuple[AppliedUndef, ...]:
 def _check_time(system: str, q: AppliedUndef) -> None:
     """Refuse a function of a time of one's own, which SymPy holds apart by its assumptions."""
     (t,) = q.args
-    if t != dynamicsymbols._t:
+    if t != time:
         assumed = ", ".join(sorted(key for key, is_so in t.assumptions0.items() if is_so))
         raise fail(
             system,
@@ -151,7 +151,7 @@ def read_parameters(
     values: dict[sp.Symbol, float] = {}
     names = {q.func.__name__: "a coordinate" for q in coordinates}
     for symbol, value in parameters.items():
-        if not isinstance(symbol, sp.Symbol) or symbol == dynamicsymbols._t:
+        if not isinstance(symbol, sp.Symbol) or symbol == time:
             raise fail(
                 system,
                 f"the parameter {spell(symbol)!r} is not a SymPy symbol.",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.errors import ModelError
 
 __all__ = ["coordinates", "momenta", "time"]
 
-#: The time: SymPy's ``dynamicsymbols._t``, of which coordinates are functions.
-time: sp.Symbol = dynamicsymbols._t
+#: The time, equal to ``dynamicsymbols._t`` of SymPy, of which coordinates are functions. It is made
+#: here because SymPy's mechanics, with units and constants, takes long to import.
+time: sp.Symbol = sp.Symbol("t")
 
 
 def coordinates(names: str) -> tuple[AppliedUndef, ...]:
@@ -44,8 +44,9 @@ def coordinates(names: str) -> tuple[AppliedUndef, ...]:
             f"coordinates are named by a text with their names, not by {names!r}.\n"
             "Write q1, q2 = symsimpson.coordinates('q1 q2')."
         )
-    functions = dynamicsymbols(names)
-    return tuple(functions) if isinstance(functions, (tuple, list)) else (functions,)
+    functions = sp.symbols(names, cls=sp.Function)
+    several = functions if isinstance(functions, (tuple, list)) else (functions,)
+    return tuple(function(time) for function in several)
 
 
 def momenta(*coordinates: AppliedUndef) -> tuple[sp.Symbol, ...]:

@@ -14,11 +14,11 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 from sympy.core.relational import Relational
 from sympy.logic.boolalg import BooleanFunction
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.names import did_you_mean
 
@@ -241,7 +241,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
 def _of_time_alone(node: sp.Basic) -> bool:
     """Return whether the time decides what a function is, and no coordinate does."""
     deciding = [case for _, case in node.args] if isinstance(node, sp.Piecewise) else [node]
-    return any(dynamicsymbols._t in part.free_symbols for part in deciding) and not any(
+    return any(time in part.free_symbols for part in deciding) and not any(
         part.atoms(AppliedUndef) for part in deciding
     )
 
@@ -276,7 +276,7 @@ def check_declared(
 ) -> None:
     """Refuse a symbol that was not declared."""
     declared = {str(s): s for s in known if isinstance(s, sp.Symbol)}
-    if declared.get(symbol.name) == dynamicsymbols._t:
+    if declared.get(symbol.name) == time:
         raise fail(
             system,
             f"the {what} contains a symbol {symbol.name} that is not the time: it has other "

@@ -7,11 +7,11 @@ from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import ZERO, Value
 from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
 
 __all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
@@ -102,8 +102,8 @@ def read_inputs(
     taken = {q.func.__name__: "a coordinate" for q in coordinates}
     taken |= {a.name: "a parameter" for a in parameters}
     for u in (found := tuple(inputs)):
-        function = isinstance(u, AppliedUndef) and u.args == (dynamicsymbols._t,)
-        if not function and (not isinstance(u, sp.Symbol) or u == dynamicsymbols._t):
+        function = isinstance(u, AppliedUndef) and u.args == (time,)
+        if not function and (not isinstance(u, sp.Symbol) or u == time):
             raise fail(
                 name,
                 f"the input {spell(u)!r} is neither a symbol nor a function of time.",

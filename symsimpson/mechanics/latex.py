@@ -6,10 +6,9 @@ import re
 from typing import TYPE_CHECKING, Any
 
 import sympy as sp
-from sympy.physics.mechanics import dynamicsymbols
-from sympy.physics.vector import vlatex
 
 from symsimpson.markup import aligned, in_text
+from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.equations import terms
 
 if TYPE_CHECKING:
@@ -39,6 +38,8 @@ def _too_long(one: MechanicalSystem) -> str:
 def _equations(one: MechanicalSystem) -> str:
     if one.large:
         return _too_long(one)
+    from sympy.physics.vector import vlatex  # long to import
+
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))
     lines = [("T", kinetic), ("V", potential)]
@@ -60,7 +61,7 @@ def _equations(one: MechanicalSystem) -> str:
 
 def _safe(one: MechanicalSystem) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
-    t = dynamicsymbols._t
+    t = time
     replace: dict[Any, Any] = {
         a: sp.Symbol(f"a_{i}") for i, a in enumerate(one.parameters) if not PLAIN.fullmatch(a.name)
     }

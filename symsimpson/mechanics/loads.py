@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import sympy as sp
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.coordinates import time
 
 __all__ = ["read_method"]
 
@@ -65,7 +65,7 @@ def _generalised(method: Any) -> dict[Any, sp.Expr]:
     loads, inertial = list(method.forcelist or []), method.inertial
     found: dict[Any, sp.Expr] = {}
     for q in method.q:
-        speed = q.diff(dynamicsymbols._t)
+        speed = q.diff(time)
         parts = []
         for where, vector in loads:
             turning = hasattr(where, "ang_vel_in")

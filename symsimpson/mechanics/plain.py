@@ -9,12 +9,12 @@ from typing import Any, TypeAlias
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
-from sympy.physics.mechanics import dynamicsymbols
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.read import written
 from symsimpson.graph.signs import Signs
+from symsimpson.mechanics.coordinates import time
 
 __all__ = ["Plain", "Symbols", "unfrozen"]
 
@@ -207,7 +207,7 @@ class Symbols:
         parameters: Mapping[sp.Symbol, float],
         inputs: Sequence[sp.Expr] = (),
     ) -> None:
-        t = dynamicsymbols._t
+        t = time
         n = len(coordinates)
         self.q = tuple(sp.Symbol(f"q_{i}", real=True) for i in range(n))
         self.v = tuple(sp.Symbol(f"v_{i}", real=True) for i in range(n))
