@@ -7,11 +7,20 @@ from numba import njit
 import symsimpson as ss
 from symsimpson.runtime.driver import compiled
 from symsimpson.runtime.driver import steps as text
+from symsimpson.walk.functions import function_stub, read_functions, walking_function
 
 
 def test_a_step_allocates_nothing():
-    compiled = njit(text.SIGNATURES["take_steps"], **text.DRIVER_OPTIONS)(text.take_steps.py_func)
-    assert all("NRT_Allocate" not in code for code in compiled.inspect_llvm().values())
+    for name, allocates in (("take_steps", False), ("recover", True)):
+        signature = compiled.SIGNATURES[name]
+        made = {}
+        exec(function_stub(name, len(signature.args)), made)
+        made[f"walk_{name}"] = walking_function(
+            lambda: read_functions(compiled.driver_text()), name, signature, 128
+        )
+        (code,) = njit(signature, **text.DRIVER_OPTIONS)(made[name]).inspect_llvm().values()
+        assert ("malloc" in code) is allocates
+        assert "NRT_Allocate" not in code
     assert text.DRIVER_OPTIONS["nogil"]
 
 
