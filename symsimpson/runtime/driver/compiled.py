@@ -21,7 +21,7 @@ from symsimpson.walk.functions import function_stub, read_functions, walking_fun
 from symsimpson.walk.kernels import walker_digest
 from symsimpson.walk.text import Text
 
-__all__ = ["driver", "driver_text"]
+__all__ = ["driver", "driver_text", "signatures"]
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (
@@ -77,7 +77,7 @@ def driver(
     """Return a function of the driver for a number of lanes, compiled with what belongs to it."""
     plain = lanes == 1 and iterated and not renewing and not compiles_late()
     names = next((group for group in TOGETHER if plain and name in group), (name,))
-    bits, signatures = vector_bits(), _signatures()
+    bits, known = vector_bits(), signatures()
 
     def text() -> Text:
         return read_functions(driver_text(lanes, renewing=renewing, iterated=iterated))
@@ -85,19 +85,19 @@ def driver(
     def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
         made = {}
         for one in names:
-            walk = walking_function(text, one, signatures[one], bits)
+            walk = walking_function(text, one, known[one], bits)
             setattr(module, f"walk_{one}", walk)
             options: dict[str, Any] = {**DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
-            made[one] = njit(signatures[one], **options)(getattr(module, one))
+            made[one] = njit(known[one], **options)(getattr(module, one))
         return made
 
     of = (walker_digest(), bits, _constants(lanes, renewing, iterated), names, *_files())
-    file = "\n\n".join(function_stub(one, len(signatures[one].args)) for one in names)
+    file = "\n\n".join(function_stub(one, len(known[one].args)) for one in names)
     return compiled("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
 
 
 @cache
-def _signatures() -> Mapping[str, Any]:
+def signatures() -> Mapping[str, Any]:
     """Return what is called from Python, and with what."""
     for part in PARTS:  # each adds its own
         import_module(f"symsimpson.runtime.driver.{part}")

@@ -12,7 +12,7 @@ from symsimpson.walk.functions import function_stub, read_functions, walking_fun
 
 def test_a_step_allocates_nothing():
     for name, allocates in (("take_steps", False), ("recover", True)):
-        signature = compiled.SIGNATURES[name]
+        signature = compiled.signatures()[name]
         made = {}
         exec(function_stub(name, len(signature.args)), made)
         made[f"walk_{name}"] = walking_function(
