@@ -16,7 +16,7 @@ from symsimpson.walk.text import Text
 from symsimpson.walk.trees import reads_rows
 from symsimpson.walk.values import Refused, known
 
-__all__ = ["Env", "Expressions", "Frame"]
+__all__ = ["Env", "Expressions", "Frame", "factors"]
 
 #: Names of a function that is being walked, with what they stand for.
 Env = dict[str, Any]
@@ -120,6 +120,8 @@ class Expressions:
                 return value
             case ast.Name(id=name):
                 return self._named(name, env)
+            case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+                return self._sum(left, op, right, env)
             case ast.BinOp(left=left, op=op, right=right):
                 return self._binary(op, self._value(left, env), self._value(right, env))
             case ast.UnaryOp(op=ast.USub(), operand=operand):
@@ -157,6 +159,24 @@ class Expressions:
                 given = [self._value(x, env) for x in arguments]
                 return self._method(self._array(value, env), name, given)
         raise Refused(f"an expression of type {type(node).__name__}")
+
+    def _sum(self, left: ast.expr, op: ast.operator, right: ast.expr, env: Env) -> Any:
+        """Return a sum or a difference, of which a product in the text is no number of its own."""
+        minus = isinstance(op, ast.Sub)
+        if (product := factors(right)) is not None:
+            return self._with_product(self._value(left, env), product, env, minus=minus)
+        if (product := factors(left)) is None:
+            return self._binary(op, self._value(left, env), self._value(right, env))
+        a, b = (self._value(x, env) for x in product)
+        c = self._value(right, env)
+        return self._values.fused(a, b, self._values.negative(c) if minus else c)
+
+    def _with_product(
+        self, c: Any, product: tuple[ast.expr, ast.expr], env: Env, *, minus: bool
+    ) -> Any:
+        """Return c + a b or c - a b."""
+        a, b = (self._value(x, env) for x in product)
+        return self._values.fused(self._values.negative(a) if minus else a, b, c)
 
     def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
         values = self._values
@@ -224,3 +244,13 @@ class Expressions:
         if not isinstance(found, Array):
             raise Refused("something else where an array is wanted")
         return found
+
+
+def factors(node: ast.expr) -> tuple[ast.expr, ast.expr] | None:
+    """Return the factors of a product or a square; None if it is something else."""
+    match node:
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            return left, right
+        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=2)):
+            return left, left
+    return None

@@ -15,8 +15,10 @@ from llvmlite import ir
 __all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
-#: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are.
-FLAGS = ("contract", "nsz")
+#: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. The walker
+#: fuses a product with a sum where the text has one in the other, and LLVM fuses no more: then
+#: vectors and single numbers have the same bits.
+FLAGS = ("nsz",)
 KNOWN = (bool, int, float, np.integer, np.floating)
 
 
@@ -145,6 +147,17 @@ class Values:
                 if one == 0 and self._flags:  # without them it may tell what is not finite
                     return one
         return self._two("mul", "fmul", a, b)
+
+    def fused(self, a: Any, b: Any, c: Any) -> Any:
+        """A b + c, rounded once where the machine can."""
+        values = (a, b, c)
+        plain = not self._flags or any(isinstance(x, Along) for x in values)
+        if plain or sum(map(known, values)) > 1 or not any(map(self._is_real, values)):
+            return self.add(self.multiply(a, b), c)
+        if any(known(x) and x in (0, 1, -1) for x in values):
+            return self.add(self.multiply(a, b), c)
+        a, b, c = self.alike(*map(self.real, values))
+        return self._intrinsic("fmuladd", a, b, c)
 
     def divide(self, a: Any, b: Any) -> Any:
         """a/b."""
@@ -315,11 +328,12 @@ class Values:
         a, b = self.alike(a, b)
         return (self.builder.or_ if settles else self.builder.and_)(a, b)
 
-    def _intrinsic(self, name: str, a: Any) -> Any:
+    def _intrinsic(self, name: str, *given: Any) -> Any:
+        a = given[0]
         vector = isinstance(a.type, ir.VectorType)
         full = f"llvm.{name}.{f'v{a.type.count}' if vector else ''}f64"
         module = self.builder.module
         made = module.globals.get(full)
         if made is None:
-            made = ir.Function(module, ir.FunctionType(a.type, [a.type]), full)
-        return self.builder.call(made, [a], fastmath=self._flags)
+            made = ir.Function(module, ir.FunctionType(a.type, [x.type for x in given]), full)
+        return self.builder.call(made, given, fastmath=self._flags)

@@ -16,7 +16,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.called import Functions
-from symsimpson.walk.expressions import Env, Frame
+from symsimpson.walk.expressions import Env, Frame, factors
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
 from symsimpson.walk.values import Along, Refused, known
 
@@ -95,7 +95,7 @@ class Walker(Functions):
             case ast.AugAssign(target=target, op=op, value=value):
                 place = self._places(target, env)
                 before = self._at(target, place, env)
-                self._put(target, place, self._binary(op, before, self._value(value, env)), env)
+                self._put(target, place, self._changed(before, op, value, env), env)
             case ast.If(test=test, body=body, orelse=other):
                 return self._if(self._value(test, env), body, other, env)
             case ast.For():
@@ -112,6 +112,12 @@ class Walker(Functions):
             case _:
                 raise Refused(f"a statement of type {type(node).__name__}")
         return False
+
+    def _changed(self, before: Any, op: ast.operator, value: ast.expr, env: Env) -> Any:
+        product = factors(value) if isinstance(op, (ast.Add, ast.Sub)) else None
+        if product is None:
+            return self._binary(op, before, self._value(value, env))
+        return self._with_product(before, product, env, minus=isinstance(op, ast.Sub))
 
     def _leave(self, result: Any) -> bool:
         """Leave a function, from a branch or a loop by way of a block and variables."""
