@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,10 @@ from symsimpson.walk.arrays import Array, Range
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text
-from symsimpson.walk.trees import reads_rows
+from symsimpson.walk.trees import reads_rows, used_once
 from symsimpson.walk.values import Refused, known
 
-__all__ = ["Env", "Expressions", "Frame", "factors"]
+__all__ = ["Env", "Expressions", "Frame", "Product"]
 
 #: Names of a function that is being walked, with what they stand for.
 Env = dict[str, Any]
@@ -25,10 +26,19 @@ FEW = 400
 COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 
 
+@dataclass(frozen=True)
+class Product:
+    """A product with a name that is used once: it may be rounded with the sum that it stands in."""
+
+    a: Any
+    b: Any
+
+
 class Frame:
     """A function that is being walked: where it is left to, with what, and its loops."""
 
-    def __init__(self) -> None:
+    def __init__(self, function: ast.FunctionDef) -> None:
+        self.once = used_once(function)
         self.exit: Any = None
         self.depth = 0
         self.result: Any = None
@@ -107,6 +117,8 @@ class Expressions:
     def _named(self, name: str, env: Env) -> Any:
         if name in env:
             value = env[name]
+            if isinstance(value, Product):
+                return self._values.multiply(value.a, value.b)
             return self._values.read(value) if isinstance(value, Slot) else value
         try:
             return self._text.constants[name]
@@ -161,22 +173,31 @@ class Expressions:
         raise Refused(f"an expression of type {type(node).__name__}")
 
     def _sum(self, left: ast.expr, op: ast.operator, right: ast.expr, env: Env) -> Any:
-        """Return a sum or a difference, of which a product in the text is no number of its own."""
-        minus = isinstance(op, ast.Sub)
-        if (product := factors(right)) is not None:
-            return self._with_product(self._value(left, env), product, env, minus=minus)
-        if (product := factors(left)) is None:
+        """Return a sum or a difference, of which a product is rounded with the sum alone."""
+        values, minus = self._values, isinstance(op, ast.Sub)
+        if (product := self._factors(right, env)) is not None:
+            return self._with_product(self._value(left, env), product, minus=minus)
+        if (product := self._factors(left, env)) is None:
             return self._binary(op, self._value(left, env), self._value(right, env))
-        a, b = (self._value(x, env) for x in product)
         c = self._value(right, env)
-        return self._values.fused(a, b, self._values.negative(c) if minus else c)
+        return values.fused(*product, values.negative(c) if minus else c)
 
-    def _with_product(
-        self, c: Any, product: tuple[ast.expr, ast.expr], env: Env, *, minus: bool
-    ) -> Any:
+    def _with_product(self, c: Any, product: tuple[Any, Any], *, minus: bool) -> Any:
         """Return c + a b or c - a b."""
-        a, b = (self._value(x, env) for x in product)
+        a, b = product
         return self._values.fused(self._values.negative(a) if minus else a, b, c)
+
+    def _factors(self, node: ast.expr, env: Env) -> tuple[Any, Any] | None:
+        """Return the factors of what is used nowhere else, a product or a square; else None."""
+        match node:
+            case ast.BinOp(left=left, op=ast.Mult(), right=right):
+                return self._value(left, env), self._value(right, env)
+            case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=2)):
+                base = self._value(left, env)
+                return base, base
+            case ast.Name(id=name) if isinstance(env.get(name), Product):
+                return env[name].a, env[name].b
+        return None
 
     def _binary(self, op: ast.operator, a: Any, b: Any) -> Any:
         values = self._values
@@ -244,13 +265,3 @@ class Expressions:
         if not isinstance(found, Array):
             raise Refused("something else where an array is wanted")
         return found
-
-
-def factors(node: ast.expr) -> tuple[ast.expr, ast.expr] | None:
-    """Return the factors of a product or a square; None if it is something else."""
-    match node:
-        case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return left, right
-        case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=2)):
-            return left, left
-    return None

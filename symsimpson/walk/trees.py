@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
 from symsimpson.walk.text import Text
 
-__all__ = ["assigned", "leaves", "reads_rows", "vectors", "weight"]
+__all__ = ["assigned", "leaves", "reads_rows", "used_once", "vectors", "weight"]
 
 #: How often a loop of unknown length is taken to turn.
 TURNS = 4
@@ -27,6 +28,17 @@ def _assigned(statement: ast.stmt) -> frozenset[str]:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
     )  # fmt: skip
     return frozenset(stored)
+
+
+@lru_cache(maxsize=1024)
+def used_once(function: ast.FunctionDef) -> frozenset[str]:
+    """Return the names that a function sets once and uses once."""
+    uses = Counter(
+        (part.id, isinstance(part.ctx, ast.Store)) for part in ast.walk(function)
+        if isinstance(part, ast.Name)
+    )  # fmt: skip
+    return frozenset(name for name, stored in uses if stored and uses[name, True] == 1
+                     and uses[name, False] == 1)  # fmt: skip
 
 
 @lru_cache(maxsize=4096)

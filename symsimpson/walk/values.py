@@ -15,9 +15,9 @@ from llvmlite import ir
 __all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
-#: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. The walker
-#: fuses a product with a sum where the text has one in the other, and LLVM fuses no more: then
-#: vectors and single numbers have the same bits.
+#: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. A product
+#: is fused with a sum by the walker, where the text has one in the other, and LLVM fuses no more:
+#: then vectors and single numbers have the same bits.
 FLAGS = ("nsz",)
 KNOWN = (bool, int, float, np.integer, np.floating)
 

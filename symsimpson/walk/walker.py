@@ -16,7 +16,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.called import Functions
-from symsimpson.walk.expressions import Env, Frame, factors
+from symsimpson.walk.expressions import Env, Frame, Product
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
 from symsimpson.walk.values import Along, Refused, known
 
@@ -41,7 +41,7 @@ class Walker(Functions):
         """
         lanes = workspace.shape[1]
         env: Env = {"h": h, "t": t, "LANES": lanes}
-        self._frames.append(Frame())
+        self._frames.append(Frame(self._text.functions[name]))
         for statement in self._text.functions[name].body:
             match statement:
                 case ast.Assign(targets=[ast.Name(id="W")]):
@@ -90,6 +90,10 @@ class Walker(Functions):
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
                 for target, one in zip(targets, self._value(value, env), strict=True):
                     self._assign(target, one, env)
+            case ast.Assign(
+                targets=[ast.Name(id=name)], value=ast.BinOp(left=left, op=ast.Mult(), right=right)
+            ) if name in self._frames[-1].once and not isinstance(env.get(name), Slot):
+                env[name] = Product(self._value(left, env), self._value(right, env))
             case ast.Assign(targets=[target], value=value):
                 self._assign(target, self._value(value, env), env)
             case ast.AugAssign(target=target, op=op, value=value):
@@ -114,10 +118,10 @@ class Walker(Functions):
         return False
 
     def _changed(self, before: Any, op: ast.operator, value: ast.expr, env: Env) -> Any:
-        product = factors(value) if isinstance(op, (ast.Add, ast.Sub)) else None
+        product = self._factors(value, env) if isinstance(op, (ast.Add, ast.Sub)) else None
         if product is None:
             return self._binary(op, before, self._value(value, env))
-        return self._with_product(before, product, env, minus=isinstance(op, ast.Sub))
+        return self._with_product(before, product, minus=isinstance(op, ast.Sub))
 
     def _leave(self, result: Any) -> bool:
         """Leave a function, from a branch or a loop by way of a block and variables."""
@@ -178,6 +182,8 @@ class Walker(Functions):
     def _let_change(self, names: frozenset[str], env: Env) -> None:
         """Make variables of what has a value and is going to change."""
         for name in sorted(names & set(env)):
+            if isinstance(env[name], Product):
+                env[name] = self._named(name, env)
             if not isinstance(env[name], Slot):
                 try:
                     env[name] = self._values.slot(env[name], self._width)
@@ -270,7 +276,7 @@ class Walker(Functions):
     def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
         """Walk a function where it is called."""
         env = dict(zip([one.arg for one in function.args.args], arguments, strict=True))
-        frame, values = Frame(), self._values
+        frame, values = Frame(function), self._values
         self._frames.append(frame)
         left = self._block(function.body, env)
         self._frames.pop()
