@@ -80,7 +80,7 @@ def compare(text, lanes, made, wanted, system=None):
         assert (np.isfinite(found) == finite).all(), name
         size = np.maximum(1.0, np.abs(right[finite]))
         apart, moved = (np.abs(x - right)[finite] / size for x in (found, near))
-        assert apart.max(initial=0.0) < 1e-12 + 100 * np.nanmax(moved, initial=0.0), name
+        assert apart.max(initial=0.0) < 1e-12 + 1e4 * np.nanmax(moved, initial=0.0), name
         if finite.all():
             W = right
 
