@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,17 +83,12 @@ class Arrays(Values):
         if kind not in (BYTE, INT):
             made.align = 8
 
-    def choose(self, truth: Any, a: Any, b: Any) -> Any:
-        """A where something is true, else b; numbers or arrays."""
-        if not isinstance(a, Array) or known(truth):
-            return super().choose(truth, a, b)
-        pick = super().choose
-        pointer = self.builder.select(truth, a.pointer, b.pointer)
-        parts = [
-            tuple(pick(truth, self.whole(x), self.whole(y)) for x, y in zip(*both, strict=True))
-            for both in ((a.shape, b.shape), (a.strides, b.strides))
-        ]
-        return Array(pointer, *parts)
+    def contiguous(self, pointer: Any, shape: Sequence[Any]) -> Array:
+        """Return an array whose numbers stand one behind another, row by row."""
+        strides: list[Any] = [1]
+        for size in reversed(shape[1:]):
+            strides.insert(0, self.multiply(strides[0], size))
+        return Array(pointer, tuple(shape), tuple(strides))
 
     def _pointer(self, array: Array, places: list[Any], width: int) -> tuple[Any, bool]:
         number: Any = 0

@@ -244,10 +244,7 @@ class Blocks(Arrays):
         # an array that is made again in a loop takes the place of the one before
         builder.call(known_as["free"], [builder.load(place)])
         builder.store(made, place)
-        strides: list[Any] = [1]
-        for one in reversed(shape[1:]):
-            strides.insert(0, self.multiply(strides[0], one))
-        array = Array(builder.bitcast(made, kind.as_pointer()), tuple(shape), tuple(strides))
+        array = self.contiguous(builder.bitcast(made, kind.as_pointer()), shape)
         if value is not None:
             flat = Array(array.pointer, (size,), (1,))
             self.each(size, lambda k: self.store(flat, [k], value, 0))

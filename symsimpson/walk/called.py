@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+from abc import abstractmethod
 from typing import Any
 
 from symsimpson.walk.arrays import BYTE, Array
@@ -19,9 +20,9 @@ KINDS = {"np.float64": DOUBLE, "np.int64": INT, "np.bool_": BYTE}
 class Functions(Expressions):
     """Walks calls."""
 
+    @abstractmethod
     def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
         """Walk a function where it is called."""
-        raise NotImplementedError
 
     def _called(self, name: str, arguments: list[Any]) -> Any:
         values = self._values

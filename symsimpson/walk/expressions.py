@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -47,7 +48,7 @@ class Frame:
         self.freed: list[Any] = []
 
 
-class Expressions:
+class Expressions(ABC):
     """Walks expressions of a text.
 
     Parameters
@@ -71,21 +72,21 @@ class Expressions:
         self._width = 0
         self._frames: list[Frame] = []
 
+    @abstractmethod
     def _called(self, name: str, arguments: list[Any]) -> Any:
         """Call a function by its name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _library(self, function: Any, arguments: list[Any]) -> Any:
         """Call a function of ``math``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _numpy(self, name: str, kind: str, arguments: list[Any]) -> Any:
         """Call a function of numpy."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _method(self, array: Array, name: str, arguments: list[Any]) -> Any:
         """Call a method of an array."""
-        raise NotImplementedError
 
     def _places(self, target: ast.expr, env: Env) -> Any:
         """Return an array and places in it; None for a name."""

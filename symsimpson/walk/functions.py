@@ -11,7 +11,7 @@ from llvmlite import ir
 
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.calls import Calls
-from symsimpson.walk.kernels import library, wide
+from symsimpson.walk.kernels import called_by_stub, library, wide
 from symsimpson.walk.text import Text
 from symsimpson.walk.values import INT
 from symsimpson.walk.walker import Walker
@@ -19,13 +19,7 @@ from symsimpson.walk.walker import Walker
 #: Loops of fewer operations in all are no loops.
 FEW = 16
 
-__all__ = ["function_stub", "read_functions", "walking_function"]
-
-
-def function_stub(name: str, count: int) -> str:
-    """Return a function that calls what :func:`walking_function` gives, with the same arguments."""
-    names = _names(count)
-    return f"def {name}({names}):\n    return walk_{name}({names})\n"
+__all__ = ["read_functions", "walking_function"]
 
 
 @lru_cache(maxsize=4)  # functions of a text are made one after the other
@@ -53,7 +47,6 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
         How wide vectors may be.
     """
     from numba import types
-    from numba.extending import intrinsic
 
     def code(context: Any, builder: Any, called: Any, arguments: list[Any]) -> Any:
         # no fused products: times are what Python makes of the same steps
@@ -74,14 +67,7 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
         result = called.return_type
         return values.bit(found) if result == types.boolean else values.whole(found)
 
-    names = _names(len(signature.args))
-    made: dict[str, Any] = {"signature": signature, "code": code}
-    exec(f"def walked(typing_context, {names}): return signature, code", made)
-    return intrinsic(made["walked"])
-
-
-def _names(count: int) -> str:
-    return ", ".join(f"a{k}" for k in range(count))
+    return called_by_stub(signature, code)
 
 
 def _options(node: ast.FunctionDef) -> str:
@@ -94,11 +80,7 @@ def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:
     array = context.make_array(kind)(context, builder, value)
     shape = tuple(builder.extract_value(array.shape, k) for k in range(kind.ndim))
     if kind.layout == "C":
-        strides: list[Any] = [1]
-        for size in reversed(shape[1:]):
-            strides.insert(0, values.multiply(strides[0], size))
-    else:
-        size = ir.Constant(INT, kind.dtype.bitwidth // 8)
-        strides = [builder.sdiv(builder.extract_value(array.strides, k), size)
-                   for k in range(kind.ndim)]  # fmt: skip
-    return Array(array.data, shape, tuple(strides))
+        return values.contiguous(array.data, shape)
+    size = ir.Constant(INT, kind.dtype.bitwidth // 8)
+    strides = (builder.extract_value(array.strides, k) for k in range(kind.ndim))
+    return Array(array.data, shape, tuple(builder.sdiv(stride, size) for stride in strides))

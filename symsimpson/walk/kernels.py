@@ -13,11 +13,11 @@ from llvmlite import ir
 from symsimpson.errors import GenerationError
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.calls import Calls
-from symsimpson.walk.text import Text, read_text
+from symsimpson.walk.text import ARGUMENTS, Text, read_text
 from symsimpson.walk.values import DOUBLE, Refused
 from symsimpson.walk.walker import Walker
 
-__all__ = ["library", "stubs", "walker_digest", "walking", "wide"]
+__all__ = ["called_by_stub", "library", "stub", "stubs", "walker_digest", "walking", "wide"]
 
 
 @cache
@@ -28,17 +28,30 @@ def walker_digest() -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-_STUB = """
-
-def {name}(h, t, workspace):
-    walk_{name}(h, t, workspace)
-"""
+def stub(name: str, count: int) -> str:
+    """Return a function that calls what is walked for it, with so many arguments."""
+    names = _names(count)
+    return f"def {name}({names}):\n    return walk_{name}({names})\n"
 
 
 def stubs(text: str, names: list[str]) -> str:
     """Return a text with functions to compile in place of kernels, for the same signature."""
     lines = [line for line in text.splitlines() if line.startswith(("SIGNATURE =", "OPTIONS ="))]
-    return "\n".join(lines) + "\n" + "".join(_STUB.format(name=name) for name in names)
+    return "\n\n".join(["\n".join(lines), *(stub(name, len(ARGUMENTS)) for name in names)])
+
+
+def called_by_stub(signature: Any, code: Callable[..., Any]) -> Any:
+    """Return what a stub calls: an intrinsic of this signature, whose instructions are made so."""
+    from numba.extending import intrinsic
+
+    made: dict[str, Any] = {"signature": signature, "code": code}
+    names = _names(len(signature.args))
+    exec(f"def walked(typing_context, {names}): return signature, code", made)
+    return intrinsic(made["walked"])
+
+
+def _names(count: int) -> str:
+    return ", ".join(f"a{k}" for k in range(count))
 
 
 def walking(text: str, name: str, lanes: int, bits: int) -> Any:
@@ -55,20 +68,16 @@ def walking(text: str, name: str, lanes: int, bits: int) -> Any:
         How wide vectors may be.
     """
     from numba import types
-    from numba.extending import intrinsic
 
-    @intrinsic
-    def walked(context: Any, h: Any, t: Any, workspace: Any) -> Any:
-        def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
-            set.add(builder.function.attributes, wide(bits))  # it is inlined there
-            made = function(context, builder.module, read_text(text), name, lanes, bits)
-            builder.call(made, arguments)
-            return context.get_dummy_value()
+    def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
+        set.add(builder.function.attributes, wide(bits))  # it is inlined there
+        made = function(context, builder.module, read_text(text), name, lanes, bits)
+        builder.call(made, arguments)
+        return context.get_dummy_value()
 
-        pointer: Any = types.CPointer  # which has no types of its own
-        return types.void(types.float64, types.float64, pointer(types.float64)), code
-
-    return walked
+    pointer: Any = types.CPointer  # which has no types of its own
+    signature = types.void(types.float64, types.float64, pointer(types.float64))
+    return called_by_stub(signature, code)
 
 
 def function(
@@ -116,10 +125,7 @@ def _walked(
     walker = Walker(text, Calls(builder), library(context))
     try:
         walker.kernel(name, h, t, rows, vector=vector)
-    except Refused:
-        module.globals.pop(made.name)
-        raise
-    except GenerationError:
+    except (Refused, GenerationError):
         module.globals.pop(made.name)
         raise
     builder.ret_void()

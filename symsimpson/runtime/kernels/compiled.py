@@ -55,7 +55,7 @@ class Kernels(KernelSets):
     @property
     def location(self) -> str:
         """Where the code of a step is, in words."""
-        return location(self._text, self.fallbacks[0])
+        return location(self._key(self._text), self.fallbacks[0])
 
     @cached_property
     def _any_angle(self) -> str:
@@ -95,6 +95,11 @@ class Kernels(KernelSets):
         text = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
         return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
 
+    @staticmethod
+    def _key(text: str) -> str:
+        """Return all that the code of a text follows from."""
+        return f"{walker_digest()}\n{vector_bits()}\n{text}"
+
     def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
         bits = vector_bits()
         some = [name for name in names if name]
@@ -108,9 +113,8 @@ class Kernels(KernelSets):
             return _compiled(module, some, keep)
 
         start = time.perf_counter()
-        key = f"{walker_digest()}\n{bits}\n{text}"
         try:
-            found = compiled(key, label, compile_kernels, stubs(text, some))[1]
+            found = compiled(self._key(text), label, compile_kernels, stubs(text, some))[1]
         except (NumbaError, GenerationError) as error:
             not_walked.append(f"{label}: {str(error)[-400:]}")
             found = compiled(text, label, by_numba)[1]

@@ -7,14 +7,15 @@ from numba import njit
 import symsimpson as ss
 from symsimpson.runtime.driver import compiled
 from symsimpson.runtime.driver import steps as text
-from symsimpson.walk.functions import function_stub, read_functions, walking_function
+from symsimpson.walk.functions import read_functions, walking_function
+from symsimpson.walk.kernels import stub
 
 
 def test_a_step_allocates_nothing():
     for name, allocates in (("take_steps", False), ("recover", True)):
         signature = compiled.signatures()[name]
         made = {}
-        exec(function_stub(name, len(signature.args)), made)
+        exec(stub(name, len(signature.args)), made)
         made[f"walk_{name}"] = walking_function(
             lambda: read_functions(compiled.driver_text()), name, signature, 128
         )
