@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import astuple
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -161,6 +161,7 @@ def _compiled(
     )
 
 
+@lru_cache(maxsize=64)  # steppers of one declaration read it once
 def _derived(
     system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
     varied: tuple[str, ...] | None, running: Any,

@@ -14,6 +14,7 @@ from symsimpson.calling import explaining
 from symsimpson.errors import UnknownNameError
 from symsimpson.extras import library
 from symsimpson.names import did_you_mean, spelled
+from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import dataframe, write
@@ -25,25 +26,6 @@ __all__ = ["Sampled", "Saved"]
 
 #: Quantities that have a number for each coordinate.
 VECTORS = ("q", "p", "v")
-
-
-class Outcome:
-    """How a run ended that is not there as a whole."""
-
-    status: Status
-    message: str
-    steps: int
-    h: Any
-    _stepper: Stepper
-
-    @property
-    def success(self) -> bool:
-        """Whether the run reached its end."""
-        return self.status is Status.SUCCESS
-
-    def _outcome(self) -> dict[str, Any]:
-        return {"h": float(self.h), "steps": self.steps, "status": self.status.name,
-                "message": self.message}  # fmt: skip
 
 
 @explaining()

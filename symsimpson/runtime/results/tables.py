@@ -105,13 +105,14 @@ def write(
         If the file cannot be written.
     """
     place = read_path(f"the {what}'s file", path)
-    kind, made = check_kind(place), arrays()
+    kind = check_kind(place)
+    check_folder(place, what, trajectory=trajectory)  # before anything is computed
+    made = arrays()
     if any(np.asarray(x).dtype == object for x in made.values()):
         raise InputError(
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep the arrays q and p in a file of your own."
         )
-    check_folder(place, what, trajectory=trajectory)
     with written_beside(place, what, trajectory) as whole:
         if kind == ".nc":
             dataset().to_netcdf(whole, engine="netcdf4")

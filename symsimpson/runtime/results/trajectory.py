@@ -14,6 +14,7 @@ from symsimpson.calling import explaining
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
+from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
 
@@ -27,7 +28,7 @@ __all__ = ["Trajectory"]
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory(Energies, Differentiated):
+class Trajectory(Outcome, Energies, Differentiated):
     """States of a run, and how it ended.
 
     Arrays are float64, or object arrays of mpmath numbers if the stepper was compiled with a
@@ -100,11 +101,6 @@ class Trajectory(Energies, Differentiated):
         """The initial energy, the energy level on which a retimed system is integrated."""
         values = self.parameters
         return values["E0"] if self._stepper._module.header.retimed else self.energy[0]
-
-    @property
-    def success(self) -> bool:
-        """Whether the run reached its end."""
-        return self.status is Status.SUCCESS
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
@@ -263,10 +259,7 @@ class Trajectory(Energies, Differentiated):
         return further
 
     def _about(self) -> dict[str, Any]:
-        return super()._about() | {
-            "h": float(self.h), "steps": self.steps, "status": self.status.name,
-            "message": self.message,
-        }  # fmt: skip
+        return super()._about() | self._outcome()
 
     def _repr_html_(self) -> str:
         from symsimpson.runtime.results.html import trajectory
