@@ -25,7 +25,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.progress import waiting
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.syntax import read_stepper
-from symsimpson.runtime.kernels.texts import kept
+from symsimpson.runtime.kernels.texts import kept_text
 from symsimpson.runtime.loaded import Tools
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
@@ -176,7 +176,7 @@ def _derived(
     energies = (system.kinetic, system.potential, system.gyroscopic)
     parts: list[object] = [system.digest, *energies, astuple(scheme), sorted(exploit), varied]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]
-    return kept(map(str, parts), derived)
+    return kept_text(map(str, parts), derived)
 
 
 @waiting("deriving")

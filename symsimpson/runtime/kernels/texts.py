@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import json
 from collections.abc import Callable, Iterable
 from functools import cache
 from importlib import resources
 from importlib.resources.abc import Traversable
+from typing import Any
 
 from symsimpson.derivation import Derivation
-from symsimpson.errors import StorageError
-from symsimpson.files import written_beside
-from symsimpson.runtime.kernels.cache import cache_folder
+from symsimpson.runtime.kernels.kept import kept
 
-__all__ = ["kept"]
+__all__ = ["kept_text"]
 
 #: What the generator is made of.
 GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "interface.py")
@@ -23,7 +20,7 @@ GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "interface.
 BRIEF = 0.1
 
 
-def kept(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
+def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
     """Return the derivation that was kept for the same source, or make it and keep it.
 
     Parameters
@@ -37,28 +34,28 @@ def kept(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
     Derivation
         Its stages took no time where it was kept.
     """
-    content = "\n".join([_generator(), *source])
-    place = cache_folder() / "texts" / f"{hashlib.sha256(content.encode()).hexdigest()}.json"
-    try:
-        found = json.loads(place.read_text(encoding="utf-8"))
-        text = found["text"]
-        if hashlib.sha256(text.encode()).hexdigest() == found["sha256"]:
-            seconds = dict.fromkeys(map(str, found["stages"]), 0.0)
-            return Derivation(text, seconds, found["operations"], found["unrolled"] is True)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass  # there is none, or none that is whole
-    made = derive()
-    if sum(made.seconds.values()) > BRIEF:
-        with contextlib.suppress(StorageError, OSError):  # a full disk keeps nothing
-            place.parent.mkdir(mode=0o700, exist_ok=True)
-            digest = hashlib.sha256(made.text.encode()).hexdigest()
-            whole_of_it = {
-                "text": made.text, "sha256": digest, "operations": made.operations,
-                "unrolled": made.unrolled, "stages": [*made.seconds],
-            }  # fmt: skip
-            with written_beside(place, "text") as whole:
-                whole.write_text(json.dumps(whole_of_it), encoding="utf-8")
-    return made
+    return kept("texts", "\n".join([_generator(), *source]), _read, derive, _content)
+
+
+def _read(found: Any) -> Derivation:
+    text = found["text"]
+    if _digest(text) != found["sha256"]:
+        raise ValueError("the text does not have the digest that it names")
+    seconds = dict.fromkeys(map(str, found["stages"]), 0.0)
+    return Derivation(text, seconds, found["operations"], found["unrolled"] is True)
+
+
+def _content(made: Derivation) -> dict[str, Any] | None:
+    if sum(made.seconds.values()) <= BRIEF:
+        return None
+    return {
+        "text": made.text, "sha256": _digest(made.text), "operations": made.operations,
+        "unrolled": made.unrolled, "stages": [*made.seconds],
+    }  # fmt: skip
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache

@@ -7,7 +7,7 @@ import sympy as sp
 
 import symsimpson as ss
 from symsimpson import api
-from symsimpson.runtime.kernels import texts
+from symsimpson.runtime.kernels import kept, texts
 
 k = sp.Symbol("k", positive=True)
 (x,) = ss.coordinates("x")
@@ -23,7 +23,7 @@ def derived(monkeypatch, tmp_path):
         made.append(given)
         return original(*given)
 
-    monkeypatch.setattr(texts, "cache_folder", lambda: tmp_path)
+    monkeypatch.setattr(kept, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(texts, "BRIEF", 0.0)
     monkeypatch.setattr(api, "derive", derive)
     return made
