@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from support.places import GENERATED
 
 import symsimpson as ss
 from symsimpson.cli import main
@@ -44,11 +45,10 @@ def test_generate(tmp_path, own, capsys):
 
 
 def test_check(tmp_path, capsys):
-    from pathlib import Path
     from shutil import copytree
 
     target = tmp_path / "generated"
-    copytree(Path(__file__).parents[1] / "generated", target)
+    copytree(GENERATED, target)
     assert main(["check", "--directory", str(target)]) == 0
     (target / "kepler__simpson.py").unlink()
     (target / "other.py").write_text("")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import sympy as sp
 from hypothesis import HealthCheck, given, settings
-from strategies import names, runs, states, systems
+from support.strategies import names, runs, states, systems
+from support.workspace import begin, state, take_step
 from sympy.physics.mechanics import dynamicsymbols
-from workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_complex, bind_float

@@ -3,13 +3,12 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from support.places import PACKAGE
 
 #: What nothing below may import.
 TOP = ("analysis", "reference", "bench", "systems", "api", "cli")
-PACKAGE = Path(__file__).parents[1] / "symsimpson"
 
 
 def loaded_by(statement):

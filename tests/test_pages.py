@@ -1,12 +1,11 @@
 """What the pages say: their Python runs, and what they point to is there."""
 
 import re
-from pathlib import Path
 
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.places import ROOT
 
-ROOT = Path(__file__).parents[1]
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
 PAGES = [
     *GUIDE, "README.md", "notebooks/README.md", "notebooks/coming_from.md",

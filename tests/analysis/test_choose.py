@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.choose import CANDIDATES

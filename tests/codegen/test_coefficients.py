@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import block, new_workspace
+from support.workspace import block, new_workspace
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

@@ -7,9 +7,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from oracle import DIGITS, discrete_lagrangian, gradient, virtual_work
-from random_systems import random_state, random_system
-from workspace import TABLES, begin, block, new_workspace, sweep, take_step
+from support.cases import sweep
+from support.oracle import DIGITS, discrete_lagrangian, gradient, virtual_work
+from support.random_systems import random_state, random_system
+from support.workspace import TABLES, begin, block, new_workspace, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

@@ -2,14 +2,16 @@
 
 import json
 from itertools import pairwise
-from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from random_systems import random_state, random_system
-from workspace import begin, block, new_workspace, state, sweep, take_step
+from support.cases import sweep
+from support.forms import limited
+from support.places import DATA
+from support.random_systems import random_state, random_system
+from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_complex, bind_float, bind_mpmath
@@ -25,7 +27,7 @@ SYSTEMS = [
     random_system(3),
     random_system(9),
 ]
-GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "golden.json").read_text())["cases"]
+GOLDEN = json.loads((DATA / "golden.json").read_text())["cases"]
 
 
 @pytest.mark.parametrize("system", sweep(SYSTEMS), ids=lambda system: system.name)
@@ -33,8 +35,7 @@ GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "golden.json").read_te
 @pytest.mark.parametrize(("members", "exploit"), [(99, ()), (0, ()), (0, ("constant_mass",))])
 def test_loops_and_straight_lines_agree(system, scheme, members, exploit, monkeypatch):
     text = source(system, scheme, ())
-    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
-    monkeypatch.setattr(kernels, "FAMILY_MEMBERS", members)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0, FAMILY_MEMBERS=members)
     equations = discretise(system, read_scheme(scheme), exploit)
     looped = emit(equations, kernels.lower(equations))
     assert "newton_pivoted" in text
@@ -108,7 +109,7 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
         "coupled", coordinates=x, kinetic=kinetic / 2, potential=sum(a**4 for a in x),
         gyroscopic=sum((i + sp.sin(x[i - 1])) * u for i, u in enumerate(v)), parameters={},
     )  # fmt: skip
-    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, ss.SIMPSON, ())
     module = bind_float(emit(equations, kernels.lower(equations)))
     W = new_workspace(module, [0.1, 0.5, -0.4, 0.8, -0.2], [0.0] * 5, [])
@@ -137,7 +138,7 @@ def swinging_chain():
 def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
     """And the momentum of a velocity, with M and what is linear in v written down by hand."""
     system = swinging_chain()
-    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, ss.SIMPSON, ("sparse",))
     text = emit(equations, kernels.lower(equations))
     assert "BAND = 1\n" in text
@@ -161,7 +162,7 @@ def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
 @pytest.mark.parametrize(("exploit", "width"), [((), 12), (("sparse",), 3)])
 def test_rows_are_exchanged_where_pivots_are_small(exploit, width, monkeypatch):
     """Matrices of random numbers, and of some zeros on the diagonal, against numpy."""
-    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(swinging_chain(), ss.SIMPSON, exploit)
     module = bind_float(emit(equations, kernels.lower(equations)))
     size, pick = module.NEWTON_UNKNOWNS, np.random.default_rng(4)
@@ -200,7 +201,7 @@ def test_rows_are_exchanged_where_pivots_are_small(exploit, width, monkeypatch):
 def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):
     """In 60 digits; wrong entries of a Jacobian only make it slow, which nothing else sees."""
     if exploit != "all":
-        monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
+        limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, read_scheme(scheme), exploit)
     text = emit(equations, kernels.lower(equations))
     assert ("newton_pivoted" in text) == (exploit == "all")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.codegen import kernels
 
 H = 0.0625
 
@@ -31,7 +31,7 @@ def variants():
 
 @pytest.fixture
 def by_loops(monkeypatch):
-    monkeypatch.setattr(kernels, "STAGE_COORDINATES", 0)
+    limited(monkeypatch, STAGE_COORDINATES=0)
 
 
 def runs(stepper, monkeypatch, **given):

@@ -6,7 +6,8 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import new_workspace, sweep
+from support.cases import sweep
+from support.workspace import new_workspace
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import mpmath
 import numpy as np
 import pytest
-from workspace import new_workspace
+from support.workspace import new_workspace
 
 import symsimpson as ss
 from symsimpson.binding import MATH, bind, plain_arithmetic

@@ -6,8 +6,9 @@ import re
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
+from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
-from workspace import begin, block, sweep, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

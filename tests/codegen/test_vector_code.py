@@ -5,7 +5,8 @@ import re
 import mpmath
 import numpy as np
 import pytest
-from workspace import new_workspace, sweep, walked
+from support.cases import sweep
+from support.workspace import new_workspace, walked
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

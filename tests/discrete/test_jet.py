@@ -1,8 +1,8 @@
 import mpmath as mp
 import pytest
 import sympy as sp
-from oracle import lagrangian
-from workspace import jet_values
+from support.oracle import lagrangian
+from support.workspace import jet_values
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet

@@ -2,7 +2,7 @@
 
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.discrete.equations import discretise

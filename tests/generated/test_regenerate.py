@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 import sympy
-from workspace import begin, state, sweep, take_step
+from support.cases import sweep
+from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.cli.commands import SCHEMES
 from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
+from support.places import GENERATED
 
-GENERATED = Path(__file__).parents[2] / "generated"
 SYSTEMS = {make().name: make for make in ss.systems.CATALOGUE.values()}
 PINNED = "1.14.0"
 

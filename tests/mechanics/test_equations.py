@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from driven import van_der_pol
+from support.driven import van_der_pol
 from sympy.physics.mechanics import LagrangesMethod, dynamicsymbols
 
 import symsimpson as ss

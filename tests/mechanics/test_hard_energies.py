@@ -6,7 +6,8 @@ from itertools import combinations
 import mpmath as mp
 import pytest
 import sympy as sp
-from workspace import jet_values, sweep
+from support.cases import sweep
+from support.workspace import jet_values
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet

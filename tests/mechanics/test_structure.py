@@ -4,8 +4,8 @@ import random
 
 import pytest
 import sympy as sp
-from random_systems import structured_system
-from workspace import sweep
+from support.cases import sweep
+from support.random_systems import structured_system
 
 import symsimpson as ss
 from symsimpson.discrete.equations import discretise

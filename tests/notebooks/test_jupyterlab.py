@@ -14,8 +14,8 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from support.places import NOTEBOOKS
 
-NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 OUTPUT = Path(__file__).parent / "output"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
 #: However slow the machine; in milliseconds.

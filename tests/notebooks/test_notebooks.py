@@ -4,9 +4,9 @@ import gc
 from pathlib import Path
 
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.places import NOTEBOOKS
 
-NOTEBOOKS = Path(__file__).parents[2] / "notebooks"
 
 
 GALLERY = sorted((NOTEBOOKS / "gallery").glob("*.ipynb"))

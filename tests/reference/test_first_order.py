@@ -3,7 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.order import observed_orders

@@ -1,15 +1,15 @@
 """The exact top against 40 printed digits, itself, and its equations of motion."""
 
 import json
-from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 import pytest
+from support.places import DATA
 
 from symsimpson.reference import ExactTop
 
-CASES = json.loads((Path(__file__).parents[1] / "data" / "exact_top.json").read_text())
+CASES = json.loads((DATA / "exact_top.json").read_text())
 TOY = {"m_top": "0.1", "g": "9.81", "l": "0.15", "I": "0.00233", "I3": "0.000125"}
 
 

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 

@@ -1,10 +1,10 @@
 """Runs that go wrong: never a hang, never a success, nothing lost."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.places import ROOT
 
 import symsimpson as ss
 from symsimpson.runtime.driver.compiled import driver
@@ -181,7 +181,7 @@ def test_divergence_has_its_status():
 
 
 def test_every_status_is_told():
-    page = (Path(__file__).parents[2] / "notebooks/guide/trust.md").read_text()
+    page = (ROOT / "notebooks/guide/trust.md").read_text()
     for status in ss.Status:
         assert status.message.endswith((".", "kept."))
         assert f"| `{status.name}` |" in page

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs import backward

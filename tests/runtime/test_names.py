@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 

@@ -7,7 +7,7 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 import symsimpson.errors

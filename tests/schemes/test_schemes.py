@@ -2,7 +2,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from oracle import interpolate, nodes_and_weights
+from support.oracle import interpolate, nodes_and_weights
 
 import symsimpson as ss
 from symsimpson.binding import bind_float

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from random_systems import random_state, random_system
-from workspace import begin, state, take_step
+from support.forms import limited
+from support.random_systems import random_state, random_system
+from support.workspace import begin, state, take_step
 
 from symsimpson.binding import bind_float
 from symsimpson.codegen import kernels
@@ -20,8 +21,7 @@ H, STEPS, AT_ONCE = 0.02, 3, 10
 
 def ends(equations, unknowns, members, monkeypatch, q, v):
     """The state after some steps, of code in one form; None if the scheme has only the other."""
-    monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", unknowns)
-    monkeypatch.setattr(kernels, "FAMILY_MEMBERS", members)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=unknowns, FAMILY_MEMBERS=members)
     text = emit(equations, kernels.lower(equations))
     module = bind_float(text)
     if unknowns and "newton_pivoted" not in text:

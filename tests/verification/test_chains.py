@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
-from index_one import index_one
+from support.index_one import index_one
 
 import symsimpson as ss
 

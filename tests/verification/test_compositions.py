@@ -5,11 +5,11 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.codegen import kernels
-from symsimpson.codegen.pipeline import _derive, source
+from symsimpson.codegen.pipeline import source
 from symsimpson.schemes.composition import COMPOSITIONS
 
 HENON = ss.systems.henon_heiles()
@@ -78,12 +78,10 @@ def test_loops_are_straight_lines(name, monkeypatch):
     """Kernels with loops, as large systems get them, and the solution of another scheme."""
     given = {**CHAIN.reference_state, "h": 0.001, "steps": 500, "every": None}
     straight = ss.compile(CHAIN, name).integrate(**given)
-    monkeypatch.setattr(kernels, "UNROLLED_FORCES", 1)
-    _derive.cache_clear()
+    limited(monkeypatch, UNROLLED_FORCES=1)
     looped = ss.compile(CHAIN, name)
     assert "range(len(DRIFTS))" in looped.source
     run = looped.integrate(**given)
-    _derive.cache_clear()
     assert np.abs(run.q - straight.q).max() < 1e-14
     other = ss.compile(CHAIN, "gauss8").integrate(**given)
     assert np.abs(run.q - other.q).max() < 1e-8

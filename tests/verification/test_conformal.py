@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from scipy.integrate import solve_ivp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import sympy as sp
-from index_one import motion
-from workspace import sweep
+from support.cases import sweep
+from support.index_one import motion
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise

@@ -5,17 +5,17 @@ multipliers and the largest error of the energy.
 """
 
 import json
-from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
+from support.places import DATA
 
 import symsimpson as ss
 
-DATA = Path(__file__).parents[1] / "data" / "golden_constrained.json"
+DATA = DATA / "golden_constrained.json"
 CASES = json.loads(DATA.read_text())["cases"]
 #: Lines written out, loops, and a singular M come first.
 FIRST = ("spherical_pendulum_simpson", "two_bodies_simpson",

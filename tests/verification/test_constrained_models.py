@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
-from index_one import motion
+from support.index_one import motion
 from sympy.physics import mechanics as me
 
 import symsimpson as ss

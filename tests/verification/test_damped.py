@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import sympy as sp
-from driven import PROBLEMS
-from hamilton import truth
 from scipy.integrate import solve_ivp
-from workspace import sweep
+from support.cases import sweep
+from support.driven import PROBLEMS
+from support.hamilton import truth
 
 import symsimpson as ss
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.codegen import kernels, pipeline
+from symsimpson.codegen import pipeline
 from symsimpson.runtime.stepper import Stepper
 
 pytestmark = pytest.mark.slow
@@ -56,8 +57,6 @@ def drift(stepper, together):
 @pytest.mark.parametrize(("scheme", "exploit", "loops", "together"), CASES)
 def test_the_mean_energy_stays(scheme, exploit, loops, together, monkeypatch):
     if loops:
-        monkeypatch.setattr(kernels, "UNROLLED_UNKNOWNS", 0)
-    pipeline._derive.cache_clear()
+        limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     stepper = Stepper(pipeline.source(ss.systems.henon_heiles(), scheme, exploit), "drift")
-    pipeline._derive.cache_clear()
     assert abs(drift(stepper, together)) < MOST

@@ -5,8 +5,9 @@ from itertools import pairwise
 import mpmath
 import numpy as np
 import pytest
-from oracle import nodes_and_weights
-from workspace import new_workspace, sweep
+from support.cases import sweep
+from support.oracle import nodes_and_weights
+from support.workspace import new_workspace
 
 import symsimpson as ss
 from symsimpson.binding import bind_float, bind_mpmath

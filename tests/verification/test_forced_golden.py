@@ -7,8 +7,8 @@ integral of dL/dt. Inputs are held over steps, or given at their nodes.
 import mpmath as mp
 import numpy as np
 import pytest
-from forced_cases import CONFORMAL, OTHERS, run_of, stepper_of
-from workspace import sweep
+from support.cases import sweep
+from support.forced_cases import CONFORMAL, OTHERS, run_of, stepper_of
 
 
 def last_state(case, stepper, number):

@@ -7,9 +7,9 @@ method of order eight for Hamilton's equations; its energy less the work done mu
 import numpy as np
 import pytest
 import sympy as sp
-from hamilton import truth
+from support.cases import sweep
+from support.hamilton import truth
 from sympy.physics import mechanics as me
-from workspace import sweep
 
 import symsimpson as ss
 

@@ -6,10 +6,10 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from driven import PROBLEMS, double_pendulum, growing_mass, kepler_with_drag, van_der_pol
-from hamilton import truth
 from scipy.optimize import fsolve
-from workspace import sweep
+from support.cases import sweep
+from support.driven import PROBLEMS, double_pendulum, growing_mass, kepler_with_drag, van_der_pol
+from support.hamilton import truth
 
 import symsimpson as ss
 

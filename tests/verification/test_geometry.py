@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from workspace import begin, state, sweep, take_step
+from support.cases import sweep
+from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise

@@ -5,16 +5,16 @@ state, the largest relative energy error, and the amplification of errors in the
 """
 
 import json
-from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.places import DATA
 
 import symsimpson as ss
 
-CASES = json.loads((Path(__file__).parents[1] / "data" / "golden.json").read_text())["cases"]
+CASES = json.loads((DATA / "golden.json").read_text())["cases"]
 TOLERANCE = {"double_pendulum": 1e-13, "lagrange_top": 1e-12}
 SYSTEMS = {"double_pendulum": ss.systems.double_pendulum, "lagrange_top": ss.systems.lagrange_top}
 

@@ -4,8 +4,8 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from forced_cases import CASES, given_to, stepper_of
-from workspace import sweep
+from support.cases import sweep
+from support.forced_cases import CASES, given_to, stepper_of
 
 WITH_GRADIENT = [case for case in CASES if "gradient_of_w_dot_(q,p)" in case["results"]["final"]]
 

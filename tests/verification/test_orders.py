@@ -1,11 +1,11 @@
 """Observed orders on nonlinear problems; the harmonic oscillator would hide errors of order."""
 
 import json
-from pathlib import Path
 
 import mpmath
 import numpy as np
 import pytest
+from support.places import DATA
 
 import symsimpson as ss
 
@@ -40,7 +40,7 @@ def test_energy_errors_of_the_double_pendulum_are_the_known_ones():
             assert np.isclose(np.abs(run.energy_error).max(), value, rtol=2e-4)
 
 
-EXACT = json.loads((Path(__file__).parents[1] / "data" / "exact_top.json").read_text())[0]
+EXACT = json.loads((DATA / "exact_top.json").read_text())[0]
 
 
 def exact_nutation(times):

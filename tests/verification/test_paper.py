@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis.order import observed_orders

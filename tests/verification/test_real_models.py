@@ -8,9 +8,10 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from newton_euler import accelerations
-from random_systems import random_system
-from workspace import jet_values, sweep
+from support.cases import sweep
+from support.newton_euler import accelerations
+from support.random_systems import random_system
+from support.workspace import jet_values
 
 import symsimpson as ss
 from symsimpson.discrete.jet import derive_jet

@@ -3,8 +3,9 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from random_systems import random_state, structured_system
-from workspace import begin, block, new_workspace, state, sweep, take_step
+from support.cases import sweep
+from support.random_systems import random_state, structured_system
+from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
 from symsimpson.binding import bind_float, bind_mpmath

@@ -4,19 +4,19 @@
 """
 
 import json
-from pathlib import Path
 
 import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
+from support.places import DATA
 
 import symsimpson as ss
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.quadrature import Quadrature
 
-DATA = Path(__file__).parents[1] / "data" / "golden_retimed.json"
+DATA = DATA / "golden_retimed.json"
 EVERY = json.loads(DATA.read_text())["cases"]
 CASES, COMPOSED = ([x for x in EVERY if kind in x] for kind in ("g", "composition"))
 #: Coarse at its pericentre, where rounding is amplified.

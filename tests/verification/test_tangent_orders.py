@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.bench.programs import in_heyoka

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from workspace import new_workspace, state, sweep
+from support.cases import sweep
+from support.workspace import new_workspace, state
 
 import symsimpson as ss
 from symsimpson.binding import bind_complex, bind_float

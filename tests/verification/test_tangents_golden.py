@@ -3,8 +3,8 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from forced_cases import CASES, CONFORMAL, OTHERS, run_of, stepper_of
-from workspace import sweep
+from support.cases import sweep
+from support.forced_cases import CASES, CONFORMAL, OTHERS, run_of, stepper_of
 
 
 def derivatives_of(case, number, **options):

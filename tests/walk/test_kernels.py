@@ -9,7 +9,8 @@ from itertools import cycle
 import numpy as np
 import pytest
 from numba import cfunc
-from workspace import sweep, walked
+from support.cases import sweep
+from support.workspace import walked
 
 import symsimpson as ss
 from symsimpson.binding import MATH, bind, plain_arithmetic

@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 from numba import njit, types
-from workspace import walked
+from support.workspace import walked
 
 from symsimpson.errors import GenerationError
 from symsimpson.walk.functions import read_functions, walking_function

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.ensembles import blocks as module

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.errors import GenerationError

@@ -2,17 +2,17 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from workspace import sweep
+from support.cases import sweep
+from support.places import GENERATED
 
 import symsimpson as ss
 from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.kernels.syntax import check_structure
 
-GENERATED = sorted((Path(__file__).parents[3] / "generated").glob("*.py"))
-TEXT = (Path(__file__).parents[3] / "generated" / "double_pendulum__simpson.py").read_text()
+FILES = sorted(GENERATED.glob("*.py"))
+TEXT = (GENERATED / "double_pendulum__simpson.py").read_text()
 TOUCH = "open('CANARY', 'w')"
 
 #: Lines that are put into a generated module; each would touch the canary, or prepare to.
@@ -45,7 +45,7 @@ def signed(text):
     return text.replace(banner[1], digest(text[banner.end() :]), 1)
 
 
-@pytest.mark.parametrize("path", GENERATED, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_generated_modules_pass(path):
     check_structure(path.read_text(), path.name)
 

@@ -5,7 +5,7 @@ import re
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from workspace import walked
+from support.workspace import walked
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source

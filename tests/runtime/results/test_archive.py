@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import xarray
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 

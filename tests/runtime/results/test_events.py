@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 import sympy.physics.mechanics
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs import pieces, section

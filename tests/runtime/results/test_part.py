@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from driven import kepler_with_drag
-from workspace import sweep
+from support.cases import sweep
+from support.driven import kepler_with_drag
 
 import symsimpson as ss
 

@@ -1,18 +1,18 @@
 """The energy that a scheme keeps: its orders, and its value against closed formulas."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
+from support.places import DATA
 
 import symsimpson as ss
 from symsimpson.runtime.results import shadow
 
 GOLDEN = json.loads(
-    (Path(__file__).parents[2] / "data" / "golden_forced.json").read_text("utf-8")
+    (DATA / "golden_forced.json").read_text("utf-8")
 )["modified_energy"]  # fmt: skip
 
 

@@ -4,10 +4,10 @@ import threading
 
 import numpy as np
 import pytest
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs import brief
-from tests.workspace import sweep
 
 KINDS = [
     ("double_pendulum", "simpson"),

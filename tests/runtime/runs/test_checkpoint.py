@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs.run import Run

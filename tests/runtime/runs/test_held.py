@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs.run import Run

@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 import pytest
 import sympy as sp
-from three_bodies import pythagorean
-from workspace import sweep
+from support.cases import sweep
+from support.three_bodies import pythagorean
 
 import symsimpson as ss
 

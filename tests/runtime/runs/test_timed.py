@@ -4,7 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
-from workspace import sweep
+from support.cases import sweep
 
 import symsimpson as ss
 

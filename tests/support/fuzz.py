@@ -1,4 +1,7 @@
-"""A long campaign: python tests/fuzz.py --systems 10000. Each system is held against mpmath."""
+"""A long campaign: python tests/support/fuzz.py --systems 10000.
+
+Each system is held against mpmath.
+"""
 
 import argparse
 import multiprocessing
@@ -6,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 
 def check(seed):

@@ -1,14 +1,14 @@
 """Golden cases of forced and timed systems: their systems, steppers and runs."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import sympy as sp
 
 import symsimpson as ss
+from support.places import DATA
 
-CASES = json.loads((Path(__file__).parent / "data" / "golden_forced.json").read_text())["cases"]
+CASES = json.loads((DATA / "golden_forced.json").read_text())["cases"]
 CONFORMAL = [case for case in CASES if case.get("conformal")]
 OTHERS = [case for case in CASES if not case.get("conformal")]
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 from hypothesis import strategies as st
-from random_systems import drawn_system
+
+from support.random_systems import drawn_system
 
 __all__ = ["anything", "names", "runs", "states", "systems"]
 

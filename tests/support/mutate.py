@@ -1,4 +1,4 @@
-"""Which small errors do the quick tests see? python tests/mutate.py --mutants 200 --seed 1.
+"""Which small errors do the quick tests see? python tests/support/mutate.py --mutants 200 --seed 1.
 
 One operator, comparison, constant or sign of the symbolic half is changed at a time, in a copy of
 the package, and tests of numbers that need no compiler run against it: in random order, so that
@@ -20,7 +20,7 @@ import time
 from itertools import pairwise
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FOLDERS = ("discrete", "schemes", "codegen")
 SELECTION = """
 codegen/random_systems equations_agree_with_the_oracle[0] newton_solves_the_equations[0]

@@ -1,0 +1,13 @@
+"""Make modules in another form than their size asks for."""
+
+from symsimpson import api
+from symsimpson.codegen import kernels, pipeline
+
+
+def limited(monkeypatch, **limits):
+    """Set limits of the generator for a test; all texts are derived anew, and none is kept."""
+    for name, value in limits.items():
+        monkeypatch.setattr(kernels, name, value)
+    anew = pipeline._derive.__wrapped__
+    monkeypatch.setattr(pipeline, "_derive", anew)
+    monkeypatch.setattr(api, "_derived", pipeline.derive)
