@@ -106,8 +106,11 @@ def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
 
 
 def wide(bits: int) -> str:
-    """Return what lets vectors be so wide; llvmlite does not know it, so it is added past it."""
-    return f'"prefer-vector-width"="{bits}"'
+    """Return what lets vectors be so wide; llvmlite does not know it, so it is added past it.
+
+    Longer vectors of the text are taken apart: none of them has to be in one register.
+    """
+    return f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="0"'
 
 
 def _walked(
