@@ -60,7 +60,7 @@ def certify(
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
-    if stepper._module.numbers is not FLOAT64:
+    if not stepper._module.numbers.compiled:
         raise InputError(
             "a stepper of many digits has no certificate: it tests double-precision code.\n"
             "Certify the stepper compiled without precision; its equations are the same."

@@ -15,7 +15,6 @@ from symsimpson.errors import InputError
 from symsimpson.names import spelled
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_array, read_parameters
-from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.header import Header, read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
@@ -44,7 +43,7 @@ class Evaluator:
         where: str,
         *,
         defaults: Mapping[str, float] | None = None,
-        numbers: Numbers = FLOAT64,
+        numbers: Numbers | None = None,
         reference_state: Mapping[str, Any] | None = None,
         declared: Any = None,
         derivation: Derivation | None = None,
@@ -54,6 +53,7 @@ class Evaluator:
     ) -> None:
         header = read_header(source, where)
         self.source, self._where = source, where
+        numbers = numbers or FLOAT64
         kernels = numbers.kernels(source, header)
         self._module = Loaded(header, numbers, kernels, declared, derivation, tools)
         self.system, self.scheme, self.order = header.system, header.scheme, header.order
@@ -72,7 +72,7 @@ class Evaluator:
         #: What is prepared for short runs, where states need not be looked at one by one.
         special = header.constraints or header.inputs
         free = header.real_everywhere and not special
-        self._prepared: list[Any] | None = [] if free and numbers is FLOAT64 else None
+        self._prepared: list[Any] | None = [] if free and numbers.compiled else None
         #: Steps and lengths of runs that are not short, though it did not seem so.
         self._long: set[tuple[float, float]] = set()
         #: What inputs are in runs that are given none.
@@ -324,16 +324,8 @@ def watching(
     InputError
         If the stepper has many digits.
     """
-    header, numbers, kernels = (
-        stepper._module.header,
-        stepper._module.numbers,
-        stepper._module.kernels,
-    )
-    if not isinstance(kernels, Kernels):
-        raise InputError(
-            "expressions are evaluated in double precision, and this stepper has many digits.\n"
-            "Compile without precision."
-        )
+    header, numbers = stepper._module.header, stepper._module.numbers
+    kernels = stepper._module.kernels
     kernel = kernels.observing(observing_kernel(header, found), len(found))
     energy = kernels.address("energy") if any(one.energetic for one in found) else 0
     W = workspace(header, numbers, numbers.read(values), more=len(found))

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.interface import ROWS
-from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.ensembles.arrivals import take_last_parts
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
-from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.observed import KINDS, observing_kernel
 from symsimpson.runtime.runs.chaos import directions, kept_growth
 from symsimpson.runtime.runs.run import NOTHING_KEPT, TIME_KEPT
@@ -97,7 +95,8 @@ def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
 def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = stepper._module.header, task.lanes
-    kernels = Kernels(stepper.source, header, lanes)
+    numbers = stepper._module.numbers
+    kernels = numbers.kernels(stepper.source, header, lanes)
     kept, columns, told = NOTHING_KEPT, np.zeros((0, 0)), header.told.copy()
     watched, observing, slopes = 0, 0, 0
     if task.tangents is not None:
@@ -130,7 +129,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     more = np.array([legendre, observing, energy, slopes, retime], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step = kernels.set(kernels.fallbacks[0], kept.kernel)
-    advance_blocks = driver("advance_blocks", lanes, renewing=task.of_variations)
+    advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + watched + kept.room + 1, lanes)  # the last is the driver's

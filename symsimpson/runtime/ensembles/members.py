@@ -55,7 +55,7 @@ def read_task(
     InputError
         If they make no sense, or what is to be stored does not fit into memory.
     """
-    if stepper._module.numbers is not FLOAT64:
+    if not stepper._module.numbers.compiled:
         raise InputError(
             "an ensemble runs in double precision, and this stepper has another precision.\n"
             "Compile one without precision."

@@ -88,10 +88,7 @@ class Kernels(KernelSets):
         return self._single[key]
 
     def observing(self, kernel: str, rows: int) -> int:
-        """Return the address of a further kernel, whose text is compiled behind the module's.
-
-        The workspace has so many more rows, from what was ROWS on.
-        """
+        """Return the address of a further kernel, which is compiled with the module."""
         text = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
         return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
 

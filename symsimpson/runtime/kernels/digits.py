@@ -111,7 +111,7 @@ def _revive(digits: int, arithmetic: str, number: Any) -> Any:
 class Digits(Numbers):
     """Numbers of mpmath, in a context of their own."""
 
-    stretch, arithmetic = 1, "mpmath"
+    compiled, stretch, arithmetic = False, 1, "mpmath"
 
     def __init__(self, digits: int) -> None:
         self.digits = digits
@@ -195,11 +195,13 @@ class Digits(Numbers):
     def _converted(self, column: Sequence[Any]) -> list[Any]:
         return [self.context.convert(x) for x in column]
 
-    def kernels(self, text: str, header: Header) -> _Functions:
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""
         return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
 
-    def driver(self, name: str, *, renewing: bool = False) -> Callable[..., Any]:
+    def driver(
+        self, name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
+    ) -> Callable[..., Any]:
         """Return a function of the driver, bound to these numbers."""
         return cast(Callable[..., Any], getattr(self._driver, name))
 
@@ -261,7 +263,7 @@ class Arb(Digits):
         """Return numbers of mpmath."""
         return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
 
-    def kernels(self, text: str, header: Header) -> _Functions:
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
             return _Functions(bind_arb(text, checking=True), header, self.digits)

@@ -29,12 +29,15 @@ class Numbers:
 
     Attributes
     ----------
+    compiled : bool
+        Whether code is compiled for them: ensembles and short runs take no others.
     stretch : int
         Steps after which a run first looks whether it was interrupted.
     epsilon : float
         Twice the relative size of a rounding.
     """
 
+    compiled = True
     stretch = 4096
     epsilon = 2.0**-52
 
@@ -87,13 +90,15 @@ class Numbers:
 
         return sp.lambdify(symbols, expressions, "numpy", cse=True)
 
-    def kernels(self, text: str, header: Header) -> KernelSets:
-        """Return the kernels of a module."""
-        return Kernels(text, header)
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> KernelSets:
+        """Return the kernels of a module, for so many trajectories at a time."""
+        return Kernels(text, header, lanes)
 
-    def driver(self, name: str, *, renewing: bool = False) -> Callable[..., Any]:
+    def driver(
+        self, name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
+    ) -> Callable[..., Any]:
         """Return a function of the driver, or of that which makes variations orthonormal."""
-        return driver(name, renewing=renewing)
+        return driver(name, lanes, renewing=renewing, iterated=iterated)
 
     def make_ready(self, kernels: KernelSets) -> None:
         """Compile all that a run may need, so that no later one waits for it.

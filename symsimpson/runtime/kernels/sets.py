@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import Any
 
+from symsimpson.errors import InputError
 from symsimpson.interface import (
     EXPLICIT,
     KERNEL_SETS,
@@ -87,3 +88,18 @@ class KernelSets(ABC):
     @abstractmethod
     def address(self, name: str, *, any_angle: bool = False) -> Any:
         """Return one kernel; of one that takes any angle, if that is asked for."""
+
+    def observing(self, kernel: str, rows: int) -> Any:
+        """Return a further kernel, whose text stands behind the module's.
+
+        The workspace has so many more rows, from what was ROWS on.
+
+        Raises
+        ------
+        InputError
+            If nothing is compiled here.
+        """
+        raise InputError(
+            "expressions are evaluated in double precision, and this stepper has many digits.\n"
+            "Compile without precision."
+        )

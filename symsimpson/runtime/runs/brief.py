@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.ahead import compiles_late
-from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.inputs import read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
@@ -69,7 +68,8 @@ class Prepared:
 
     def __init__(self, stepper: Evaluator) -> None:
         header, kernels = stepper._module.header, stepper._module.kernels
-        self.W, self.told = workspace(header, FLOAT64, stepper._defaults), header.told
+        numbers = stepper._module.numbers
+        self.W, self.told = workspace(header, numbers, stepper._defaults), header.told
         self.kernels = kernels.set(kernels.fallbacks[0])
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
         iterated = header.newton_unknowns > 0
@@ -77,11 +77,11 @@ class Prepared:
         if header.retimed:
             self.kernels = kernels.set(kernels.fallbacks[0], "clock")
             self.retime = kernels.address("retime")
-            self.run_to_end = driver("run_to_end", iterated=iterated)
+            self.run_to_end = numbers.driver("run_to_end", iterated=iterated)
             self.sampled = room(self.most // STRIDE, stepper.n)
             self.kept = np.empty((self.most + 1, 1, 1))
             return
-        self.run_briefly = driver("run_briefly", iterated=iterated)
+        self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
         #: Where states go that are looked at and forgotten.
         self.sampled = room(SAMPLES, stepper.n)
 
