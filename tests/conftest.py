@@ -1,6 +1,7 @@
-"""What the environment says of progress bars and of Ctrl-C is no matter of the tests.
+"""Where a test stands says how it is run: with a compiler, or with kernels in plain Python.
 
-They make hundreds of steppers for a run each: what it does not need is not compiled.
+The environment is no matter of the tests: what it says of progress bars and of Ctrl-C. What a
+stepper does not need is not compiled.
 """
 
 import os
@@ -8,6 +9,8 @@ import signal
 
 import pytest
 from support.cases import drawn, seed_of_the_run
+from support.places import TESTS
+from support.plain import plain
 
 os.environ["SYMSIMPSON_COMPILE"] = "late"
 os.environ.pop("TQDM_DISABLE", None)  # read when tqdm is imported
@@ -27,10 +30,22 @@ def pytest_configure(config):
 
 @pytest.hookimpl(tryfirst=True)  # what is fast counts as seen, whether it is run or not
 def pytest_collection_modifyitems(config, items):
+    for item in items:
+        if TESTS / "pages" in item.path.parents:
+            item.add_marker("slow")
     by_name = any("[" in one for one in config.args)
     if config.getoption("cases") == "drawn" and not by_name:
         items[:], waiting = drawn(items, seed_of_the_run(config))
         config.hook.pytest_deselected(items=waiting)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item, nextitem):
+    """Let nothing be compiled for a test, unless it is slow or stands in tests/compiled."""
+    if item.get_closest_marker("slow") or TESTS / "compiled" in item.path.parents:
+        return (yield)
+    with pytest.MonkeyPatch.context() as patch, plain(patch):
+        return (yield)
 
 
 def pytest_terminal_summary(terminalreporter, config):

@@ -1,10 +1,12 @@
 """Kernels and driver as plain Python: their own texts, run by the interpreter, none compiled."""
 
 import ast
+import contextlib
 import math
 from unittest.mock import MagicMock
 
 import numpy as np
+from numba.core import event
 
 from symsimpson.binding import MATH, bind
 from symsimpson.runtime.driver.compiled import driver_text
@@ -120,7 +122,20 @@ class Plain(Numbers):
 PLAIN = Plain()
 
 
+class _Refusing(event.Listener):
+    """Refuses to compile."""
+
+    def on_start(self, event):
+        raise AssertionError("a test outside tests/compiled is fast and compiles nothing")
+
+    def on_end(self, event):
+        """Let it end."""
+
+
+@contextlib.contextmanager
 def plain(monkeypatch):
-    """Compile nothing for steppers that are made from here on."""
+    """Run kernels of steppers that are made meanwhile in Python, and refuse to compile."""
     for module in ("api", "runtime.evaluator"):
         monkeypatch.setattr(f"symsimpson.{module}.FLOAT64", PLAIN)
+    with event.install_listener("numba:compiler_lock", _Refusing()):
+        yield

@@ -13,7 +13,7 @@ from support.places import ROOT
 
 NOTEBOOKS = ROOT / "notebooks"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("chrome")
-OUTPUT = Path(__file__).parent / "notebooks" / "output"
+OUTPUT = Path(__file__).parent / "output"
 PAGES = ["index", "guide/adaptive", "gallery/figure_eight", "reference/steppers", "coming_from"]
 
 

@@ -50,7 +50,7 @@ def test_the_source_distribution_has_the_tests(built):
         "pyproject.toml",
         "generated/pendulum__simpson.py",
         "symsimpson/py.typed",
-        "tests/test_packaging.py",
+        "tests/pages/test_packaging.py",
     } <= names
 
 
