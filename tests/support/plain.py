@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import math
+from functools import cache
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -14,8 +15,7 @@ from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.numbers import Numbers
 
 #: Kernels by their address, which is none of the machine.
-_functions = [None]
-_texts = {}
+_kernels = [None]
 
 
 def total(function):
@@ -44,19 +44,23 @@ def raised(a, b):
     return a**b if a or b >= 0 else math.inf
 
 
-COMMON = {
-    **{name: total(getattr(math, name)) for name in (*MATH, "atan2")},
-    "pi": math.pi,
-    "compiled": lambda function: function,
-}
-KERNELS = {
-    **COMMON, "array": lambda rows: rows, "real": float, "divided": divided, "raised": raised,
-    "carray": lambda workspace, shape: workspace,
+FUNCTIONS = {name: getattr(math, name) for name in (*MATH, "atan2")}
+QUICK = {
+    **FUNCTIONS, "pi": math.pi, "real": float, "array": lambda rows: rows,
+    "compiled": lambda function: function, "carray": lambda workspace, shape: workspace,
+}  # fmt: skip
+#: What has a value everywhere, at three times the time.
+TOTAL = {
+    **QUICK, **{name: total(function) for name, function in FUNCTIONS.items()},
+    "divided": divided, "raised": raised,
 }  # fmt: skip
 
 
 class _Lists(ast.NodeTransformer):
-    """Writes W[row, lane] as W[lane][row] and TABLE[i, j] as TABLE[i][j]."""
+    """Writes W[row, lane] as W[lane][row], TABLE[i, j] as TABLE[i][j], and places as numbers."""
+
+    def __init__(self, places):
+        self.places = places
 
     def visit_Subscript(self, node):
         self.generic_visit(node)
@@ -68,31 +72,52 @@ class _Lists(ast.NodeTransformer):
         outer = ast.Subscript(node.value, first, ast.Load())
         return ast.Subscript(outer, second, node.ctx)
 
+    def visit_Name(self, node):
+        found = self.places.get(node.id) if isinstance(node.ctx, ast.Load) else None
+        return node if found is None else ast.Constant(found)
 
-def _bound(text):
+
+@cache
+def _bound(text, arithmetic):
     """Return a module whose workspace is a list of columns."""
-    if text not in _texts:
-        tree = ast.fix_missing_locations(_Lists().visit(ast.parse(text)))
-        _texts[text] = bind(ast.unparse(tree), KERNELS)
-    return _texts[text]
+    tree = ast.parse(text)
+    places = {
+        node.targets[0].id: node.value.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and type(getattr(node.value, "value", None)) is int
+    }
+    tree = ast.fix_missing_locations(_Lists(places).visit(tree))
+    return bind(ast.unparse(tree), TOTAL if arithmetic == "total" else QUICK)
 
 
 def call(address, h, t, W):
     """Call a kernel at an address, with a workspace of NumPy."""
+    text, name = _kernels[address]
     columns = W.T.tolist()
-    _functions[address](float(h), float(t), columns)
-    W.T[:] = columns
+    try:
+        getattr(_bound(text, "quick"), name)(float(h), float(t), columns)
+        W.T[:] = columns
+    except (ArithmeticError, ValueError, TypeError):  # somewhere there is no real value
+        columns = W.T.tolist()
+        getattr(_bound(text, "total"), name)(float(h), float(t), columns)
+        W.T[:] = columns
+
+
+@cache
+def _driver(text):
+    own = {"njit": lambda **options: lambda function: function, "types": MagicMock()}
+    return bind(text, {**TOTAL, **own, "call": call, "np": np})
 
 
 class PlainKernels(Kernels):
     """Addresses of kernels that Python runs."""
 
     def _addresses(self, text, label, names):
-        module, found = _bound(text), []
+        found = []
         for name in names:
             if name:
-                _functions.append(getattr(module, name))
-            found.append(len(_functions) - 1 if name else 0)
+                _kernels.append((text, name))
+            found.append(len(_kernels) - 1 if name else 0)
         return found
 
 
@@ -107,10 +132,7 @@ class Plain(Numbers):
 
     def driver(self, name, lanes=1, *, renewing=False, iterated=True):
         text = driver_text(lanes, renewing=renewing, iterated=iterated)
-        if text not in _texts:
-            own = {"njit": lambda **options: lambda function: function, "types": MagicMock()}
-            _texts[text] = bind(text, {**COMMON, **own, "call": call, "np": np})
-        function = getattr(_texts[text], name)
+        function = getattr(_driver(text), name)
 
         def quiet(*arguments):
             with np.errstate(all="ignore"):
