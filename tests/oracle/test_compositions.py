@@ -126,6 +126,7 @@ def test_an_explicit_step_has_no_equations():
         stepper.residual([0.1, 0.2], [0, 0], [[0.1, 0.2]], 0.1)
 
 
+@pytest.mark.slow
 def test_certificate():
     assert ss.compile(HENON, "kahan_li6").certify().passed
 

@@ -48,6 +48,7 @@ def test_the_motion_is_that_of_the_index_one_equations(name):
 SCHEMES = ["simpson", "gauss4", "midpoint", "lobatto2", "lobatto6", "gauss6", "gauss8", "radau3"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 @pytest.mark.parametrize("name", sweep(["cartesian_pendulum", "four_bar", "quaternion_top"]))
 def test_certificates_pass(name, scheme):

@@ -14,6 +14,7 @@ def test_three_bodies_return_to_where_they_were():
     assert np.abs(run.q[-1] - eight.reference_state["q0"]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_the_lightest_of_three_bodies_escapes():
     """Its place at t = 70 is that of a Taylor method with 200 bits."""
     three = ss.systems.pythagorean()

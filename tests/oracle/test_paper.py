@@ -175,6 +175,7 @@ ENERGY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", sweep(ENERGY))
 def test_table_of_energy(method):
     for periods, printed in ENERGY[method].items():
@@ -253,6 +254,7 @@ def test_claim_order_four_is_kept_while_midpoint_falls_to_zero_and_rk4_passes_si
     assert orders["rk4"].max() > 6
 
 
+@pytest.mark.slow
 def test_claim_simpson_is_more_precise_than_rk4_at_equal_step():
     for periods in (1, 10, 100):
         for k in range(4):
@@ -269,6 +271,7 @@ def test_claim_simpson_is_more_precise_than_rk4_at_equal_step():
     assert far["midpoint"] == pytest.approx(1.06, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_step_that_divides_the_period_is_a_trap():
     """At h = period/37 a resonance holds the phase error, and the observed order is wrong."""
     period = float(exact_top().period)
@@ -279,6 +282,7 @@ def test_a_step_that_divides_the_period_is_a_trap():
     assert np.log2(locked / halved) == pytest.approx(1.39, abs=0.05)
 
 
+@pytest.mark.slow
 def test_the_printed_motion_is_regular():
     """Nearby starts of the double pendulum part linearly in time, not exponentially."""
     simpson = stepper("double_pendulum", "simpson")

@@ -184,6 +184,7 @@ def test_cyclic_momenta_do_not_change_a_bit():
             assert np.ptp(found.p[:, names.index(coordinate)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_linear_systems_do_not_drift(scheme):
     """A step is q1 = a q + b p, p1 = c q + a p: p^2 - c q^2 / b stands still but for rounding."""

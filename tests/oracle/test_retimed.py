@@ -242,6 +242,7 @@ def test_momenta_are_kept_where_the_rate_is_invariant():
     assert 1e-13 < np.abs(values - values[0]).max() < 1e-6  # of the order of the scheme alone
 
 
+@pytest.mark.slow
 def test_what_tau_keeps_does_not_drift():
     """K = g (H - E0) swings within each orbit, and stays."""
     stepper = ss.compile(kepler().retimed("encounters"), "simpson")

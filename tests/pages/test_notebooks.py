@@ -1,13 +1,10 @@
 """Every notebook runs from top to bottom; it ends in its own assertions."""
 
 import gc
-from pathlib import Path
 
 import pytest
 from support.cases import sweep
 from support.places import NOTEBOOKS
-
-
 
 GALLERY = sorted((NOTEBOOKS / "gallery").glob("*.ipynb"))
 
@@ -16,7 +13,9 @@ def test_there_are_notebooks():
     assert list(NOTEBOOKS.glob("*.ipynb"))
 
 
-@pytest.mark.parametrize("path", sweep([*GALLERY, *sorted(NOTEBOOKS.glob("*.ipynb"))]), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sweep([*GALLERY, *sorted(NOTEBOOKS.glob("*.ipynb"))]), ids=lambda path: path.stem
+)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
 def test_notebook(path):
     nbformat = pytest.importorskip("nbformat")

@@ -44,6 +44,7 @@ def test_generate(tmp_path, own, capsys):
     assert ss.load(target / names[0]).order == 4
 
 
+@pytest.mark.slow
 def test_check(tmp_path, capsys):
     from shutil import copytree
 

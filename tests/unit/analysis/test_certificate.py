@@ -43,6 +43,7 @@ def test_what_is_right_passes(name, scheme):
     assert certificate.seconds > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate", "scheme"),
     sweep([
@@ -201,6 +202,7 @@ def test_what_is_wrong_fails_where_it_should(name):
     assert "NOT passed" in repr(certificate)
 
 
+@pytest.mark.slow
 def test_what_is_built_the_same_way_without_a_mistake_passes():
     assert not failed(built(DiscreteEquations).certify(h=1 / 32))
 
@@ -220,6 +222,7 @@ def test_what_cannot_be_measured_has_not_passed():
     assert row.failure in repr(certificate)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::symsimpson.errors.StabilityWarning")
 @pytest.mark.filterwarnings("ignore::symsimpson.errors.ResolutionWarning")
 @pytest.mark.parametrize("h", [1e5, -1e9])
@@ -231,6 +234,7 @@ def test_a_step_that_is_far_too_large_has_not_passed(h):
     assert "needs more than 100 steps" in row.failure
 
 
+@pytest.mark.slow
 def test_steps_backwards_are_certified():
     """Simpson's scheme is symmetric: it has its order in both directions."""
     certificate = ss.compile(ss.systems.pendulum()).certify(h=-0.1)

@@ -70,6 +70,7 @@ def test_momenta_are_watched_over_many_steps():
     assert found.rms[-1] < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "edges"),
     sweep([

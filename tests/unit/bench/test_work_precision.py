@@ -35,6 +35,7 @@ def test_the_solution_knows_its_error(problem):
     np.testing.assert_allclose(again, problem.p0, rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(PROGRAMS))
 def test_a_peer_solves_the_problem(problem, name):
     if name != "runge-kutta":
@@ -68,6 +69,7 @@ def record():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_record(record, tmp_path):
     assert record.names == ("midpoint", "simpson", "rk4", "dop853")
     for name in record.names:
@@ -143,6 +145,7 @@ def test_the_figure(record):
     assert record.plot(ax=ax) is ax
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     out, figure = str(tmp_path / "r.json"), str(tmp_path / "r.png")
     given = ["bench", "pendulum", "--schemes", "simpson", "--peers", "runge-kutta", "--t-end", "1",

@@ -16,6 +16,7 @@ def pendulum():
     return ss.compile(ss.systems.double_pendulum(), "simpson")
 
 
+@pytest.mark.slow
 def test_the_exponent_of_a_chaotic_motion(pendulum):
     """2.88 on the mean of 16 orbits, which scatter by 0.08; MEGNO grows as half of it."""
     for h in (0.01, 0.005):
@@ -27,6 +28,7 @@ def test_the_exponent_of_a_chaotic_motion(pendulum):
         assert chaos.sali[-1] == 0
 
 
+@pytest.mark.slow
 def test_a_regular_motion_has_no_exponents(pendulum):
     """They fall as ln(t)/t does, and SALI as 1/t."""
     chaos = pendulum.lyapunov(REGULAR, p0=[0, 0], h=0.01, t_end=400, parameters=VALUES)

@@ -65,6 +65,7 @@ def test_carrying_derivatives_along_does_not_change_a_run(pendulum):
     assert np.array_equal(plain.p, varied.p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", [40, pytest.param(None, marks=pytest.mark.slow)])
 def test_steps_by_stages_have_the_derivatives_of_newtons_method(precision, monkeypatch):
     """Nodes that are iterated leave the path that steps are differentiated by."""

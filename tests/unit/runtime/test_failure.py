@@ -1,6 +1,5 @@
 """Runs that go wrong: never a hang, never a success, nothing lost."""
 
-
 import numpy as np
 import pytest
 from support.cases import sweep

@@ -83,6 +83,7 @@ def fails(h):
         return stepper.integrate([1.0], v0=[0.0], h=h, steps=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_a_member_that_fails_is_told_by_a_pool(method):
     context = multiprocessing.get_context(method)

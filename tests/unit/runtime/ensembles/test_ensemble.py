@@ -210,6 +210,7 @@ def test_a_start_at_a_singular_point_has_its_status():
     assert found.steps[4] == 0
 
 
+@pytest.mark.slow
 def test_interrupt_keeps_what_is_done(stepper, monkeypatch):
     """Ctrl-C while threads work; the whole of it would take many seconds."""
     many = np.tile(ANGLES, (600, 1))

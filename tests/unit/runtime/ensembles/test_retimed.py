@@ -74,6 +74,7 @@ def test_what_cannot_begin_or_go_on_is_told_of_each(stepper):
     assert np.isfinite(many.q[0]).all()
 
 
+@pytest.mark.slow
 def test_time_that_stands_still_is_told(stepper):
     many = stepper.ensemble(Q0, v0=V0, h=0.1, t0=1e20, steps=3000)  # 16384 more is the next number
     assert (many.status == ss.Status.RATE_NOT_POSITIVE).all()

@@ -125,6 +125,7 @@ def after(monkeypatch):
     return arrange
 
 
+@pytest.mark.slow
 def test_interrupted_and_gone_on_with(stepper, tmp_path, counted, after):
     many = np.tile(ANGLES, (20, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000}

@@ -49,6 +49,7 @@ def test_rows_are_those_of_the_run(make):
         _ = run[3:5].nothing
 
 
+@pytest.mark.slow
 def test_parts_are_filmed():
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.01, steps=300)
     film = run[100:200].animate(fps=10)

@@ -125,6 +125,7 @@ def test_a_step_that_fails_is_told_of_as_ever():
     assert messages[0] == messages[1]
 
 
+@pytest.mark.slow
 def test_threads_do_not_meet():
     stepper = ss.compile(ss.systems.double_pendulum())
     starts = [[0.1 * k, 1.0] for k in range(8)]

@@ -281,6 +281,7 @@ def test_many_digits_are_refused(path):
     assert not path.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["fsync", "advance"])
 def test_interrupts_in_between(path, monkeypatch, place):
     """Ctrl-C while a checkpoint is written, or between; the run goes on each time."""

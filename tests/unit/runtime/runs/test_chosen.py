@@ -42,6 +42,7 @@ def test_without_an_end_the_run_goes_as_far_as_the_last_time(stepper):
     assert back.t.tolist() == [0.0, -0.25]
 
 
+@pytest.mark.slow
 def test_a_retimed_run_ends_at_the_last_time():
     system = ss.systems.kepler().retimed("encounters")
     stepper = ss.compile(system, "gauss8")

@@ -174,6 +174,7 @@ def test_energy_errors_are_relative_to_what_moves():
     assert resting.energy_scale == abs(resting.energy[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, None])
 def test_an_encounter_under_drag_is_judged_by_what_friction_leaves(every):
     """H + integral of c v^2 is constant: H alone may fall, and falls by 1e-5 at most here.

@@ -81,6 +81,7 @@ def test_a_run_in_one_call_has_the_same_bits(scheme, every):
         np.testing.assert_array_equal(brief_run.v, plain.v)
 
 
+@pytest.mark.slow
 def test_a_run_of_many_steps_is_not_begun_twice(stepper):
     how = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.001, "t_end": 40.0, "every": None}
     ends = [stepper.integrate(**how) for _ in range(3)]
@@ -232,6 +233,7 @@ def test_an_error_of_the_energy_that_comes_back_is_no_other_motion(recwarn):
     assert not recwarn
 
 
+@pytest.mark.slow
 def test_states_beyond_memory_end_a_run_with_what_it_has(monkeypatch):
     """How many steps lead to the end is not known before; each part asks for room for all."""
     from symsimpson.runtime.runs import arrival

@@ -26,6 +26,7 @@ def ends(stepper, every, **how):
     return np.concatenate([run.q[-1], run.p[-1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(CASES, 1))
 def test_variations_and_sensitivities(name):
     system, rate, scheme, how, names, every = CASES[name]
