@@ -15,7 +15,7 @@ from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["ours", "peers"]
+__all__ = ["ours", "peers", "read_peers"]
 
 
 def ours(
@@ -51,6 +51,17 @@ def ours(
     return Contender(name, "steps", choices, make)
 
 
+def read_peers(names: str | Sequence[str]) -> list[str]:
+    """Return names of other programs, of which there are such; raises InputError."""
+    if names == "installed":
+        return list(PROGRAMS)
+    wanted = [names] if isinstance(names, str) else list(names)
+    for name in wanted:
+        if name not in PROGRAMS:
+            raise InputError(f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}.")
+    return wanted
+
+
 def peers(
     problem: Problem, names: str | Sequence[str] = "installed"
 ) -> Iterator[Contender[Runnable]]:
@@ -61,12 +72,7 @@ def peers(
     InputError
         If one is unknown, or named and not installed.
     """
-    wanted = (
-        list(PROGRAMS) if names == "installed" else [names] if isinstance(names, str) else names
-    )
-    for name in wanted:
-        if name not in PROGRAMS:
-            raise InputError(f"there is no peer {name!r}.\nThere are {', '.join(PROGRAMS)}.")
+    for name in read_peers(names):
         try:
             yield from PROGRAMS[name](problem)
         except ImportError as error:

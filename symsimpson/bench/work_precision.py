@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from symsimpson.bench.contender import Contender, Runnable
-from symsimpson.bench.peers import ours, peers
+from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
 from symsimpson.calling import explained
@@ -100,6 +100,7 @@ def work_precision(
     True
     """
     _check(errors, t_end, repeats)
+    read_peers(peers)  # before anything is measured
     schemes = (schemes,) if isinstance(schemes, (str, Scheme)) else tuple(schemes)
     problem = make_problem(system, state, t_end)
     entries, seconds, calls = [], {}, []

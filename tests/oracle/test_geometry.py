@@ -130,6 +130,7 @@ def printed_simpson_residual(system, z, q0, p0, h, parameters):
     return equations(z)
 
 
+@pytest.mark.slow
 def test_the_printed_formula_is_not_symplectic():
     """The negative control: a defect that the test above would catch."""
     h, parameters = 0.1, list(PENDULUM.parameters.values())

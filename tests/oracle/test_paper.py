@@ -147,7 +147,7 @@ NUTATION = {
 }
 
 
-@pytest.mark.parametrize("periods", sweep(NUTATION))
+@pytest.mark.parametrize("periods", sweep(NUTATION, 0))
 def test_table_of_nutation(periods):
     for method, printed in NUTATION[periods].items():
         steps = 0.05 / 2.0 ** np.arange(len(printed.split()))
@@ -195,7 +195,7 @@ CUSPS = {
 }
 
 
-@pytest.mark.parametrize("end", sweep(CUSPS))
+@pytest.mark.parametrize("end", sweep(CUSPS, 0))
 def test_convergence_on_the_top_with_cusps(end):
     """Simpson on the complete system, RK4 on the reduced one, and the exact nutation."""
     system = ss.systems.lagrange_top_cusps()
@@ -224,6 +224,7 @@ def test_claim_period_of_nutation():
     assert f"{float(other.period):.5f}" == "1.84724"
 
 
+@pytest.mark.slow
 def test_claim_no_artificial_dissipation():
     """Energy errors of the symplectic schemes stay where they are, that of RK4 grows with time."""
     for scheme in ("simpson", "midpoint"):

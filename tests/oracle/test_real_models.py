@@ -64,6 +64,7 @@ def dh_arm(joints):
     return ss.MechanicalSystem(f"dh_{joints}", coordinates=q, kinetic=kinetic, potential=potential)
 
 
+@pytest.mark.slow
 def test_trees_of_large_graphs_are_never_made():
     """Six joints from matrices: what is shown, hashed, pickled and analysed stays short."""
     arm = dh_arm(6)
@@ -135,6 +136,7 @@ def test_models_are_complete(name):
     assert not model.structure.undecided
 
 
+@pytest.mark.slow
 def test_a_report_tells_what_was_done():
     report = ss.compile(ss.systems.water()).report()
     assert report.form == "unrolled"

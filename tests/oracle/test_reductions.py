@@ -61,7 +61,7 @@ def test_catalogue(name, scheme):
     assert gap(system, scheme, given["q0"], p, 0.005) < 1e-12
 
 
-@pytest.mark.parametrize("start", sweep(range(0, 200, 2)))
+@pytest.mark.parametrize("start", sweep(range(0, 200, 2), 0))
 def test_planted_structure(start):
     for seed in range(start, start + 2):
         system, planted = structured_system(seed)

@@ -202,6 +202,7 @@ def test_time_by_the_rate_at_the_ends_of_steps_is_of_low_order(reference):
     assert orders == pytest.approx({"ends": 2, "starts": 1}, abs=0.2)
 
 
+@pytest.mark.slow
 def test_states_at_given_times_have_the_order_of_the_scheme():
     exact = ss.compile(kepler().retimed("encounters"), "gauss16", precision=40)
     with mp.workdps(40):
@@ -216,6 +217,7 @@ def test_states_at_given_times_have_the_order_of_the_scheme():
         assert float(mp.log(errors[0] / errors[1], 2)) == pytest.approx(4, abs=0.15)
 
 
+@pytest.mark.slow
 def test_there_and_back():
     stepper = ss.compile(kepler().retimed("encounters"), "gauss8")
     run = stepper.integrate([1.9, 0.0], v0=[0.0, 0.2], h=0.2, t_end=7.0)

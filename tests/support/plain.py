@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import math
+import threading
 from functools import cache
 from unittest.mock import MagicMock
 
@@ -16,6 +17,8 @@ from symsimpson.runtime.kernels.numbers import Numbers
 
 #: Kernels by their address, which is none of the machine.
 _kernels = [None]
+#: Syntax trees are made in one thread at a time: Python 3.11 counts their depth for all together.
+_parsing = threading.Lock()
 
 
 def total(function):
@@ -80,6 +83,11 @@ class _Lists(ast.NodeTransformer):
 @cache
 def _bound(text, arithmetic):
     """Return a module whose workspace is a list of columns."""
+    with _parsing:
+        return _bind(text, TOTAL if arithmetic == "total" else QUICK)
+
+
+def _bind(text, arithmetic):
     tree = ast.parse(text)
     places = {
         node.targets[0].id: node.value.value
@@ -87,7 +95,7 @@ def _bound(text, arithmetic):
         if isinstance(node, ast.Assign) and type(getattr(node.value, "value", None)) is int
     }
     tree = ast.fix_missing_locations(_Lists(places).visit(tree))
-    return bind(ast.unparse(tree), TOTAL if arithmetic == "total" else QUICK)
+    return bind(ast.unparse(tree), arithmetic)
 
 
 def call(address, h, t, W):

@@ -28,6 +28,7 @@ def own(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_list(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
@@ -178,6 +179,7 @@ def test_a_table_that_cannot_be_written_is_told_before_the_run(tmp_path, capsys)
     assert said.out == ""
 
 
+@pytest.mark.slow
 def test_steps_that_adapt(capsys):
     asked = ["run", "kepler_plane", "--retimed", "encounters", "--scheme", "gauss8", "--h", "0.5"]
     assert main([*asked, "--t-end", "20"]) == 0
@@ -237,11 +239,13 @@ def test_figures_and_films(tmp_path, capsys):
     assert "unknown format" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_scheme_and_a_step_are_chosen(capsys):
     assert main(["choose", "pendulum", "--t-end", "2", "--error", "1e-5"]) == 0
     assert "with h = " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_check_elsewhere_is_told_what_it_is_for(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "hoop__simpson.py").write_text("")

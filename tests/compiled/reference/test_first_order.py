@@ -31,6 +31,7 @@ def test_both_forms_are_the_motion_of_the_integrator(name):
         assert np.abs(y[-1, : system.n] - run.q[-1]).max() < 1e-7 * max(1, np.abs(end).max())
 
 
+@pytest.mark.slow
 def test_rk4_has_order_four():
     system = ss.systems.double_pendulum()
     ends = [

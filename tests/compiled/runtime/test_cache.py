@@ -74,6 +74,7 @@ def test_a_second_process_compiles_nothing(warm):
     assert folder.stat().st_mode & 0o777 == 0o700
 
 
+@pytest.mark.slow
 def test_new_values_compile_nothing_and_new_equations_do(warm):
     folder, value = warm
     other, compiled = run(folder, default=2.0)
@@ -96,6 +97,7 @@ def damage(path, how):
         path.unlink()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "how"),
     sweep([("*/**/*.nbc", "cut"), ("*/**/*.nbi", "flip"), ("*/digests.json", "empty"),
@@ -193,6 +195,7 @@ def test_what_one_run_has_compiled_is_all_that_later_ones_need(asked_for, scheme
     assert not asked_for
 
 
+@pytest.mark.slow
 def test_processes_that_need_the_same_code_make_it_once(tmp_path):
     folder = tmp_path / "cache"
     processes = [start(folder, factor=3) for _ in range(2)]
@@ -203,6 +206,7 @@ def test_processes_that_need_the_same_code_make_it_once(tmp_path):
     assert len(made) == len(set(made))
 
 
+@pytest.mark.slow
 def test_the_lock_of_a_process_that_died_is_free(tmp_path):
     folder = tmp_path / "cache"
     folder.mkdir(mode=0o700)

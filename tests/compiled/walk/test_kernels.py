@@ -101,9 +101,9 @@ def check(system, scheme, lanes=1):
     compare(text, lanes, made, in_python, system)
 
 
-@pytest.mark.parametrize("lanes", [1, 8])
-def test_numba_makes_the_same_of_the_file_as_it_stands(lanes):
-    text = source(ss.systems.double_pendulum(), "simpson")
+@pytest.mark.parametrize(("lanes", "name"), sweep([(1, "pendulum"), (8, "double_pendulum")]))
+def test_numba_makes_the_same_of_the_file_as_it_stands(lanes, name):
+    text = source(EVERY[name](), "simpson")
     text = redefined(text, {"LANES": f"LANES = {lanes}"})
     module = {}
     exec(text, module)

@@ -53,6 +53,7 @@ def test_a_peer_solves_the_problem(problem, name):
         assert errors[1] < 1e-4, (contender.name, errors)
 
 
+@pytest.mark.slow
 def test_our_schemes_take_part(problem):
     contender = ours(problem, "simpson")
     run, read = contender.make(400)
@@ -97,6 +98,7 @@ def test_a_record(record, tmp_path):
     assert lines[2].split() == ["simpson", "1.00", "1.00"]
 
 
+@pytest.mark.slow
 def test_files_that_are_no_records(record, tmp_path):
     other = tmp_path / "other.json"
     for content in ("", "{}", "[]", '{"format": 1}', json.dumps({"format": 2})):
@@ -129,6 +131,7 @@ def test_wrong_input(case):
         ss.work_precision(ss.systems.pendulum(), **{"peers": (), "t_end": 0.1} | given)
 
 
+@pytest.mark.slow
 def test_a_peer_that_is_not_installed(problem, monkeypatch):
     for module in ("heyoka", "scipy", "scipy.integrate", "numbalsoda", "diffrax"):
         monkeypatch.setitem(__import__("sys").modules, module, None)
@@ -137,6 +140,7 @@ def test_a_peer_that_is_not_installed(problem, monkeypatch):
     assert {one.name for one in peers(problem)} <= {"rk4", "dop853"}
 
 
+@pytest.mark.slow
 def test_the_figure(record):
     pytest.importorskip("matplotlib").use("Agg")
     ax = record.plot()

@@ -31,6 +31,7 @@ def test_each_constraint_stands_behind_its_coordinates(held):
     assert sum(c >= 0 for c in found) == 4
 
 
+@pytest.mark.slow
 def test_chains_grow_in_proportion_to_their_links():
     """Rows of the workspace, and lines of text, which are those of three families of terms."""
     systems = map(ss.systems.hanging_chain, (20, 40, 80))

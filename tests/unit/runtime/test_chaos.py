@@ -52,6 +52,7 @@ def test_exponents_of_linear_motion_are_those_of_the_matrix():
     assert abs(chaos.exponents.sum() + rate) < 1e-6  # h^4
 
 
+@pytest.mark.slow
 def test_where_variations_are_made_orthonormal_does_not_matter(pendulum):
     given = {"p0": [0, 0], "h": 0.01, "t_end": 40, "parameters": VALUES}
     often = pendulum.lyapunov(CHAOTIC, **given, every=5)

@@ -212,6 +212,7 @@ def test_members_that_are_run_by_themselves_carry_as_much(pendulum, reduce, ever
     assert np.array_equal(many.tangent[1], one.tangent if every else one.tangent[0])
 
 
+@pytest.mark.slow
 def test_a_constant_mass_keeps_its_factors_beside_variations():
     n = 9
     q = ss.coordinates(" ".join(f"x{i}" for i in range(n)))

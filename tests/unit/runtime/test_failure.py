@@ -6,7 +6,6 @@ from support.cases import sweep
 from support.places import ROOT
 
 import symsimpson as ss
-from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.runs.integrate import begin_run, new_run
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import read_run
@@ -141,14 +140,14 @@ def test_stopping_leaves_no_trace(system, h, scheme):
 def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
     stepper = ss.compile(PENDULUM)
     values = stepper._values(SHORT)
-    recovered = []
+    numbers, recovered = type(stepper._module.numbers), []
 
-    def counted(name, original=driver, **how):
+    def counted(self, name, original=numbers.driver, **how):
         if name == "recover":
             recovered.append(name)
-        return original(name, **how)
+        return original(self, name, **how)
 
-    monkeypatch.setattr("symsimpson.runtime.kernels.numbers.driver", counted)
+    monkeypatch.setattr(numbers, "driver", counted)
     runs = [Run(stepper._module, values, 0.1, 0.0, 1, 41) for _ in range(2)]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)

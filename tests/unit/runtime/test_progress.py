@@ -57,6 +57,7 @@ def test_waiting_tells_what_for_and_only_once(told, monkeypatch):
     assert not set(threading.enumerate()) - before
 
 
+@pytest.mark.slow
 def test_compiling_and_deriving_are_told_of(told, monkeypatch, tmp_path):
     monkeypatch.setenv("SYMSIMPSON_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(cache, "_results", {})

@@ -62,6 +62,7 @@ def test_same_bits_for_threads_blocks_and_order(monkeypatch):
     assert (shuffled.p == whole.p[order]).all()
 
 
+@pytest.mark.slow
 def test_same_bits_however_often_compiled_code_is_left(stepper, monkeypatch):
     digests = set()
     for patience, first in ((0.02, 2000), (1e-9, 1), (1e-9, 333)):
@@ -303,6 +304,7 @@ def test_many_digits_are_refused():
         precise.ensemble(ANGLES, **GIVEN)
 
 
+@pytest.mark.slow
 def test_progress(stepper, capsys, monkeypatch):
     pytest.importorskip("tqdm")
     stepper.ensemble(ANGLES, **GIVEN, progress=False)  # compiled

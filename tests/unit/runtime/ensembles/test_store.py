@@ -22,7 +22,7 @@ ANGLES = np.random.default_rng(3).uniform(-2, 2, (200, 2))
 LENGTHS = np.linspace(0.2, 0.4, 200)
 WATCH = {"highest": ("max", "q1"), "../outside": ("mean", "energy"), "q": ("first", "q2 - 1")}
 GIVEN = {
-    "p0": [0.0, 0.0], "h": 0.02, "steps": 100, "every": 20, "reduce": WATCH,
+    "p0": [0.0, 0.0], "h": 0.02, "steps": 20, "every": 4, "reduce": WATCH,
     "parameters": {"l1": LENGTHS},
 }  # fmt: skip
 

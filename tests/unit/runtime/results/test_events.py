@@ -256,6 +256,7 @@ def test_symbols_of_any_name(name):
         run.events(sp.Symbol("__import__('os').getcwd()"))
 
 
+@pytest.mark.slow
 def test_sections_of_an_angle(pendulum):
     """A turning pendulum passes theta = 1 once in each turn; the jump of the rest is no zero."""
     theta = ss.systems.pendulum().coordinates[0]

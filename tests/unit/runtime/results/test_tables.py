@@ -28,7 +28,11 @@ def read(path):
     return pandas.read_parquet(path)
 
 
-@pytest.mark.parametrize("kind", [".csv", ".parquet"])
+#: Kinds of files for tables; where one needs a package of its own, it is for those who have that.
+TABLES = [".csv", pytest.param(".parquet", marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("kind", TABLES)
 def test_tables_have_the_columns_of_a_dataframe(tmp_path, kind):
     for some in (run_of(), many_of(), many_of(None)):
         some.save(tmp_path / f"table{kind}")
@@ -102,7 +106,7 @@ def test_members_are_drawn():
     plt.close("all")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TABLES)
 def test_many_digits_are_refused_by_every_kind(tmp_path, kind):
     run = ss.compile(ss.systems.pendulum(), precision=30).integrate([1], v0=[0], h="0.1", steps=2)
     with pytest.raises(ss.InputError, match="many digits"):

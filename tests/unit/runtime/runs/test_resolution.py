@@ -225,6 +225,7 @@ def test_a_force_without_a_value_at_the_start_is_named():
             ss.compile(system).integrate([0.0], v0=[0.0], h=0.1, steps=5)
 
 
+@pytest.mark.slow
 def test_work_is_unknown_behind_a_step_that_cannot_be_taken_again(monkeypatch):
     """Values before it stand, and those behind it are NaN, never sums that leave steps out."""
     from symsimpson.runtime.kernels.numbers import Numbers
