@@ -43,13 +43,14 @@ _CHECKS = (
 )
 
 
-def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
+def bind(source: str | ast.Module, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
     """Execute a generated module with another arithmetic.
 
     Parameters
     ----------
-    source : str
-        Text of a module that symsimpson emitted; it is executed, so it must be trusted.
+    source : str or ast.Module
+        Text of a module that symsimpson emitted, or its syntax; it is executed, so it must be
+        trusted.
     arithmetic : mapping from str to object
         Values for the names that it imports or that stand for its arithmetic.
 
@@ -58,7 +59,7 @@ def bind(source: str, arithmetic: Mapping[str, Any]) -> SimpleNamespace:
     types.SimpleNamespace
         The module's functions and constants; kernels take a workspace of shape (ROWS, LANES).
     """
-    tree = ast.parse(source)
+    tree = ast.parse(source) if isinstance(source, str) else source
     tree.body = [node for node in tree.body if not _replaced(node, arithmetic)]
     if "raised" in arithmetic:
         tree = ast.fix_missing_locations(_Operators(arithmetic).visit(tree))

@@ -31,8 +31,8 @@ def pytest_configure(config):
 @pytest.hookimpl(tryfirst=True)  # what is fast counts as seen, whether it is run or not
 def pytest_collection_modifyitems(config, items):
     for item in items:
-        if TESTS not in item.path.parents or TESTS / "pages" in item.path.parents:
-            item.add_marker("slow")  # pages, and examples in docstrings
+        if TESTS / "pages" in item.path.parents:
+            item.add_marker("slow")
     by_name = any("[" in one for one in config.args)
     if config.getoption("cases") == "drawn" and not by_name:
         items[:], waiting = drawn(items, seed_of_the_run(config))

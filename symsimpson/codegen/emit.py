@@ -284,11 +284,9 @@ def _library(body: str) -> Iterator[str]:
     called: dict[str, str] = {}
     texts = [body]
     while texts:
-        text = texts.pop()
-        for name, source in sources.items():
-            if name not in called and re.search(rf"\b{name}\(", text):
-                called[name] = source
-                texts.append(source)
+        for name in set(re.findall(r"\b(\w+)\(", texts.pop())) & sources.keys() - called.keys():
+            called[name] = sources[name]
+            texts.append(sources[name])
     yield from (source for name, source in sources.items() if name in called)
 
 

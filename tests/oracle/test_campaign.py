@@ -1,5 +1,7 @@
 """Random systems by all schemes: code in straight lines and in loops takes the same steps."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from support.forms import limited
@@ -14,8 +16,14 @@ from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import named_schemes
 
 pytestmark = pytest.mark.slow
+
+
 #: The highest orders have tables of their own making, in loops alone: they differ by the rule.
-SCHEMES = [scheme for scheme in named_schemes(16) if not isinstance(scheme, Composition)]
+@cache
+def schemes():
+    return [scheme for scheme in named_schemes(16) if not isinstance(scheme, Composition)]
+
+
 H, STEPS, AT_ONCE = 0.02, 3, 10
 
 
@@ -38,7 +46,7 @@ def test_straight_lines_and_loops_take_the_same_steps(start, monkeypatch):
     """Families of terms, constants among them, and every term by itself."""
     compared = 0
     for seed in range(start, start + AT_ONCE):
-        system, scheme = random_system(seed), SCHEMES[seed % len(SCHEMES)]
+        system, scheme = random_system(seed), schemes()[seed % len(schemes())]
         q, v = random_state(seed, system.n)
         straight = discretise(system, scheme, ())
         forms = [(straight, 10**6, 99), (straight, 0, 99), (straight, 0, 0)]

@@ -9,7 +9,7 @@ import symsimpson as ss
 from symsimpson.analysis.precise import Precise
 from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
-from symsimpson.schemes.named import named_schemes
+from symsimpson.schemes.composition import COMPOSITIONS
 
 PENDULUM = ss.systems.double_pendulum()
 TOP = ss.systems.lagrange_top()
@@ -42,8 +42,15 @@ CENTRAL = ss.MechanicalSystem(
     "central_force", coordinates=[x, y], kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
     potential=(x**2 + y**2) / 2 + (x**2 + y**2) ** 2 / 4, parameters={},
 )  # fmt: skip
+EVEN = range(6, 17, 2)
 KINDS = ["simpson", "gauss6", "blanes_moan6"]
-EVERY = KINDS + [scheme.name for scheme in named_schemes(16) if scheme.name not in KINDS]
+FAMILY = [
+    "midpoint",
+    "lobatto2",
+    "gauss4",
+    *(f"{k}{n}" for k in ("gauss", "lobatto") for n in EVEN),
+]
+EVERY = KINDS + [name for name in (*FAMILY, *COMPOSITIONS) if name not in KINDS]
 EVERY += ["lobatto_3_3", "lobatto_4_4", "gauss_4_3"]
 
 

@@ -95,7 +95,7 @@ def _bind(text, arithmetic):
         if isinstance(node, ast.Assign) and type(getattr(node.value, "value", None)) is int
     }
     tree = ast.fix_missing_locations(_Lists(places).visit(tree))
-    return bind(ast.unparse(tree), arithmetic)
+    return bind(tree, arithmetic)
 
 
 def call(address, h, t, W):

@@ -1,6 +1,7 @@
 """Random systems, states and input; the smallest that fails is shown."""
 
 import ast
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +19,11 @@ from symsimpson.runtime.kernels.syntax import check_structure
 #: The same examples each time; without a clock, which other work on the machine would trip.
 BUDGET = {"derandomize": True, "deadline": None, "suppress_health_check": list(HealthCheck)}
 PENDULUM = ss.systems.double_pendulum()
-STEPPERS = [ss.compile(PENDULUM, scheme) for scheme in ("simpson", "midpoint", "gauss8")]
+
+
+@cache
+def stepper_of(scheme):
+    return ss.compile(PENDULUM, scheme)
 
 
 @settings(max_examples=400, **BUDGET)
@@ -26,7 +31,8 @@ STEPPERS = [ss.compile(PENDULUM, scheme) for scheme in ("simpson", "midpoint", "
 @pytest.mark.slow
 def test_any_input_is_run_or_refused(asked):
     """Finite states and a status, or a typed error with its remedy; nothing else."""
-    for stepper in STEPPERS:
+    for scheme in ("simpson", "midpoint", "gauss8"):
+        stepper = stepper_of(scheme)
         try:
             run = stepper.integrate(**asked, on_failure="return")
         except (ss.InputError, ss.StabilityWarning, ss.ResolutionWarning):

@@ -13,8 +13,8 @@ from symsimpson.errors import StaleKernelError
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.kernels.header import SIGNED, digest, read_header
 
-TEXT = source(ss.systems.pendulum(), "gauss8")
-DRIVEN = source(ss.systems.driven_cart_pole(), "gauss8")
+TEXT = source(ss.systems.pendulum(), "midpoint")
+DRIVEN = source(ss.systems.driven_cart_pole(), "midpoint")
 
 
 def signed(text):

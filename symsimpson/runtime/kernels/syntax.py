@@ -96,13 +96,14 @@ def _strange(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
     for statement in body:
         if not isinstance(statement, TOP):
             yield statement, f"a statement of type {type(statement).__name__}"
-    functions = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
-    arguments = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+    nodes = list(ast.walk(tree))  # a module has tens of thousands
+    functions = {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
+    arguments = {node.arg for node in nodes if isinstance(node, ast.arg)}
     called = BUILTINS | {"carray", "njit", "array", "real", "compiled"} | _MATH
     called = called | functions | arguments
-    named = called | set(_bound(tree))
+    named = called | set(_bound(nodes))
     settings = dict(SETTINGS)
-    for node in ast.walk(tree):
+    for node in nodes:
         match node:
             case ast.ImportFrom(module=module, names=names, level=level):
                 allowed = IMPORTS.get(module or "", frozenset())
@@ -143,9 +144,9 @@ def _literal(node: ast.expr) -> object:
         return None
 
 
-def _bound(tree: ast.Module) -> Iterator[str]:
+def _bound(nodes: list[ast.AST]) -> Iterator[str]:
     """Return all names that a module binds."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             yield node.id
         elif isinstance(node, ast.FunctionDef):

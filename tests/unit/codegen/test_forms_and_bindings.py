@@ -183,19 +183,22 @@ def test_rows_are_exchanged_where_pivots_are_small(exploit, width, monkeypatch):
 
 @pytest.mark.parametrize(
     ("system", "scheme", "exploit"),
-    [
-        (ss.systems.henon_heiles(), "simpson", "all"),
-        (ss.systems.henon_heiles(), "lobatto6", "all"),
-        (ss.systems.henon_heiles(), "gauss4", "all"),
-        (ss.systems.lagrange_top(), "simpson", "all"),
-        (ss.systems.lagrange_top(), "gauss4", "all"),
-        (ss.systems.double_pendulum(), "simpson", "all"),
-        (ss.systems.double_pendulum(), "lobatto_3_3", "all"),
-        (ss.systems.fermi_pasta_ulam(3), "simpson", ("constant_mass", "sparse")),
-        (ss.systems.fermi_pasta_ulam(3), "lobatto6", ("constant_mass", "sparse")),
-        (swinging_chain(), "simpson", ("sparse",)),
-        (swinging_chain(), "simpson", ()),
-    ],
+    sweep(
+        [
+            (ss.systems.henon_heiles(), "simpson", "all"),
+            (ss.systems.henon_heiles(), "lobatto6", "all"),
+            (ss.systems.henon_heiles(), "gauss4", "all"),
+            (ss.systems.lagrange_top(), "simpson", "all"),
+            (ss.systems.lagrange_top(), "gauss4", "all"),
+            (ss.systems.double_pendulum(), "simpson", "all"),
+            (ss.systems.double_pendulum(), "lobatto_3_3", "all"),
+            (ss.systems.fermi_pasta_ulam(3), "simpson", ("constant_mass", "sparse")),
+            (ss.systems.fermi_pasta_ulam(3), "lobatto6", ("constant_mass", "sparse")),
+            (swinging_chain(), "simpson", ("sparse",)),
+            (swinging_chain(), "simpson", ()),
+        ],
+        4,
+    ),
     ids=lambda value: getattr(value, "name", value if isinstance(value, str) else "loops"),
 )
 def test_newton_converges_quadratically(system, scheme, exploit, monkeypatch):

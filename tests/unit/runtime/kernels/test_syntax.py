@@ -12,7 +12,7 @@ from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.kernels.syntax import check_structure
 
 FILES = sorted(GENERATED.glob("*.py"))
-TEXT = (GENERATED / "double_pendulum__simpson.py").read_text()
+TEXT = min((path.read_text() for path in FILES), key=len)
 TOUCH = "open('CANARY', 'w')"
 
 #: Lines that are put into a generated module; each would touch the canary, or prepare to.

@@ -1,0 +1,17 @@
+"""The examples in docstrings of the package do what they show."""
+
+import doctest
+import importlib
+
+import pytest
+from support.places import PACKAGE
+
+FILES = [path for path in PACKAGE.rglob("*.py") if ">>> " in path.read_text("utf-8")]
+MODULES = sorted(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in FILES)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples(name):
+    found = doctest.testmod(importlib.import_module(name))
+    assert found.attempted
+    assert not found.failed
