@@ -48,6 +48,7 @@ def test_a_form_has_the_numbers_of_plain_python(form):
     assert np.abs(found.newton_iterations - expected.newton_iterations).max() <= 1
 
 
+@pytest.mark.slow
 def test_lanes_have_the_numbers_of_plain_python():
     angles = np.random.default_rng(1).uniform(-1, 1, (11, 2))
     how = {"v0": [0.0, 0.0], "h": 0.02, "steps": STEPS}

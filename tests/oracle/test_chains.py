@@ -27,6 +27,7 @@ def test_bands_give_the_steps_of_dense_matrices(scheme):
     assert np.abs(banded.multipliers[-1].astype(float) - exact).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_multipliers_where_the_mass_matrix_is_not_constant():
     """A chain in polar coordinates, whose accelerations at rest and in motion differ by M(q)."""
     r, angle = ss.coordinates("r1:7"), ss.coordinates("a1:7")
@@ -80,6 +81,7 @@ def test_long_chains_hang_still_and_stay_on_their_rods():
     assert run.newton_iterations.max() <= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "scheme", ["suzuki4", *(pytest.param(x, marks=pytest.mark.slow) for x in ("kahan_li6",))]
 )

@@ -17,6 +17,7 @@ ORDERS = {"midpoint": 2, "lobatto2": 2, "simpson": 4, "gauss4": 4, "lobatto6": 6
           "gauss8": 8}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(ORDERS, 3))
 @pytest.mark.parametrize("name", sweep(PROBLEMS))
 def test_the_order_is_that_without_constraints(name, scheme):

@@ -90,6 +90,7 @@ def runge_kutta_step(system, kind, stages, h):
     return [x + h * sum(b[j] * K[j][m] for j in range(stages)) for m, x in enumerate([*q, *p])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "stages"),
     sweep([("gauss", 2), ("gauss", 3), ("gauss", 6), ("lobatto", 3), ("lobatto", 5)], 2),

@@ -170,6 +170,7 @@ def test_the_printed_formula_is_not_symplectic():
     assert defects[1] < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 @pytest.mark.parametrize(
     ("system", "h", "steps", "threshold"),

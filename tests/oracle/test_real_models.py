@@ -20,6 +20,7 @@ from symsimpson.systems.puma560 import LINKS
 GRAVITY = (0, 0, -9.81)
 
 
+@pytest.mark.slow
 def test_the_energy_of_the_argon_crystal_is_that_of_the_textbook():
     crystal = ss.systems.argon()
     energy = ss.compile(crystal, "midpoint").energy(
@@ -76,6 +77,7 @@ def test_trees_of_large_graphs_are_never_made():
     assert time.process_time() - start < 20  # a tree would take for ever
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", sweep([3, 6]))
 def test_arms_against_newton_and_euler(joints):
     """M v' = F - P_q v, from the jet, for the recursion and for matrices."""
@@ -205,6 +207,7 @@ MODELS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(MODELS, 2))
 def test_jets_agree_with_symengine(name):
     agrees_with_symengine(MODELS[name]())

@@ -113,6 +113,7 @@ def test_some_findings_alone(exploit):
     assert np.abs(ends[0] - ends[1]).max() < 1e-12 * np.abs(ends[0]).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 def test_top_near_the_vertical(scheme):
     """Where the mass matrix is nearly singular the reduced path keeps the digits."""
@@ -253,6 +254,7 @@ def test_overflow_stops_before_the_step(every):
         assert (other.q[-1] == run.q[-1]).all() or every == 10
 
 
+@pytest.mark.slow
 def test_chain_costs_grow_with_its_length():
     """Operations of a step, not time: chains of 32 and 128 coordinates."""
     short, long = (cost(source(ss.systems.fermi_pasta_ulam(n))) for n in (16, 64))
@@ -262,6 +264,7 @@ def test_chain_costs_grow_with_its_length():
     assert dense.iteration > 2 * short.iteration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "lobatto6", "midpoint", "lobatto2"], 2))
 def test_chain(scheme):
     """Twenty coordinates: loops, bands and another order against the general path."""

@@ -35,6 +35,7 @@ def test_a_linear_step_is_taken_whatever_h_is():
     assert np.abs(run.v[-1] - [np.sin(turned), np.cos(turned)]).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_what_drag_does_not_explain_is_warned_of():
     """A close passage that steps do not resolve, with a drag that takes 1e-6 of the energy."""
     x, y = ss.coordinates("x y")
@@ -52,6 +53,7 @@ def test_what_drag_does_not_explain_is_warned_of():
         stepper.integrate([1.0, 0], v0=[0, 1.0], h=0.02, t_end=40)
 
 
+@pytest.mark.slow
 def test_a_pole_that_steps_jump_is_told():
     """In polar coordinates with little angular momentum r would become negative."""
     r, a = ss.coordinates("r a")

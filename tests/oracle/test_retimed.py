@@ -163,6 +163,7 @@ ORDERS = [("simpson", 4, 40), ("gauss8", 8, 12), ("midpoint", 2, 80), ("gauss4",
           ("lobatto6", 6, 20), ("gauss6", 6, 16)]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "order", "steps"), sweep(ORDERS, 1))
 def test_orders_of_positions_momenta_and_time(scheme, order, steps, reference):
     stepper = ss.compile(kepler().retimed("encounters"), scheme, precision=40)
@@ -226,6 +227,7 @@ def test_there_and_back():
     assert np.abs(back.q[-1] - run.q[0]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_momenta_are_kept_where_the_rate_is_invariant():
     x, y = ss.coordinates("x y")
     p_x, p_y = ss.momenta(x, y)

@@ -32,6 +32,7 @@ CASES = [("cartesian_pendulum", "simpson"), ("four_bar", "gauss4"), ("quaternion
          ("andrews_squeezer", "simpson")]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_tangent_and_adjoint_of_a_pendulum_in_many_digits():
     """The kernels themselves, without a compiler: on the constraint, and transposed."""
     system = ss.systems.cartesian_pendulum()

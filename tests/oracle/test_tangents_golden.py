@@ -29,6 +29,7 @@ def relative(found, truth):
     return max(gap / np.maximum(np.abs(truth).max(axis=0), 1e-3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", sweep([*OTHERS, *CONFORMAL]), ids=lambda case: case["name"])
 def test_derivatives_in_double_precision(case):
     found, truth = derivatives_of(case, float)

@@ -124,6 +124,7 @@ def test_help(command, capsys):
     assert "usage: symsimpson" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_module_is_a_command():
     done = subprocess.run([sys.executable, "-m", "symsimpson", "run", "nothing"],
                           capture_output=True, text=True)  # fmt: skip
@@ -224,6 +225,7 @@ def test_an_unknown_parameter_is_named(capsys):
     assert "lenght" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_figures_and_films(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     asked = ["double_pendulum", "--steps", "50"]

@@ -34,10 +34,12 @@ def test_the_package_itself_loads_nothing_heavy():
     assert loaded_by("import symsimpson").isdisjoint({"sympy", "numba", "numpy", "mpmath"})
 
 
+@pytest.mark.slow
 def test_the_runtime_does_without_sympy():
     assert "sympy" not in loaded_by("import symsimpson.runtime.stepper")
 
 
+@pytest.mark.slow
 def test_the_symbolic_half_does_without_numba():
     assert "numba" not in loaded_by("import symsimpson.codegen.pipeline, symsimpson.binding")
 
@@ -92,6 +94,7 @@ def test_no_scheme_is_singled_out():
                 assert constants.isdisjoint({"simpson", "midpoint"}), path
 
 
+@pytest.mark.slow
 def test_declaring_does_without_sympys_mechanics():
     """It would take a third of a second to import, with its units and constants."""
     code = (

@@ -42,6 +42,7 @@ def test_rk4_has_order_four():
     assert np.abs(observed_orders(errors) - 4).max() < 0.3
 
 
+@pytest.mark.slow
 def test_rk4_stores_what_is_asked_for():
     equations = canonical(ss.systems.pendulum())
     t, y = rk4(equations, [1.0, 0.0], h=0.01, steps=25, every=10, parameters={"l": 2.0})

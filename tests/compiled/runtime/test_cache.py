@@ -65,6 +65,7 @@ def entries(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_a_second_process_compiles_nothing(warm):
     folder, value = warm
     before = entries(folder)

@@ -54,6 +54,7 @@ def rows_and_scale(system, scheme, points, p):
     return rows, 1 + max(abs(x) for row in rows(points) for x in row)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", sweep(range(0, 100, 4)))
 def test_equations_agree_with_the_oracle(start):
     for seed in range(start, start + 4):

@@ -16,6 +16,7 @@ SCHEMES = ("simpson", "midpoint", "gauss4", "simpson", "midpoint")
 H = 0.125
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", sweep(range(0, 300, 4)))
 def test_equations_agree_with_the_oracle(start):
     for seed in range(start, start + 4):

@@ -59,6 +59,7 @@ def text():
     return source(ss.systems.double_pendulum(), "gauss8")
 
 
+@pytest.mark.slow
 def test_two_iterations_compute_them(text):
     module, counts = counting(text)
     counts["sincos"] = 0
@@ -96,6 +97,7 @@ def test_turned_to_rounding():
             assert off < 2.5e-16
 
 
+@pytest.mark.slow
 def test_systems_without_angles_are_as_they_were():
     text = source(ss.systems.henon_heiles(), "gauss8")
     assert "turned" not in text

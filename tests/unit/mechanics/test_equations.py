@@ -85,6 +85,7 @@ def test_a_cart_is_linearised_as_sympy_does():
     assert B.shape == (4, 0)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_linearised_is_told():
     pendulum = ss.systems.pendulum()
     with pytest.raises(ss.InputError, match="q0 is"):

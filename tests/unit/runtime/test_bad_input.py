@@ -200,6 +200,7 @@ def test_other_functions(call, kind, message):
     assert "\n" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_arrays_of_any_layout_are_taken(stepper):
     """Read-only, strided and reversed ones, and a large ensemble of no steps."""
     q0 = np.array([0.2, 0.5])[::-1]

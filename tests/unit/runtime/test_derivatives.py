@@ -52,6 +52,7 @@ def test_reduced_paths_have_the_derivatives_of_the_general_one(name):
     assert_paths_agree(getattr(ss.systems, name)(), "simpson", None, 1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(ss.systems.CATALOGUE, 2))
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss6", "midpoint"], 1))
 def test_reduced_paths_have_its_derivatives_in_many_digits(name, scheme):

@@ -229,6 +229,7 @@ def test_gradients_by_the_initial_state_alone(scheme):
         assert found.gradient == pytest.approx(differences(value, x)[part], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_slope_of_a_rest_is_that_of_what_is_divided(double_pendulum):
     """But where it jumps: Mod(a, b) is a - b floor(a/b)."""
     q1, _ = ss.systems.double_pendulum().coordinates

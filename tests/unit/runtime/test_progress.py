@@ -101,6 +101,7 @@ def test_bars_are_drawn_one_at_a_time(told):
     assert told == ["outer", "next"]
 
 
+@pytest.mark.slow
 def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
     monkeypatch.setattr(progress, "watched", lambda: False)
     system = ss.systems.pendulum()

@@ -22,6 +22,7 @@ STARTS = np.array([[1.0, 0.0], [1.1, 0.0], [1.2, 0.0], [1.9, 0.0]])
 SPEEDS = np.array([[0.0, 1.0], [0.0, 0.95], [0.0, 0.9], [0.0, 0.16]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [1, None])
 @pytest.mark.parametrize("drag", [0.0, 1e-6])
 def test_one_member_that_is_not_resolved(drag, every):

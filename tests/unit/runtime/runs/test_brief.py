@@ -114,6 +114,7 @@ def test_what_is_wrong_is_said_as_ever():
         assert str(told.value) == str(general.value)
 
 
+@pytest.mark.slow
 def test_a_step_that_fails_is_told_of_as_ever():
     stepper = ss.compile(ss.systems.kepler(), "gauss8")
     asked = {"q0": [1e-3, 0.0], "v0": [0.0, 0.0], "h": 0.05, "steps": 50}

@@ -306,6 +306,7 @@ def test_interrupts_in_between(path, monkeypatch, place):
     assert same(ss.resume(path), whole)
 
 
+@pytest.mark.slow
 def test_a_stepper_that_is_no_file_is_not_needed(kept):
     """All that a run needs is in its file, which a new process can go on with."""
     path, files, _ = kept

@@ -163,6 +163,7 @@ def test_time_that_stands_still_is_a_failure(monkeypatch, stepper):
     assert run.status is ss.Status.RATE_NOT_POSITIVE
 
 
+@pytest.mark.slow
 def test_kicks_and_drifts_end_at_a_time():
     x, y = kepler().coordinates
     system = kepler().retimed(sp.sqrt(x**2 + y**2))
@@ -191,6 +192,7 @@ def test_what_follows_from_the_start_is_not_given(stepper, name):
         stepper.integrate(**START, steps=3, parameters={name: -0.5})
 
 
+@pytest.mark.slow
 def test_sections_are_events(stepper):
     start = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.1}
     run = stepper.integrate(**start, t_end=60.0)

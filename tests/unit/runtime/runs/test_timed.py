@@ -72,6 +72,7 @@ def test_doubles_have_what_many_digits_have():
     )
 
 
+@pytest.mark.slow
 def test_one_step_is_differentiated_as_it_is_taken():
     stepper = ss.compile(KEPLER.retimed("encounters"), "simpson")
     q, p, h = np.array([1.6, 0.0]), np.array([0.1, 0.6]), 0.3
@@ -99,6 +100,7 @@ def oscillator(symbol):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("system", "rate", "names"),
     [
