@@ -196,6 +196,36 @@ def test_what_one_run_has_compiled_is_all_that_later_ones_need(asked_for, scheme
     assert not asked_for
 
 
+START = {"v0": [0.4, 0.0], "h": 0.1, "steps": 200}
+#: Ways to use a stepper, by states that begin at a place.
+USES = {
+    "ensembles": lambda s, y: s.ensemble([[0.0, y], [0.1, y]], **START),
+    "ensembles with reductions": lambda s, y: s.ensemble(
+        [[0.0, y]], **START, reduce={"far": ("max", "x**2 + y**2")}
+    ),
+    "variations": lambda s, y: s.integrate([0.0, y], **START, tangents=4),
+    "sections": lambda s, y: s.poincare("x", [0.0, y], **START),
+    "events": lambda s, y: s.integrate([0.0, y], **START).events("x - y"),
+    "states between steps": lambda s, y: s.integrate([0.0, y], **START).at([0.55]),
+    "steps in doubt": lambda s, y: s.integrate(
+        [0.0, y], v0=[0.4, 0.0], h=2.5, steps=40, on_failure="return"
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
+@pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
+@pytest.mark.parametrize("use", USES)
+def test_a_second_use_of_each_kind_compiles_nothing(asked_for, use):
+    stepper = ss.compile(ss.systems.henon_heiles(), "gauss8")
+    USES[use](stepper, 0.1)
+    assert asked_for
+    del asked_for[:]
+    USES[use](stepper, 0.12)
+    assert not asked_for
+
+
 @pytest.mark.slow
 def test_processes_that_need_the_same_code_make_it_once(tmp_path):
     folder = tmp_path / "cache"
