@@ -39,8 +39,8 @@ every_coordinate_is_in_one_part[exploit3] schemes/schemes tables_agree_with_root
 tables_agree_with_root_finding[lobatto-4-3] order_of_the_quadrature[lobatto-4-3]
 the_predictor_continues_polynomials[simpson] elimination_meets_no_singular_pivot[gauss6]
 tables_that_modules_make[gauss6] tables_that_modules_make[lobatto16] names unknown_schemes
-verification/compositions coefficients verification/reductions linear_system_against_its_matrix
-catalogue[pendulum-simpson] chain[lobatto2] verification/family
+oracle/compositions coefficients oracle/reductions linear_system_against_its_matrix
+catalogue[pendulum-simpson] chain[lobatto2] oracle/family
 stages_solve_the_equations[top-gauss6]
 """
 SWAPS = "+:- -:+ *:/ /:* **:* //:* %:* |:& &:| <:<= <=:< >:>= >=:> ==:!= !=:== is:is_not is_not:is"
@@ -93,7 +93,8 @@ def selection():
     """Give the selected tests as pytest names them: files and tests begin with "test_"."""
     for word in SELECTION.split():
         if "/" in word:
-            file = word.replace("/", "/test_")
+            folder, name = word.split("/")
+            file = f"{folder if folder == 'oracle' else f'unit/{folder}'}/test_{name}"
         else:
             yield f"tests/{file}.py::test_{word}"
 
