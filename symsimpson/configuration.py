@@ -1,4 +1,4 @@
-"""What this installation is made of, for reports of bugs."""
+"""Versions and settings of this installation, for reports of bugs."""
 
 from __future__ import annotations
 

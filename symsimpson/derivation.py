@@ -1,4 +1,4 @@
-"""What deriving a module took, and what came out of it."""
+"""Records of derivations: the time that each part took, and the result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Derivation:
 
 @dataclass(frozen=True, repr=False)
 class Report:
-    """What deriving and compiling a stepper took; shown as a table.
+    """Times of deriving and compiling a stepper; shown as a table.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What can go wrong, by whose hand.
+"""Errors and warnings, sorted by who can mend their cause.
 
 Every message says what is wrong, where, why it matters and what to do about it.
 """

@@ -1,1 +1,1 @@
-"""What is measured on runs."""
+"""Measurements on runs: certificates, orders, stability, choices of a scheme and a step."""

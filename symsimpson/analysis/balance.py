@@ -1,4 +1,4 @@
-"""What forces add to the momenta of symmetries: Noether's theorem with forces, in a step."""
+"""Balance of the momenta of symmetries under forces: Noether's theorem with forces, in a step."""
 
 from __future__ import annotations
 

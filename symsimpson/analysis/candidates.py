@@ -48,7 +48,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Seen:
-    """What a run came to: states at the start, in the middle and at the end."""
+    """States of a run at the start, in the middle and at the end."""
 
     q: Floats
     p: Floats
@@ -59,7 +59,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked for, and the pilot run that answers it."""
+    """The error that is asked for, and the pilot run against which it is measured."""
 
     q: Floats
     p: Floats

@@ -1,4 +1,4 @@
-"""What was measured on a stepper, row by row, with a verdict."""
+"""Certificates: measurements on a stepper, row by row, with a verdict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step costs, counted in the text of the modules that are generated for a system."""
+"""Costs of a step, counted in the text of the modules that are generated for a system."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What energies do in compiled runs: the one that a scheme keeps, drift, and the work of forces."""
+"""Energies in compiled runs: the one that a scheme keeps, drift, and the work of forces."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is measured: a stepper in many digits and compiled, with a state and a step."""
+"""Subjects of measurements: a stepper in many digits and compiled, with a state and a step."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ COARSEST = 8.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run came to: the state at the end, and how much it took."""
+    """The state at the end of one run, and the work that it took."""
 
     q: Floats
     p: Floats

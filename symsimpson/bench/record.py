@@ -1,4 +1,4 @@
-"""What a comparison of run time and error came to: a table, a figure, a file."""
+"""Records of comparisons of run time and error: a table, a figure, a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the terms of L are multiplied by: products of parameters, computed once a run.
+"""Coefficients of the terms of L: products of parameters, computed once a run.
 
 Pair sums have as many products m_i m_k as pairs: those that differ by their parameters alone are
 computed in a loop over a table.

@@ -16,7 +16,7 @@ __all__ = ["Cost", "cost"]
 
 @dataclass(frozen=True)
 class Cost:
-    """What a step costs, in operations on numbers; sine and cosine of an angle count as one.
+    """The cost of a step, in operations on numbers; sine and cosine of an angle count as one.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ Increment = tuple[int, int]
 
 @dataclass(frozen=True)
 class Closing:
-    """What a part's solution says about the end of its step.
+    """The end of a step, as the solution of a part tells it.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Solver(Protocol):
 
     @property
     def multipliers(self) -> Sequence[Increment]:
-        """What else it changes: unknowns behind the control points."""
+        """The unknowns behind the control points that it changes, too."""
         ...
 
     def corrections(self) -> Mapping[Increment, sp.Expr]:
@@ -109,7 +109,7 @@ class Solver(Protocol):
 
 
 class Explicit:
-    """What parts have in common whose steps need no equations to be solved."""
+    """A part whose steps need no equations to be solved."""
 
     cyclic: tuple[int, ...] = ()
     increments: tuple[Increment, ...] = ()

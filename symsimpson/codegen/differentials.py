@@ -1,4 +1,4 @@
-"""What kernels that differentiate a step have in common: nodes with what changes there."""
+"""Kernels that differentiate a step: nodes, with the quantities that change there."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands above a module: its banner, and the docstring that says what it is."""
+"""The head of a module: its banner, and the docstring that describes it."""
 
 from __future__ import annotations
 

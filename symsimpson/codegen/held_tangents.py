@@ -1,4 +1,4 @@
-"""What constraints add to kernels that differentiate a step: at control points, and at its end."""
+"""Constraints in kernels that differentiate a step: at control points, and at its end."""
 
 from __future__ import annotations
 

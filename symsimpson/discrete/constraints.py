@@ -1,4 +1,4 @@
-"""What a step asks of constraints at a point: phi, Phi = dphi/dq, and what multipliers pull by."""
+"""Constraints at a point of a step: phi, Phi = dphi/dq, and the forces of multipliers."""
 
 from __future__ import annotations
 

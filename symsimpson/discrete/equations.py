@@ -104,7 +104,7 @@ class DiscreteEquations:
 
     @property
     def unknowns(self) -> Unknowns:
-        """What the equations are solved for, where nothing is reduced."""
+        """The unknowns of the equations, where nothing is reduced."""
         held = len(self.plain.constraints)
         others = (held,) * self.scheme.degree if held else ()
         return Unknowns(self.scheme.degree, len(self.plain.q), others)

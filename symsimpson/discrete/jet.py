@@ -62,7 +62,7 @@ OTHERS = tuple(way for way in map(Way._make, product((False, True), repeat=4)) i
 
 @dataclass(frozen=True)
 class Jet:
-    """What can be asked for at a point, as a program.
+    """Quantities at a point, as a program.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-r"""What the equations of a step come down to, given what a system lacks.
+r"""Reductions of the equations of a step, by what a system lacks.
 
 Each reduction is an exact transformation of the same scheme. Coordinates fall into parts that are
 solved one by one:

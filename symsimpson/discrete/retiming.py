@@ -1,4 +1,4 @@
-"""What a retimed system is asked for in the user's time, and the rate of it."""
+"""Quantities of a retimed system in the user's time, and the rate of that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What derivatives of a step ask of a node: F and P by parameters, and a running cost."""
+"""Derivatives at a node of a step: F and P by parameters, and a running cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a step solves for: blocks of unknowns, one after the other."""
+"""Unknowns of a step: blocks, one after the other."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ Element = Any
 
 
 class Arithmetic(Protocol):
-    """What an evaluation must be told of the numbers that it computes with."""
+    """The numbers that an evaluation computes with."""
 
     prime: int
 

@@ -1,4 +1,4 @@
-"""What values depend on, found by moving symbols in a finite field.
+"""Dependence of values on symbols, found by moving these in a finite field.
 
 That something moves is a proof; that it does not is an identity test at two points, whose error is
 below 2^-100. What is made of functions of which the field knows nothing counts as moving.

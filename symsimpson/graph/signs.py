@@ -16,7 +16,7 @@ PARTIAL = frozenset(["asin", "acos", "acosh", "atanh"])
 
 
 class Signs:
-    """What is known of the signs of nodes.
+    """The signs of nodes, as far as they are known.
 
     Parameters
     ----------

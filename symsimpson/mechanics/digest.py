@@ -1,4 +1,4 @@
-"""What tells one declaration from another."""
+"""Digests that tell one declaration from another."""
 
 from __future__ import annotations
 

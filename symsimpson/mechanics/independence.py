@@ -1,4 +1,4 @@
-"""What a field leaves open: sixty digits refuse, SymPy may grant, the rest is undecided."""
+"""Tests of independence that a field leaves open: sixty digits refuse, or SymPy may grant."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a LagrangesMethod of SymPy holds: L, constraints, and loads as generalised forces."""
+"""Contents of a LagrangesMethod of SymPy: L, constraints, and loads as generalised forces."""
 
 from __future__ import annotations
 

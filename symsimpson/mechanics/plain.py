@@ -76,12 +76,12 @@ class Plain:
 
     @property
     def linear(self) -> Value:
-        """What is linear in the velocities, a.v."""
+        """The term of L that is linear in the velocities, a.v."""
         return self.graph.add(self.graph.products(self.a, self.numbers(self.v)))
 
     @property
     def energies(self) -> tuple[Value, ...]:
-        """What the Lagrangian is made of: the entries of M and a, and V."""
+        """The entries of M and of a, and V, of which the Lagrangian is made."""
         return (*self.M.values(), *self.a, self.V)
 
     @cached_property

@@ -37,7 +37,7 @@ FINITE = (
 
 @dataclass(frozen=True)
 class Retiming:
-    """What a retimed system is made of.
+    """The parts of a retimed system.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class RetimedSystem(MechanicalSystem):
 
     @cached_property
     def retiming(self) -> Retiming:
-        """What it is made of."""
+        """The parts of this system."""
         own = Symbols(self.coordinates, self.parameters)
         value = _read_rate(self.original.name, self.rate, own)
         known = None if self.of_level is None else self.of_level.xreplace(dict(own.replace))

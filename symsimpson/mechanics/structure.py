@@ -1,4 +1,4 @@
-"""What a system has and lacks: granted by algebra, or by an identity test in a finite field.
+"""Structure of a system: granted by algebra, or by an identity test in a finite field.
 
 Forces F = L_q + f and momenta P = L_v are asked what moves them; the error of an answer is below
 2^-100 (:mod:`symsimpson.graph.field`). What a field leaves open, 60 digits may refuse and SymPy may

@@ -25,7 +25,7 @@ TRAIL = 40
 
 @dataclass(frozen=True)
 class Link:
-    """What is drawn between two points; -1 is the origin."""
+    """A line that is drawn between two points; -1 is the origin."""
 
     first: int
     second: int

@@ -1,4 +1,4 @@
-"""What results are compared with; none of it uses the generator.
+"""References to compare results with; none of them uses the generator.
 
 The exact motion of the Lagrange top, systems in first-order form, the classical Runge-Kutta
 method, compiled, and an accurate solution of any system with an estimate of its error.

@@ -1,1 +1,1 @@
-"""What runs a generated module: cache, loader, driver, stepper. Knows nothing of SymPy."""
+"""Runtime of generated modules: cache, loader, driver, stepper. Knows nothing of SymPy."""

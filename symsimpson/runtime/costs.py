@@ -154,7 +154,7 @@ def pull_velocities(
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of a quantity: at each so-many-th state, NaN where nothing was."""
+    """Measurements of a quantity: at each so-many-th state, NaN where there is none."""
 
     quantity: StateCost
     values: Reals

@@ -1,4 +1,4 @@
-"""What can be asked of the derivatives of steps."""
+"""Derivatives of steps, as a user asks for them."""
 
 from __future__ import annotations
 

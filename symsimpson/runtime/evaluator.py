@@ -1,4 +1,4 @@
-"""What a generated module can compute at given states: equations, energy, expressions."""
+"""Values at given states: equations, energy, expressions, by a generated module."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What steppers tell of themselves, and find in runs that are not kept."""
+"""Examinations by a stepper: certificates, and findings in runs that are not kept."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ __all__ = ["Loaded", "Tools"]
 
 @dataclass(frozen=True)
 class Tools:
-    """What layers above do for a stepper; it gets them from whoever makes it.
+    """Functions of layers above a stepper; it gets them from whoever makes it.
 
     Attributes
     ----------

@@ -25,7 +25,7 @@ __all__ = ["Stepping"]
 
 @explaining()
 class Stepping(Evaluator):
-    """What a stepper does step by step; :class:`Stepper` is one that also runs."""
+    """A stepper that goes step by step; :class:`Stepper` is one that also runs."""
 
     def step(
         self,

@@ -94,7 +94,7 @@ class Composition(Scheme):
 
     @property
     def legend(self) -> str:
-        """What the tables are."""
+        """A legend to the tables."""
         return "weights b_k of the kicks, shares a_k of the drifts"
 
     @property

@@ -109,7 +109,7 @@ class Scheme:
 
     @property
     def legend(self) -> str:
-        """What the tables are."""
+        """A legend to the tables."""
         return "nodes, weights b_i, A_ik = l_k(c_i), B_ik = l_k'(c_i), and the predictor"
 
     @property

@@ -1,4 +1,4 @@
-"""What a catalogue system has beyond any other: a state to start from, and where it comes from."""
+"""Entries of the catalogue: a system with a state to start from, and its source."""
 
 from __future__ import annotations
 

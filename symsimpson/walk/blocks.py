@@ -251,7 +251,7 @@ class Blocks(Arrays):
         return array
 
     def each(self, count: Any, act: Callable[[Any], None]) -> None:
-        """Do something for each number below a count."""
+        """Act for each number below a count."""
 
         def body(number: Any, loop: Loop) -> bool:
             act(number)

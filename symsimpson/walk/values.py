@@ -177,7 +177,7 @@ class Values:
         return self.subtract(found, self._below(a, b))
 
     def rest(self, a: Any, b: Any) -> Any:
-        """What a number leaves when divided by another, of the sign of that."""
+        """The remainder of a number divided by another, of the sign of the divisor."""
         if known(a) and known(b):
             return a % b
         if self._is_real(a) or self._is_real(b):

@@ -1,4 +1,4 @@
-"""What happens in long runs, at large steps, near poles, in chaos and at large angles."""
+"""Stability: long runs, large steps, poles, chaos and large angles."""
 
 from symsimpson.analysis.stability.chaos import Mixing, Reversal, mixing, reversal
 from symsimpson.analysis.stability.drift import Drift, energy_drift

@@ -38,7 +38,7 @@ class Reversal:
 
     @property
     def rounding(self) -> float:
-        """What the error is of a single step: error / (growth steps)."""
+        """The error of a single step: error / (growth steps)."""
         return self.error / (max(self.growth, 1.0) * self.steps)
 
 

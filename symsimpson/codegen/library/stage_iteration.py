@@ -1,4 +1,4 @@
-"""What an iteration over the velocities and forces at the nodes has in common for all systems."""
+"""Iteration over the velocities and forces at the nodes, alike for all systems."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What the loop over steps leaves to be finished: steps that failed, or whose solution is in doubt.
+"""Recovery of steps that the loop leaves: those that failed, or whose solution is in doubt.
 
 Compiled behind the text of the driver, whose names it uses.
 """

@@ -1,4 +1,4 @@
-"""What the members of an ensemble came to."""
+"""Results of an ensemble, by member."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What members of an ensemble tell of their steps, before they run and behind it."""
+"""Judgement of the steps of an ensemble, before its members run and behind it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an ensemble is asked to compute, and arrays for what it comes to."""
+"""Tasks of ensembles, and arrays for their results."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Task(RunSpec):
-    """What an ensemble is asked to compute, checked; arrays have a row for each member."""
+    """The task of an ensemble, checked; arrays have a row for each member."""
 
     reductions: tuple[Reduction, ...]
     threads: int

@@ -44,7 +44,7 @@ SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE
 
 @dataclass(frozen=True)
 class Header:
-    """What a generated module states of itself, read without executing it."""
+    """The statements of a generated module about itself, read without executing it."""
 
     system: str
     scheme: str
@@ -125,7 +125,7 @@ class Header:
 
     @cached_property
     def told(self) -> NDArray[np.int64]:
-        """What the driver must know of the layout, in its order."""
+        """The numbers of the layout that the driver must know, in its order."""
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
             "DIMENSION": self.n, "MEASURED": self.degree * self.n,

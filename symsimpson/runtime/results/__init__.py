@@ -1,1 +1,1 @@
-"""What runs come to: states, times and what follows from them; files of them."""
+"""Results of runs: states, times and quantities that follow from them; files of these."""

@@ -15,7 +15,7 @@ __all__ = ["Differentiated"]
 
 
 class Differentiated:
-    """What was carried along beside states; of an ensemble with one axis more, its members."""
+    """Derivatives that were carried along beside states; an ensemble has an axis of members, too."""
 
     _stepper: Stepper
     _tangents: NDArray[Any] | None

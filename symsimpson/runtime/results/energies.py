@@ -1,4 +1,4 @@
-"""What the energy of a run does: its error, the work of forces, and what a scheme keeps of it."""
+"""The energy of a run: its error, the work of forces, and the part that a scheme keeps."""
 
 from __future__ import annotations
 

@@ -163,7 +163,7 @@ class DenseOutput:
     def _after_in_time(
         self, start: NDArray[np.int64], later: Reals
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
-        """Do so where steps are fixed in another time."""
+        """Return states after steps that are fixed in another time."""
         run, stepper = self._run, self._run._stepper
         numbers = stepper._module.numbers
         with numbers.working():

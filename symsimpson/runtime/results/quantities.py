@@ -20,7 +20,7 @@ __all__ = ["Quantities"]
 
 
 class Quantities:
-    """What follows from positions and momenta of shape (..., n); computed when first asked for."""
+    """Quantities that follow from q and p of shape (..., n), computed when first asked for."""
 
     t: NDArray[Any]
     q: Any

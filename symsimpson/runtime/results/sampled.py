@@ -1,4 +1,4 @@
-"""What was asked of a long run: states at chosen times, or chosen quantities alone."""
+"""Parts of a long run: states at chosen times, or chosen quantities alone."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ LOOKS, JOINING = 16, 3 / 8
 
 
 class Collected:
-    """What a run stores, however much that will be.
+    """The states that a run stores, however many these will be.
 
     Parameters
     ----------

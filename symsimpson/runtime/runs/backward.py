@@ -39,7 +39,7 @@ RECORDED = 8_000_000
 
 @dataclass(frozen=True)
 class Objective:
-    """What a run is to be judged by.
+    """The objective of a run: costs of its last state and of samples on the way.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Objective:
 
 @dataclass
 class Backward:
-    """What a run costs, and the derivatives of that.
+    """The cost of a run, and its derivatives.
 
     Attributes
     ----------

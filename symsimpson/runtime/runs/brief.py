@@ -54,7 +54,7 @@ Stored = tuple[Floats, NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run is asked for in the plainest way: values of parameters, and where it begins."""
+    """A run that is asked for in the plainest way: values of parameters, and where it begins."""
 
     values: Floats
     q: Floats
@@ -64,7 +64,7 @@ class Asked:
 
 
 class Prepared:
-    """What a run needs that nobody sees: workspace, kernels, functions of the driver."""
+    """The inner means of a run: workspace, kernels, functions of the driver."""
 
     def __init__(self, stepper: Evaluator) -> None:
         header, kernels = stepper._module.header, stepper._module.kernels

@@ -60,7 +60,7 @@ def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Record:
-    """What a checkpoint says, the digest of its states so far, and the last of them."""
+    """The statements of a checkpoint, the digest of its states so far, and the last of them."""
 
     asked: dict[str, Any]
     position: list[int]

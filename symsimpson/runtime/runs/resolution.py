@@ -1,4 +1,4 @@
-"""What the energy of a run tells of it: whether it was real, and whether steps resolved the motion.
+"""Judgement of a run by its energy: whether it was real, and whether steps resolved the motion.
 
 A passage that is resolved moves the energy while it lasts and gives it back; one that is not leaves
 it at another level. So medians of blocks of states are held against the energy at the start, in

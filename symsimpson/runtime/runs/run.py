@@ -53,7 +53,7 @@ def workspace(
 
 @dataclass(frozen=True)
 class Kept:
-    """What a kernel that is called behind each step leaves, beside the state.
+    """The rows beside the state that a kernel leaves which is called behind each step.
 
     Attributes
     ----------

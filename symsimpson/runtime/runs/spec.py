@@ -1,4 +1,4 @@
-"""What a run is asked to compute, read and checked once."""
+"""Requests for runs, read and checked once."""
 
 from __future__ import annotations
 

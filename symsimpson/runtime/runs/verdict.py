@@ -1,4 +1,4 @@
-"""What a run came to, by its states: whether they are real, and whether steps resolved them."""
+"""Verdicts on a run by its states: whether they are real, and whether steps resolved them."""
 
 from __future__ import annotations
 
