@@ -15,7 +15,7 @@ __all__ = ["Differentiated"]
 
 
 class Differentiated:
-    """Derivatives that were carried along beside states; an ensemble has an axis of members, too."""
+    """Derivatives that were carried along beside states; ensembles have an axis of members."""
 
     _stepper: Stepper
     _tangents: NDArray[Any] | None
