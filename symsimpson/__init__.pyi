@@ -13,8 +13,6 @@ from .api import load as load
 from .api import resume as resume
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
-from .configuration import show_config as show_config
-from .derivation import Report as Report
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError
 from .errors import GenerationError as GenerationError
@@ -44,6 +42,7 @@ from .mechanics.rotations import rotation_matrix as rotation_matrix
 from .mechanics.structure import Structure as Structure
 from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation
+from .runtime.configuration import show_config as show_config
 from .runtime.ensembles.ensemble import Ensemble as Ensemble
 from .runtime.results.archive import open_trajectory as open_trajectory
 from .runtime.results.chaos import Chaos as Chaos
@@ -65,6 +64,7 @@ from .schemes.scheme import MIDPOINT as MIDPOINT
 from .schemes.scheme import SIMPSON as SIMPSON
 from .schemes.scheme import Scheme as Scheme
 from .schemes.scheme import galerkin as galerkin
+from .support.derivation import Report as Report
 
 __version__: str
 __all__: list[str]

@@ -10,19 +10,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from symsimpson.calling import explained
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
-from symsimpson.derivation import Derivation
 from symsimpson.discrete.equations import check_differentiable
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.errors import GenerationError, StorageError
-from symsimpson.files import read_path, written_beside
 from symsimpson.mechanics.extended import extended
 from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.progress import waiting
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.kernels.texts import kept_text
@@ -32,6 +28,10 @@ from symsimpson.runtime.runs.checkpoint import read_asked
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.calling import explained
+from symsimpson.support.derivation import Derivation
+from symsimpson.support.files import read_path, written_beside
+from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate

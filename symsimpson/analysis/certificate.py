@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from symsimpson.files import write_text
+from symsimpson.support.files import write_text
 
 __all__ = ["Certificate", "Check"]
 

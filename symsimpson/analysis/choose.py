@@ -11,19 +11,19 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.ahead import late
 from symsimpson.analysis.candidates import Wanted
 from symsimpson.analysis.pilot import any_step, choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api import compile as compile_system
-from symsimpson.calling import explained
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.progress import waiting
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.ahead import late
+from symsimpson.support.calling import explained
+from symsimpson.support.progress import waiting
 
 __all__ = ["Choice", "choose"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from symsimpson import markup
 from symsimpson.codegen.counting import Cost, cost
 from symsimpson.codegen.pipeline import source
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.support import markup
 
 __all__ = ["StepCosts", "step_costs"]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from symsimpson.markup import box, facts, table
 from symsimpson.runtime.results.html import verdict as coloured
+from symsimpson.support.markup import box, facts, table
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike
 
 from symsimpson.analysis.choose import choose
 from symsimpson.analysis.remembered import remembered
-from symsimpson.calling import explained
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.results.sampled import Sampled, Saved
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.calling import explained
 
 __all__ = ["integrate"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from symsimpson.definitions import definitions, redefined
+from symsimpson.module.definitions import definitions, redefined
 from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from symsimpson.errors import InputError, StorageError
-from symsimpson.files import write_text
+from symsimpson.support.files import write_text
 
 __all__ = ["Point", "WorkPrecision"]
 

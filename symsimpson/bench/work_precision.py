@@ -17,11 +17,11 @@ from symsimpson.bench.contender import Contender, Runnable
 from symsimpson.bench.peers import ours, peers, read_peers
 from symsimpson.bench.problem import Problem, make_problem
 from symsimpson.bench.record import Point, WorkPrecision
-from symsimpson.calling import explained
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.progress import waiting
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.calling import explained
+from symsimpson.support.progress import waiting
 
 __all__ = ["work_precision"]
 

@@ -10,9 +10,9 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from symsimpson.ahead import LATE
 from symsimpson.cli.parser import parser
 from symsimpson.errors import ModelWarning, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.support.ahead import LATE
 
 __all__ = ["main"]
 

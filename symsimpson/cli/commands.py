@@ -8,7 +8,7 @@ from pathlib import Path
 
 from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError
-from symsimpson.files import check_folder
+from symsimpson.support.files import check_folder
 
 __all__ = ["SCHEMES", "bench", "certify", "check", "choose", "generate", "list_systems", "stress"]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError, SymsimpsonError
-from symsimpson.files import check_folder
-from symsimpson.names import did_you_mean
+from symsimpson.support.files import check_folder
+from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem

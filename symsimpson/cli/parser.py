@@ -8,7 +8,7 @@ from typing import Any
 
 from symsimpson import __version__
 from symsimpson.cli import commands, runs
-from symsimpson.extras import library
+from symsimpson.support.extras import library
 
 __all__ = ["parser"]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError, ResolutionWarning
-from symsimpson.files import check_folder, written_beside
+from symsimpson.support.files import check_folder, written_beside
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem

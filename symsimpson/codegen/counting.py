@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.binding import bind, plain_arithmetic
+from symsimpson.module.binding import bind, plain_arithmetic
 
 __all__ = ["Cost", "cost"]
 

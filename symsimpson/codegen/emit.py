@@ -31,8 +31,8 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.interface import INTERFACE, OPTIONS, SIGNATURE
 from symsimpson.mechanics.domain import has_real_energy
+from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["emit"]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from symsimpson.codegen.storage import Storage
 from symsimpson.discrete.unknowns import Unknowns
-from symsimpson.interface import BLOCKS, OPTIONAL
+from symsimpson.module.interface import BLOCKS, OPTIONAL
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["layout", "node_stride"]

@@ -18,7 +18,7 @@ from symsimpson.discrete.reductions import (
     force_factor,
     inertia_factor,
 )
-from symsimpson.interface import PIVOTED
+from symsimpson.module.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["LoopKernels", "equation_constants", "solve_constants", "solve_tables"]

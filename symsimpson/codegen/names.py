@@ -12,9 +12,9 @@ from functools import cache
 import sympy as sp
 
 from symsimpson.codegen.library import library_sources
-from symsimpson.interface import BLOCKS, KERNELS
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.module.interface import BLOCKS, KERNELS
 
 __all__ = ["NameTable"]
 

@@ -11,18 +11,18 @@ import sympy as sp
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower, unrolled
 from symsimpson.codegen.names import NameTable
-from symsimpson.derivation import LAGRANGIAN, Derivation
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.discrete.slopes import Cost
 from symsimpson.errors import GenerationError, SchemeError
-from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
-from symsimpson.stopwatch import collecting, timed
+from symsimpson.support.derivation import LAGRANGIAN, Derivation
+from symsimpson.support.garbage import rarely_collected
+from symsimpson.support.stopwatch import collecting, timed
 
 __all__ = ["derive", "source"]
 

@@ -18,7 +18,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import lanes
 from symsimpson.codegen.written_tangent import is_written, written_tangent
-from symsimpson.interface import WITH_PIVOTS
+from symsimpson.module.interface import WITH_PIVOTS
 
 __all__ = ["differentiating"]
 

@@ -21,7 +21,7 @@ from symsimpson.graph.program import Program
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.share import share
 from symsimpson.mechanics.structure import kinetic
-from symsimpson.stopwatch import timed
+from symsimpson.support.stopwatch import timed
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.plain import Plain

@@ -36,9 +36,9 @@ from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.structure import MOST_AFFINE, Structure, Subsystem
-from symsimpson.names import did_you_mean
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.names import did_you_mean
 
 __all__ = [
     "EXPLOITABLE", "Affine", "BasePart", "Composed", "Constrained", "Coupled", "Linear", "Part",

@@ -14,7 +14,7 @@ from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
 from symsimpson.mechanics.given import read_values, read_vector
-from symsimpson.names import spelled
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem

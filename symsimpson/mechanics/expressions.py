@@ -20,7 +20,7 @@ from symsimpson.graph.read import Reader
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.plain import Symbols
-from symsimpson.names import did_you_mean
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["read_expression"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import Named, spelled
+from symsimpson.support.names import Named, spelled
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import sympy as sp
 
-from symsimpson.markup import aligned, in_text
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.equations import terms
+from symsimpson.support.markup import aligned, in_text
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.system import MechanicalSystem

@@ -14,9 +14,7 @@ import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
-from symsimpson.calling import explaining
 from symsimpson.errors import ModelError
-from symsimpson.garbage import rarely_collected
 from symsimpson.mechanics.checks import read_coordinates, read_name, read_parameters
 from symsimpson.mechanics.constraints import names_of
 from symsimpson.mechanics.declaration import energies, read_energies
@@ -29,8 +27,10 @@ from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
 from symsimpson.mechanics.units import NO_UNITS, read_units
-from symsimpson.progress import waiting
-from symsimpson.stopwatch import collecting, timed
+from symsimpson.support.calling import explaining
+from symsimpson.support.garbage import rarely_collected
+from symsimpson.support.progress import waiting
+from symsimpson.support.stopwatch import collecting, timed
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.retimed import RetimedSystem, Retiming

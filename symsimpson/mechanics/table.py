@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from symsimpson import markup
+from symsimpson.support import markup
 
 if TYPE_CHECKING:
     from symsimpson.mechanics.structure import Structure

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from symsimpson.errors import ModelError
-from symsimpson.names import did_you_mean, spelled
+from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["NO_UNITS", "read_units"]
 

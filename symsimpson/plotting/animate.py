@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.files import read_path, write_text, written_beside
 from symsimpson.plotting.axes import axes
 from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
+from symsimpson.support.files import read_path, write_text, written_beside
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.states import States

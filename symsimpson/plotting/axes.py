@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.extras import library
+from symsimpson.support.extras import library
 
 __all__ = ["axes"]
 

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from symsimpson.extras import library
 from symsimpson.plotting.scene import Scene
-from symsimpson.progress import Progress
+from symsimpson.support.extras import library
+from symsimpson.support.progress import Progress
 
 __all__ = ["KINDS", "film_in_plane", "write_film"]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.extras import library
 from symsimpson.plotting.scene import Scene
+from symsimpson.support.extras import library
 
 __all__ = ["film_in_space"]
 

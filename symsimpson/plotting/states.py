@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.names import spelled
 from symsimpson.plotting.axes import axes
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.ensembles.ensemble import Ensemble

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.calling import explaining
 from symsimpson.errors import InputError
 from symsimpson.runtime.gradients import Wanted, gradient_of
 from symsimpson.runtime.kernels.observed import read_reductions
@@ -19,6 +18,7 @@ from symsimpson.runtime.runs.spec import read_run
 from symsimpson.runtime.runs.timed import timed_run
 from symsimpson.runtime.runs.variations import read_varied, varied_stepper
 from symsimpson.runtime.stepping import Stepping, of_a_step
+from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator, Parameters

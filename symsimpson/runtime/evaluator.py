@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.calling import explaining
-from symsimpson.derivation import Derivation
 from symsimpson.errors import InputError
-from symsimpson.names import spelled
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_array, read_parameters
 from symsimpson.runtime.kernels.header import Header, read_header
@@ -22,6 +19,9 @@ from symsimpson.runtime.loaded import Loaded, Tools
 from symsimpson.runtime.names import Names
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import workspace
+from symsimpson.support.calling import explaining
+from symsimpson.support.derivation import Derivation
+from symsimpson.support.names import spelled
 
 __all__ = ["Evaluator", "evaluate", "evaluate_members", "watching"]
 

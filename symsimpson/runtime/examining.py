@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from numpy.typing import ArrayLike
 
-from symsimpson.calling import explaining
-from symsimpson.derivation import Report
 from symsimpson.errors import InputError
 from symsimpson.runtime.derivatives import Differentiating
 from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.runs.spec import read_run
+from symsimpson.support.calling import explaining
+from symsimpson.support.derivation import Report
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import spelled
 from symsimpson.runtime.costs import read_cost, read_samples
 from symsimpson.runtime.inputs import read_count
 from symsimpson.runtime.results.gradient import Gradient
@@ -18,6 +17,7 @@ from symsimpson.runtime.runs.backward import Objective, differentiate_back
 from symsimpson.runtime.runs.driving import Samples, given_inputs, steps_a_period
 from symsimpson.runtime.runs.spec import RunSpec, read_run
 from symsimpson.runtime.runs.variations import read_varied, varied_stepper
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import Named
+from symsimpson.support.names import Named
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from symsimpson.derivation import Derivation
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
+from symsimpson.support.derivation import Derivation
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers

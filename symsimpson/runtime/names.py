@@ -7,10 +7,10 @@ from functools import cached_property
 from itertools import chain
 from typing import Any
 
-from symsimpson.calling import warn
 from symsimpson.errors import ModelWarning
-from symsimpson.names import Named, spelled
 from symsimpson.runtime.kernels.header import Header
+from symsimpson.support.calling import warn
+from symsimpson.support.names import Named, spelled
 
 __all__ = ["Names"]
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
-from symsimpson.calling import explaining
 from symsimpson.errors import Interrupted
 from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.examining import Examining
@@ -18,6 +17,7 @@ from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
 from symsimpson.runtime.runs.timed import timed_run
+from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.runtime.ensembles.ensemble import Ensemble

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.calling import explaining
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.inputs import read_count, read_number, read_step
@@ -16,6 +15,7 @@ from symsimpson.runtime.runs.brief import brief_run
 from symsimpson.runtime.runs.driving import places
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.spec import read_run
+from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.runtime.runs.loop import ControlLoop

@@ -12,9 +12,9 @@ import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.errors import SchemeError
-from symsimpson.names import did_you_mean
 from symsimpson.schemes.quadrature import Quadrature
 from symsimpson.schemes.scheme import Scheme
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["COMPOSITIONS", "Composition", "composition"]
 

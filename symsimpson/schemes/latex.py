@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from symsimpson.markup import aligned, in_text
+from symsimpson.support.markup import aligned, in_text
 
 if TYPE_CHECKING:
     from symsimpson.schemes.composition import Composition

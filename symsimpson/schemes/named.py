@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 
 from symsimpson.errors import SchemeError
-from symsimpson.names import did_you_mean
 from symsimpson.schemes.composition import COMPOSITIONS, composition
 from symsimpson.schemes.scheme import MIDPOINT, SIMPSON, Scheme, galerkin
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["named_schemes", "read_scheme"]
 

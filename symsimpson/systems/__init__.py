@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from symsimpson.names import did_you_mean
+from symsimpson.support.names import did_you_mean
 from symsimpson.systems.argon import argon, argon_cluster
 from symsimpson.systems.cart_pole import cart_pole, driven_cart_pole
 from symsimpson.systems.cloth import cloth

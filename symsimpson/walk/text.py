@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.definitions import syntax
+from symsimpson.module.definitions import syntax
 
 __all__ = ["ARGUMENTS", "Text", "read_text"]
 

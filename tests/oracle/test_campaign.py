@@ -8,10 +8,10 @@ from support.forms import limited
 from support.random_systems import random_state, random_system
 from support.workspace import begin, state, take_step
 
-from symsimpson.binding import bind_float
 from symsimpson.codegen import kernels
 from symsimpson.codegen.emit import emit
 from symsimpson.discrete.equations import discretise
+from symsimpson.module.binding import bind_float
 from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import named_schemes
 

@@ -10,8 +10,8 @@ from support.oracle import nodes_and_weights
 from support.workspace import new_workspace
 
 import symsimpson as ss
-from symsimpson.binding import bind_float, bind_mpmath
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_float, bind_mpmath
 from symsimpson.reference import canonical
 from symsimpson.runtime.kernels.digits import MOST_BY_STAGES
 from symsimpson.runtime.runs.run import Run

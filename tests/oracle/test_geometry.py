@@ -7,8 +7,8 @@ from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise
-from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_complex, bind_float
 from symsimpson.schemes.composition import COMPOSITIONS
 
 PENDULUM = ss.systems.double_pendulum()

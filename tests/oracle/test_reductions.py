@@ -8,9 +8,9 @@ from support.random_systems import random_state, structured_system
 from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
-from symsimpson.binding import bind_float, bind_mpmath
 from symsimpson.codegen.counting import cost
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_float, bind_mpmath
 
 STEPS = 200
 SCHEMES = ("simpson", "midpoint")

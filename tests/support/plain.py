@@ -10,7 +10,7 @@ from unittest.mock import MagicMock
 import numpy as np
 from numba.core import event
 
-from symsimpson.binding import MATH, bind
+from symsimpson.module.binding import MATH, bind
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.kernels.compiled import Kernels
 from symsimpson.runtime.kernels.numbers import Numbers

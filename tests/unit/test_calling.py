@@ -7,7 +7,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.calling import explained, warn
+from symsimpson.support.calling import explained, warn
 
 (x,) = ss.coordinates("x")
 T, V = x.diff() ** 2 / 2, x**2 / 2

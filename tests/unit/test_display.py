@@ -8,7 +8,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson import markup
+from symsimpson.support import markup
 
 HOSTILE = "<img src=x onerror=alert(1)>"
 

@@ -12,8 +12,8 @@ from support.workspace import begin, state, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.binding import bind_complex, bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_complex, bind_float
 from symsimpson.runtime.kernels.syntax import check_structure
 
 #: The same examples each time; without a clock, which other work on the machine would trip.

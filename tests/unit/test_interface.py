@@ -6,10 +6,10 @@ import re
 import pytest
 
 import symsimpson as ss
-from symsimpson import interface
 from symsimpson.codegen.pipeline import source
-from symsimpson.definitions import redefined
 from symsimpson.errors import StaleKernelError
+from symsimpson.module import interface
+from symsimpson.module.definitions import redefined
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.kernels.header import SIGNED, digest, read_header
 

@@ -7,6 +7,7 @@ import sys
 import pytest
 from support.places import PACKAGE
 
+STAGES = ("mechanics", "schemes", "discrete", "codegen", "runtime")
 #: What nothing below may import.
 TOP = ("analysis", "reference", "bench", "systems", "api", "cli")
 
@@ -41,12 +42,14 @@ def test_the_runtime_does_without_sympy():
 
 @pytest.mark.slow
 def test_the_symbolic_half_does_without_numba():
-    assert "numba" not in loaded_by("import symsimpson.codegen.pipeline, symsimpson.binding")
+    assert "numba" not in loaded_by("import symsimpson.codegen.pipeline, symsimpson.module.binding")
 
 
 @pytest.mark.parametrize(
     ("folder", "forbidden"),
     [
+        ("support", {"module", "walk", "graph", *STAGES, *TOP}),
+        ("module", {"walk", "graph", *STAGES, *TOP}),
         ("graph", {"mechanics", "schemes", "discrete", "codegen", "runtime", *TOP}),
         ("mechanics", {"schemes", "discrete", "codegen", "runtime", *TOP}),
         ("schemes", {"mechanics", "discrete", "codegen", "runtime", *TOP}),

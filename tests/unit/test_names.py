@@ -4,7 +4,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson.names import Named, did_you_mean, spelled
+from symsimpson.support.names import Named, did_you_mean, spelled
 
 THETA = sp.Function(r"\theta_1")(ss.time)
 COORDINATES = Named("coordinate", ("q0", "q0_2"), (r"\theta_1", "q0"))

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
-from symsimpson.calling import warn
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

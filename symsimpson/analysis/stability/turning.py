@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import sympy as sp
 
-from symsimpson.calling import warn
 from symsimpson.errors import StabilityWarning
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -10,7 +10,7 @@ from __future__ import annotations
 from functools import cache
 from importlib import resources
 
-from symsimpson.definitions import definitions
+from symsimpson.module.definitions import definitions
 
 __all__ = ["library_sources"]
 

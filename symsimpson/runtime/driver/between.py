@@ -5,7 +5,7 @@ Compiled behind the text of the driver, whose names it uses.
 
 from numba import njit, types
 
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     ACTIVE,
     ADVANCE,
     BEHIND,

@@ -11,12 +11,12 @@ from typing import Any
 
 from numba import njit
 
-from symsimpson.ahead import compiles_late
-from symsimpson.definitions import redefined, syntax
+from symsimpson.module.definitions import redefined, syntax
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
 from symsimpson.runtime.driver.steps import SIGNATURES
 from symsimpson.runtime.kernels.cache import compiled
 from symsimpson.runtime.kernels.vectors import vector_bits
+from symsimpson.support.ahead import compiles_late
 from symsimpson.walk.functions import read_functions, walking_function
 from symsimpson.walk.kernels import stub, walker_digest
 from symsimpson.walk.text import Text
@@ -40,7 +40,7 @@ TOGETHER = (
 def _files() -> tuple[str, ...]:
     """Return the files that the driver is made of, the agreement with modules first."""
     folder = resources.files("symsimpson.runtime.driver")
-    files = [resources.files("symsimpson").joinpath("interface.py")]
+    files = [resources.files("symsimpson").joinpath("module", "interface.py")]
     files += [folder.joinpath(f"{part}.py") for part in PARTS]
     return tuple(file.read_text("utf-8") for file in files)
 

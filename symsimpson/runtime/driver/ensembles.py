@@ -7,7 +7,7 @@ with a workspace of its own; what a lane computes does not depend on its neighbo
 import numpy as np
 from numba import njit, types
 
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     ARRIVED,
     BAD_INPUT,
     BEHIND,

@@ -6,7 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     ACTIVE,
     ADVANCE,
     CONTRACTION,

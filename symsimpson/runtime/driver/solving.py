@@ -7,7 +7,7 @@ that it hands on would be counted in every step, which costs a twentieth of a sm
 import numpy as np
 from numba import njit
 
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     ACTIVE,
     CONTRACTION,
     DIMENSION,

@@ -9,7 +9,7 @@ compiled as one text, behind the agreement with modules, and import nothing else
 import numpy as np
 from numba import njit, types
 
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     ACTIVE,
     ADVANCE,
     BEHIND,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.interface import ARRIVED
+from symsimpson.module.interface import ARRIVED
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.task import Results, Task
 from symsimpson.runtime.results.status import Status

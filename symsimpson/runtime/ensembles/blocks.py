@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.interface import ROWS
+from symsimpson.module.interface import ROWS
 from symsimpson.runtime.ensembles.arrivals import take_last_parts
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly

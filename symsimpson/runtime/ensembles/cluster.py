@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
-from symsimpson.extras import library
-from symsimpson.progress import Progress
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import names_in_dataset
 from symsimpson.runtime.ensembles.store import Store, members_of, said, write_chunk
@@ -25,6 +23,8 @@ from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.support.extras import library
+from symsimpson.support.progress import Progress
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

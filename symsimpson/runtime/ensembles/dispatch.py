@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
-from symsimpson.progress import Progress
 from symsimpson.runtime.ensembles.arrivals import with_ends
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.cluster import check_client, run_on_cluster
@@ -15,6 +14,7 @@ from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.judged import look_at_ends, look_at_steps
 from symsimpson.runtime.ensembles.store import open_store, run_missing
 from symsimpson.runtime.ensembles.task import Task
+from symsimpson.support.progress import Progress
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import explaining
-from symsimpson.extras import library
 from symsimpson.runtime.evaluator import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import columns, dataframe, write
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import warn
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, spread
@@ -17,6 +16,7 @@ from symsimpson.runtime.ensembles.task import Task
 from symsimpson.runtime.evaluator import evaluate, evaluate_members, velocities_by
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.resolution import FEWEST, LAST_LIMIT
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import warn
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.ensembles.task import Results, Task
 from symsimpson.runtime.evaluator import evaluate_members, watching
@@ -17,6 +16,7 @@ from symsimpson.runtime.kernels.observed import reduce_values
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.chaos import find_chaos
 from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory

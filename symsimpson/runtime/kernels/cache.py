@@ -32,8 +32,8 @@ import numpy as np
 from filelock import FileLock, Timeout
 
 from symsimpson.errors import GenerationError
-from symsimpson.garbage import rarely_collected
-from symsimpson.progress import waiting
+from symsimpson.support.garbage import rarely_collected
+from symsimpson.support.progress import waiting
 
 __all__ = ["cache_folder", "compiled", "location"]
 

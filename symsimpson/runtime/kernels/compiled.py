@@ -12,8 +12,8 @@ from numba import cfunc
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from symsimpson.definitions import redefined
 from symsimpson.errors import GenerationError
+from symsimpson.module.definitions import redefined
 from symsimpson.runtime.kernels.cache import compiled, location
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets

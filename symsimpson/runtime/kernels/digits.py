@@ -19,15 +19,15 @@ import numpy as np
 from mpmath.libmp import from_man_exp, from_pickable, to_pickable
 from numpy.typing import NDArray
 
-from symsimpson.binding import bind, bind_arb, bind_mpmath
 from symsimpson.errors import InputError
-from symsimpson.extras import library
+from symsimpson.module.binding import bind, bind_arb, bind_mpmath
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.numbers import Numbers
 from symsimpson.runtime.kernels.sets import KernelSets
 from symsimpson.runtime.signals import undisturbed
+from symsimpson.support.extras import library
 
 __all__ = ["read_precision"]
 

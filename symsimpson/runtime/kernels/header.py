@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
-from symsimpson.interface import (
+from symsimpson.module.definitions import syntax
+from symsimpson.module.interface import (
     ADJACENT,
     BLOCKS,
     INTERFACE,

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 from symsimpson.errors import StorageError, SymsimpsonError
-from symsimpson.files import written_beside
 from symsimpson.runtime.kernels.cache import cache_folder
+from symsimpson.support.files import written_beside
 
 __all__ = ["kept"]
 

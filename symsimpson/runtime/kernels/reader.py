@@ -8,7 +8,7 @@ from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
-from symsimpson.names import did_you_mean, spelled
+from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.interface import (
+from symsimpson.module.interface import (
     EXPLICIT,
     KERNEL_SETS,
     NEWTON,

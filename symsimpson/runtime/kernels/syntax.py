@@ -12,10 +12,10 @@ import ast
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from symsimpson.binding import MATH
-from symsimpson.definitions import syntax
 from symsimpson.errors import StaleKernelError
-from symsimpson.interface import OPTIONS, SIGNATURE
+from symsimpson.module.binding import MATH
+from symsimpson.module.definitions import syntax
+from symsimpson.module.interface import OPTIONS, SIGNATURE
 
 if TYPE_CHECKING:
     from symsimpson.runtime.loaded import Tools

@@ -9,13 +9,13 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from typing import Any
 
-from symsimpson.derivation import Derivation
 from symsimpson.runtime.kernels.kept import kept
+from symsimpson.support.derivation import Derivation
 
 __all__ = ["kept_text"]
 
 #: What the generator is made of.
-GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "interface.py")
+GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "module")
 #: A derivation that took less, in seconds, is as soon done again as read.
 BRIEF = 0.1
 

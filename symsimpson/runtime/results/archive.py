@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
-from symsimpson.extras import library
-from symsimpson.files import read_path
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import TABLES, check_kind, write
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.support.extras import library
+from symsimpson.support.files import read_path
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.evaluator import watching
 from symsimpson.runtime.kernels.observed import Observed, read_expression
 from symsimpson.runtime.results.interpolate import DenseOutput
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

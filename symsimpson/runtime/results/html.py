@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.markup import Markup, box, curves, facts, scatter
 from symsimpson.runtime.results.status import Status
+from symsimpson.support.markup import Markup, box, curves, facts, scatter
 
 if TYPE_CHECKING:
     from symsimpson.runtime.ensembles.ensemble import Ensemble

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
-from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.evaluator import velocities_by
 from symsimpson.runtime.kernels.header import slopes_of
+from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import explaining
 from symsimpson.errors import UnknownNameError
-from symsimpson.extras import library
-from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import dataframe, write
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
+from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

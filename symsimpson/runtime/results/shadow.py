@@ -14,11 +14,11 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from symsimpson.derivation import LAGRANGIAN
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, evaluate
 from symsimpson.runtime.runs.run import workspace
 from symsimpson.runtime.runs.variations import varied_stepper
+from symsimpson.support.derivation import LAGRANGIAN
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.energies import Energies

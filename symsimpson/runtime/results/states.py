@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import explaining
-from symsimpson.extras import library
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.tables import columns, dataframe
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
 
 if TYPE_CHECKING:
     from symsimpson.runtime.stepper import Stepper

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from symsimpson import interface
+from symsimpson.module import interface
 
 __all__ = ["Status"]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.extras import library
-from symsimpson.files import check_folder, read_path, written_beside
+from symsimpson.support.extras import library
+from symsimpson.support.files import check_folder, read_path, written_beside
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.quantities import Quantities

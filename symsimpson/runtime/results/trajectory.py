@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.calling import explaining
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
 from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
+from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.ahead import compiles_late
 from symsimpson.runtime.inputs import read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
@@ -30,6 +29,7 @@ from symsimpson.runtime.runs.resolution import (
     sampling_stride,
 )
 from symsimpson.runtime.runs.run import workspace
+from symsimpson.support.ahead import compiles_late
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import warn
 from symsimpson.errors import InputError, StorageError
 from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.signals import undisturbed
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

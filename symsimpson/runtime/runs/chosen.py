@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import spelled
 from symsimpson.runtime.inputs import read_array, read_failure, read_number, read_step
 from symsimpson.runtime.results.sampled import Sampled, Saved, quantity
 from symsimpson.runtime.results.states import States
@@ -17,6 +16,7 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import raise_failure
 from symsimpson.runtime.runs.pieces import SLACK, Taken, by_pieces
 from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers

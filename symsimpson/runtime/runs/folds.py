@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import warn
 from symsimpson.errors import ConstraintWarning
 from symsimpson.runtime.evaluator import evaluate_in
 from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.held import DEPENDENT, dependent
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

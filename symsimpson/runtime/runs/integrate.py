@@ -14,8 +14,6 @@ from symsimpson.errors import (
     Interrupted,
     StorageError,
 )
-from symsimpson.files import check_folder, read_path
-from symsimpson.progress import silence
 from symsimpson.runtime.inputs import (
     read_count,
     read_failure,
@@ -39,6 +37,8 @@ from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.variations import begin_variations, kept_variations
 from symsimpson.runtime.runs.verdict import looked_at
+from symsimpson.support.files import check_folder, read_path
+from symsimpson.support.progress import silence
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

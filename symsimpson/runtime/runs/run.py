@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.interface import ARRIVED, RATE_NOT_POSITIVE
-from symsimpson.progress import Watcher
+from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.support.progress import Watcher
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.names import did_you_mean, spelled
 from symsimpson.runtime.inputs import read_array, whole_number
 from symsimpson.runtime.runs.run import Kept
+from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.calling import warn
 from symsimpson.errors import ResolutionWarning
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.resolution import Sampled, look_at_energy
 from symsimpson.runtime.runs.run import Run, Stored
+from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -9,9 +9,9 @@ from support.cases import sweep
 from support.workspace import new_workspace, walked
 
 import symsimpson as ss
-from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
-from symsimpson.interface import NEWTON
+from symsimpson.module.binding import bind_float
+from symsimpson.module.interface import NEWTON
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.runs.driving import NO_INPUTS
 

@@ -13,10 +13,10 @@ from support.cases import sweep
 from support.workspace import walked
 
 import symsimpson as ss
-from symsimpson.binding import MATH, bind, plain_arithmetic
 from symsimpson.codegen.pipeline import derive, source
-from symsimpson.definitions import redefined
 from symsimpson.discrete.reductions import read_exploit
+from symsimpson.module.binding import MATH, bind, plain_arithmetic
+from symsimpson.module.definitions import redefined
 from symsimpson.runtime.kernels import cache, compiled
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY

@@ -20,8 +20,8 @@ from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.codegen.weighted import WeightedRows
-from symsimpson.definitions import definitions, redefined
 from symsimpson.discrete.equations import DiscreteEquations, discretise
+from symsimpson.module.definitions import definitions, redefined
 from symsimpson.runtime.kernels.header import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 

@@ -9,8 +9,8 @@ import sympy as sp
 from support.workspace import block, new_workspace
 
 import symsimpson as ss
-from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_float
 
 MASSES = [Fraction(k + 3, 7) for k in range(10)]
 

@@ -13,8 +13,8 @@ from support.random_systems import random_state, random_system
 from support.workspace import TABLES, begin, block, new_workspace, take_step
 
 import symsimpson as ss
-from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import bind_float
 
 SCHEMES = ("simpson", "midpoint", "gauss4", "simpson", "midpoint")
 H = 0.125

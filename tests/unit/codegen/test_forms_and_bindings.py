@@ -14,11 +14,11 @@ from support.random_systems import random_state, random_system
 from support.workspace import begin, block, new_workspace, state, take_step
 
 import symsimpson as ss
-from symsimpson.binding import bind_complex, bind_float, bind_mpmath
 from symsimpson.codegen import kernels
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
+from symsimpson.module.binding import bind_complex, bind_float, bind_mpmath
 from symsimpson.schemes.named import read_scheme
 
 SYSTEMS = [

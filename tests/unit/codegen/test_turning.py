@@ -9,9 +9,9 @@ import pytest
 from support.workspace import new_workspace
 
 import symsimpson as ss
-from symsimpson.binding import MATH, bind, plain_arithmetic
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.pipeline import source
+from symsimpson.module.binding import MATH, bind, plain_arithmetic
 
 FRESH = 2
 

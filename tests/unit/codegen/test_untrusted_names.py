@@ -11,10 +11,10 @@ from support.workspace import begin, block, take_step
 from sympy.physics.mechanics import dynamicsymbols
 
 import symsimpson as ss
-from symsimpson.binding import bind_float
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import source
-from symsimpson.interface import BLOCKS
+from symsimpson.module.binding import bind_float
+from symsimpson.module.interface import BLOCKS
 
 HOSTILE = [
     '__import__("os").system("touch CANARY")', "x\nimport os", "x; import os", 'a"b', "a'b",

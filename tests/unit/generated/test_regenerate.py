@@ -15,7 +15,7 @@ from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.cli.commands import SCHEMES
-from symsimpson.binding import bind_float
+from symsimpson.module.binding import bind_float
 from symsimpson.codegen.pipeline import source
 from support.places import GENERATED
 

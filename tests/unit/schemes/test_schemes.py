@@ -5,9 +5,9 @@ import sympy as sp
 from support.oracle import interpolate, nodes_and_weights
 
 import symsimpson as ss
-from symsimpson.binding import bind_float
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import elimination_order
+from symsimpson.module.binding import bind_float
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.quadrature import gauss, lobatto
 

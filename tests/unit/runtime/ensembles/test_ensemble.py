@@ -308,7 +308,7 @@ def test_many_digits_are_refused():
 def test_progress(stepper, capsys, monkeypatch):
     pytest.importorskip("tqdm")
     stepper.ensemble(ANGLES, **GIVEN, progress=False)  # compiled
-    monkeypatch.setattr("symsimpson.progress.DELAY", 1e9)
+    monkeypatch.setattr("symsimpson.support.progress.DELAY", 1e9)
     stepper.ensemble(ANGLES, **GIVEN)
     assert capsys.readouterr().err == ""
     stepper.ensemble(ANGLES, **GIVEN, progress=True)

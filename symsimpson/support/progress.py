@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Any
 
 from symsimpson.errors import InputError
-from symsimpson.extras import library
+from symsimpson.support.extras import library
 
 __all__ = ["Progress", "Watcher", "silence", "waiting"]
 

@@ -11,7 +11,7 @@ from types import FrameType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 from symsimpson.errors import InputError, SymsimpsonError
-from symsimpson.names import did_you_mean
+from symsimpson.support.names import did_you_mean
 
 __all__ = ["explained", "explaining", "warn"]
 

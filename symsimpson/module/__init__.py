@@ -1,0 +1,1 @@
+"""The contract of generated modules: their blocks of rows, their definitions, their arithmetic."""
