@@ -6,10 +6,11 @@ import time
 import pytest
 
 import symsimpson as ss
-from symsimpson import api, progress
+from symsimpson import api
 from symsimpson.codegen.pipeline import derive
 from symsimpson.mechanics import system as system_module
 from symsimpson.runtime.kernels import cache
+from symsimpson.support import progress
 
 
 @pytest.fixture
