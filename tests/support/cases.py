@@ -2,8 +2,9 @@
 
 Products of systems and schemes, and campaigns over random systems, have thousands of cases. Each
 day some of them are drawn, so that all have their turn: of a product as many as it takes for every
-value of every parameter to come up once, of a campaign as many as make sixty systems. The seed
-stands in the head of the report; ``--seed`` asks for it again, ``--cases every`` for all cases.
+value of every parameter to come up once, but no more than ten, of a campaign as many as make sixty
+systems. Of pages and notebooks none is left out. The seed stands at the end of the report; ``--seed``
+asks for it again, ``--cases every`` for all cases.
 """
 
 import os
@@ -13,8 +14,10 @@ from datetime import UTC, datetime
 
 import pytest
 
-#: Random systems that a campaign looks at in one run of the tests.
-SYSTEMS_A_DAY = 60
+from support.places import TESTS
+
+#: Slow cases of a product, and random systems that a campaign looks at in one run of the tests.
+CASES_A_DAY, SYSTEMS_A_DAY = 10, 60
 #: So many numbers are a campaign, fewer are values that somebody chose.
 CAMPAIGN = 8
 SEED = "SYMSIMPSON_TEST_SEED"
@@ -49,7 +52,8 @@ def drawn(items, seed):
         optional = [x for x in cases if hasattr(x, "callspec") and x.get_closest_marker("slow")]
         always = [x for x in cases if x not in optional]
         random.Random(f"{seed} {name}").shuffle(optional)
-        kept.update(always, _covering(always, optional, _places(cases)))
+        whole = TESTS / "pages" in cases[0].path.parents
+        kept.update(always, _covering(always, optional, -1 if whole else _places(cases)))
     return [x for x in items if x in kept], [x for x in items if x not in kept]
 
 
@@ -71,9 +75,9 @@ def _values(case):
 
 
 def _places(cases):
-    """Return how many cases a campaign may have; others have no bound, which -1 says."""
+    """Return how many slow cases may be run."""
     numbers = [[*case.callspec.params.values()] for case in cases if hasattr(case, "callspec")]
     if len(cases) <= CAMPAIGN or any(len(x) > 1 or type(x[0]) is not int for x in numbers):
-        return -1
+        return CASES_A_DAY
     each = numbers[1][0] - numbers[0][0]  # systems in one case
     return max(1, SYSTEMS_A_DAY // max(1, each))
