@@ -88,7 +88,8 @@ def fails(h):
 def test_a_member_that_fails_is_told_by_a_pool(method):
     context = multiprocessing.get_context(method)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of fork beside threads
+        for kind in (DeprecationWarning, RuntimeWarning):  # of fork beside threads; JAX has its own
+            warnings.simplefilter("ignore", kind)
         with ProcessPoolExecutor(1, mp_context=context) as pool:
             good, bad = pool.submit(fails, 0.1), pool.submit(fails, 100.0)
             assert good.result(timeout=300).success
