@@ -19,7 +19,7 @@ from symsimpson.mechanics.extended import extended
 from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
+from symsimpson.runtime.kernels.numbers import Numbers
 from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.kernels.texts import kept_text
 from symsimpson.runtime.loaded import Tools
@@ -123,7 +123,7 @@ def compile(
     """
     _check_system(system)
     found = read_scheme(scheme)
-    numbers = FLOAT64
+    numbers = None
     if precision is not None:
         from symsimpson.runtime.kernels.digits import read_precision  # loads mpmath
 
@@ -132,7 +132,7 @@ def compile(
 
 
 def _compiled(
-    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str], numbers: Numbers,
+    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str], numbers: Numbers | None,
     progress: bool | None, varied: tuple[str, ...] | None, running: Any = None,
 ) -> Stepper:  # fmt: skip
     """Make a stepper; its steps are differentiated if it is said by what, beside q and p.

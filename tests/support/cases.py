@@ -53,7 +53,7 @@ def drawn(items, seed):
         always = [x for x in cases if x not in optional]
         random.Random(f"{seed} {name}").shuffle(optional)
         whole = TESTS / "pages" in cases[0].path.parents
-        kept.update(always, _covering(always, optional, -1 if whole else _places(cases)))
+        kept.update(always, _covering(always, optional, len(cases) if whole else _places(cases)))
     return [x for x in items if x in kept], [x for x in items if x not in kept]
 
 

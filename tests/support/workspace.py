@@ -6,7 +6,6 @@ from types import ModuleType
 
 import mpmath as mp
 import numpy as np
-import pytest
 from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
@@ -15,15 +14,6 @@ from symsimpson.walk.kernels import stubs, walking
 
 TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
           "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
-
-
-def sweep(values, fast=1):
-    """Parameters of a test: the first ones for the fast line, all others for the slow part."""
-    values = list(values)
-    return [*values[:fast], *(
-        pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=pytest.mark.slow)
-        for x in values[fast:]
-    )]  # fmt: skip
 
 
 def jet_values(jet, q, v, parameters):
@@ -72,6 +62,24 @@ def take_step(module, W, h, iterations=8, newton=None):
     for _ in range(iterations):
         (newton or module.newton)(h, 0.0, W)
     module.advance(h, 0.0, W)
+
+
+def newton_gaps(module, W, h, t, n):
+    """Gaps of corrections, in fixed order and pivoted, to that of residual and Jacobian."""
+    pivoted, equations = W.copy(), W.copy()
+    module.newton(h, t, W)
+    module.newton_pivoted(h, t, pivoted)
+    module.equations(h, t, equations)
+    size = module.UNKNOWNS
+    rows = block(module, "INCREMENT", size)
+    residual = equations[block(module, "RESIDUAL", size), 0]
+    jacobian = equations[block(module, "JACOBIAN", size**2), 0].reshape(size, size)
+    change = -np.linalg.solve(jacobian, residual).reshape(module.DEGREE, n)
+    new = equations[rows, 0].reshape(module.DEGREE, n)
+    for column, k in enumerate(module.COLUMN_ORDER):
+        new[k - 1] += change[column]
+    whole = np.abs(new).max()
+    return [np.abs(x[rows, 0] - new.ravel()).max() / whole for x in (W, pivoted)]
 
 
 def state(module, W, lane=0):

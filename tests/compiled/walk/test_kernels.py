@@ -1,8 +1,6 @@
 """Kernels that are walked: the same numbers as Python makes of their text, in every form."""
 
-import ast
 import ctypes
-import math
 import re
 from itertools import cycle
 
@@ -10,12 +8,13 @@ import numpy as np
 import pytest
 from numba import cfunc
 from support.cases import sweep
+from support.plain import QUICK
 from support.workspace import walked
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.reductions import read_exploit
-from symsimpson.module.binding import MATH, bind, plain_arithmetic
+from symsimpson.module.binding import bind
 from symsimpson.module.definitions import redefined
 from symsimpson.runtime.kernels import cache, compiled
 from symsimpson.schemes.named import read_scheme
@@ -35,10 +34,7 @@ START = {"q0": [1.0], "v0": [0.0]}
 
 def in_floats(text):
     """A module in Python's floats, with the tests of convergence that its text has."""
-    functions = {name: getattr(math, name) for name in [*MATH, "atan2"]}
-    names = plain_arithmetic(functions, float)
-    own = {node.name for node in ast.parse(text).body if isinstance(node, ast.FunctionDef)}
-    return bind(text, {k: v for k, v in names.items() if k not in own and k != "FRESH"})
+    return bind(text, {**QUICK, "array": np.array})
 
 
 def names_of(text):

@@ -76,7 +76,7 @@ def test_factors_of_the_top_have_no_subtraction():
     assert factors.moving[1][0].subs(theta, 0) == 0
 
 
-@pytest.mark.parametrize("size", sweep([1, 2, 3]))
+@pytest.mark.parametrize("size", sweep([1, 2, 3, 4]))
 def test_factors_multiply_to_the_matrix(size):
     q = sp.symbols(f"q0:{size + 1}", real=True)
     root = sp.Matrix(size, size, lambda i, j: sp.cos(q[i] + j) + (4 if i == j else 0))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.bodies import hanging_particle
 from sympy.physics import mechanics as me
 
 import symsimpson as ss
@@ -157,14 +158,8 @@ def test_prescribed_motion_in_t_is_sorted():
 
 
 def body_with_loads():
-    (theta,) = ss.coordinates("theta")
     m, l, g = sp.symbols("m l g", positive=True)
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    turned = frame.orientnew("A", "Axis", (theta, frame.z))
-    bob = origin.locatenew("P", -l * turned.y)
-    bob.v2pt_theory(origin, frame, turned)
-    body = me.Particle("bob", bob, m)
+    theta, frame, turned, bob, body = hanging_particle(m, l)
     loads = [(bob, -m * g * frame.y), (turned, -c * theta.diff() * frame.z)]
     method = me.LagrangesMethod(me.Lagrangian(frame, body), [theta], forcelist=loads, frame=frame)
     return method, (m, l, g), theta

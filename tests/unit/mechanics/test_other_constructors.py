@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.bodies import hanging_particle
 from sympy.physics import mechanics as me
 
 import symsimpson as ss
@@ -46,13 +47,7 @@ def test_lagrangian_of_higher_degree(extra):
 
 
 def pendulum_bodies():
-    (theta,) = ss.coordinates("theta")
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    turned = frame.orientnew("A", "Axis", (theta, frame.z))
-    bob = origin.locatenew("P", -l * turned.y)
-    bob.v2pt_theory(origin, frame, turned)
-    body = me.Particle("bob", bob, m)
+    theta, frame, _, bob, body = hanging_particle(m, l)
     body.potential_energy = -m * g * l * sp.cos(theta)
     return theta, frame, body, bob
 
