@@ -132,9 +132,14 @@ def compile(
 
 
 def _compiled(
-    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str], numbers: Numbers | None,
-    progress: bool | None, varied: tuple[str, ...] | None, running: Any = None,
-) -> Stepper:  # fmt: skip
+    system: MechanicalSystem,
+    scheme: Scheme,
+    exploit: frozenset[str],
+    numbers: Numbers | None,
+    progress: bool | None,
+    varied: tuple[str, ...] | None,
+    running: Any = None,
+) -> Stepper:
     """Make a stepper; its steps are differentiated if it is said by what, beside q and p.
 
     Then it can integrate a ``running`` cost, too.
@@ -163,9 +168,12 @@ def _compiled(
 
 @lru_cache(maxsize=64)  # steppers of one declaration read it once
 def _derived(
-    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
-    varied: tuple[str, ...] | None, running: Any,
-) -> Derivation:  # fmt: skip
+    system: MechanicalSystem,
+    scheme: Scheme,
+    exploit: frozenset[str],
+    varied: tuple[str, ...] | None,
+    running: Any,
+) -> Derivation:
     """Derive a module, or take what another process has derived of the same declaration."""
 
     def derived() -> Derivation:
@@ -330,10 +338,19 @@ def resume(
     parameters = {name: value for name, value in values.items() if name not in own}
     end = {"t_end": asked["t_end"]} if "t_end" in asked else {"steps": asked["steps"]}
     return stepper.integrate(
-        asked["q0"], p0=asked["p0"], h=asked["h"], **end, t0=asked["t0"],
-        parameters=parameters, inputs=inputs, every=asked["every"] or None, checkpoint=path,
-        checkpoint_every=checkpoint_every, progress=progress, on_failure=on_failure,
-    )  # fmt: skip
+        asked["q0"],
+        p0=asked["p0"],
+        h=asked["h"],
+        **end,
+        t0=asked["t0"],
+        parameters=parameters,
+        inputs=inputs,
+        every=asked["every"] or None,
+        checkpoint=path,
+        checkpoint_every=checkpoint_every,
+        progress=progress,
+        on_failure=on_failure,
+    )
 
 
 def _check_system(system: object) -> None:

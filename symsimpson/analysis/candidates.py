@@ -138,9 +138,14 @@ class Wanted:
     def _run(self, stepper: Stepper, steps: int, every: int | None) -> Any:
         length = {"t_end": self.pilot} if stepper._module.header.retimed else {"steps": steps}
         run = stepper.integrate(
-            self.q, p0=self.p, h=self.pilot / steps, **length, every=every,
-            parameters=self.parameters, on_failure="return",
-        )  # fmt: skip
+            self.q,
+            p0=self.p,
+            h=self.pilot / steps,
+            **length,
+            every=every,
+            parameters=self.parameters,
+            on_failure="return",
+        )
         if run.status is not Status.SUCCESS:
             self.failures.append(run.message)
             return None

@@ -44,6 +44,24 @@ class Check:
     failure: str = ""
     exempt: bool = False
 
+    @classmethod
+    def at_most(cls, name: str, measured: float, threshold: float, what: str, reason: str) -> Check:
+        """Return a row that passes up to a threshold."""
+        return cls(name, measured, "at most", threshold, what, reason)
+
+    @classmethod
+    def at_least(
+        cls, name: str, measured: float, threshold: float, what: str, reason: str
+    ) -> Check:
+        """Return a row that passes from a threshold on."""
+        return cls(name, measured, "at least", threshold, what, reason)
+
+    @classmethod
+    def not_asked(cls, name: str, what: str, reason: str, failure: str = "") -> Check:
+        """Return a row that has nothing to measure; with a failure one that could not be."""
+        nan = float("nan")
+        return cls(name, nan, "at most", 0.0, what, reason, failure, exempt=not failure)
+
     @property
     def passed(self) -> bool:
         """The verdict; what could not be measured has not passed."""

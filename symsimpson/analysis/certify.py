@@ -6,11 +6,10 @@ the compiled code is held against the same text.
 
 from __future__ import annotations
 
-import re
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import mpmath
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from symsimpson.analysis.balance import momentum_balance
 from symsimpson.analysis.certificate import Certificate, Check
+from symsimpson.analysis.convergence import DIGITS, order_of_errors, order_of_time
 from symsimpson.analysis.energies import LONG, drift, shadow
 from symsimpson.analysis.order import observed_orders
 from symsimpson.analysis.pilot import choose_state, choose_step
@@ -38,13 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["certify"]
 
-DIGITS = 50
 #: What is exact comes out as zero to so many digits; differences have two thirds of DIGITS.
 EXACT = 1e-25
-#: Orders above this are seen with steps down to h/4, others down to h/16.
-HIGH = 8
-#: Errors above this are not those of the solution that they are measured by.
-RESOLVED = 1e-28
 
 
 @waiting("certifying")
@@ -79,12 +74,17 @@ def certify(
     subject = Subject(own, precise, precise.placed(z) if held else z, step, timed)
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
-        stepper.system, stepper.scheme, stepper.order,
+        stepper.system,
+        stepper.scheme,
+        stepper.order,
         digest(stepper.source),
-        tuple(q.tolist()), tuple(p.tolist()), step,
-        {name: float(value) for name, value in exact.items()}, tuple(checks),
+        tuple(q.tolist()),
+        tuple(p.tolist()),
+        step,
+        {name: float(value) for name, value in exact.items()},
+        tuple(checks),
         time.perf_counter() - begin,
-    )  # fmt: skip
+    )
 
 
 def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) -> Iterator[Check]:
@@ -94,81 +94,8 @@ def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) ->
     except (SymsimpsonError, ArithmeticError, np.linalg.LinAlgError) as error:
         name = (measure.__doc__ or "").split(":")[0]
         said = textwrap.shorten(str(error).splitlines()[0], 160, placeholder=" ...")
-        yield Check(
-            name, float("nan"), "at most", 0.0, "", "What cannot be measured is not certified.",
-            f"{type(error).__name__}: {said}",
-        )  # fmt: skip
-
-
-def _order(s: Subject) -> Iterator[Check]:
-    """order: errors against Hamilton's equations of the module's own energy."""
-    steps, context = 8, s.precise.context
-    with mpmath.workdps(DIGITS):
-        exact = s.exact(steps * mpmath.mpf(s.h))
-    digits = coefficient_digits(s.stepper.source)
-    resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
-
-    def error(level: int) -> float:
-        """Return the error with steps of h / 2**level."""
-        flow = s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
-        return s.distance(flow, exact)
-
-    levels = list(range(3 if s.stepper.order > HIGH else 5))
-    errors = [error(level) for level in levels]
-    # coefficients of few digits leave an error of lower order: larger steps are above it
-    while digits is not None and sum(e > resolved for e in errors) < 3 and levels[0] > -3:
-        levels.insert(0, levels[0] - 1)
-        errors.insert(0, error(levels[0]))
-    what = (
-        f"errors {errors[0]:.1e} to {errors[-1]:.1e} after 8 h, for {_parts(levels[0])} to "
-        f"{_parts(levels[-1])}, in {DIGITS} digits"
-    )
-    nearly = ", nearly: a symmetric scheme has an even order." if s.stepper.order > HIGH else "."
-    yield Check(
-        "order", *_seen(s, errors, resolved), what,
-        f"The scheme has order {s.stepper.order}; the last pairs are asymptotic{nearly}",
-    )  # fmt: skip
-
-
-def _seen(
-    s: Subject, errors: Sequence[float], resolved: float
-) -> tuple[float, Literal["at least"], float]:
-    """Return the order that errors with halved steps show, and the least that it should be."""
-    order, high = s.stepper.order, s.stepper.order > HIGH
-    seen = observed_orders(errors)[np.array(errors[1:]) > resolved]
-    least = float(seen[-1 if high else -2 :].min()) if seen.size else float(order)  # exact
-    return least, "at least", order - (1.0 if high else 0.15)
-
-
-def _time(s: Subject) -> Iterator[Check]:
-    """time: that of a retimed system, against the rate along the exact motion."""
-    if s.timed is None:
-        return
-    steps, timed, context = 8, s.timed, s.precise.context
-    with mpmath.workdps(DIGITS):
-        exact = s.exact(steps * mpmath.mpf(s.h), timed=True)[-1]
-
-    def error(parts: int) -> Any:
-        run = timed.run(s.z, s.h / context.mpf(parts), parts * steps, every=None)
-        return abs(context.convert(run.t[-1]) - exact)
-
-    errors = [float(error(2**level)) for level in range(3 if s.stepper.order > HIGH else 5)]
-    yield Check(
-        "time", *_seen(s, errors, RESOLVED),
-        f"errors of t from {errors[0]:.1e} to {errors[-1]:.1e} after 8 steps, for h to "
-        f"{_parts(len(errors) - 1)}",
-        "The time is the momentum of E0, and has the order of the scheme.",
-    )  # fmt: skip
-
-
-def _parts(level: int) -> str:
-    return f"h/{2**level}" if level > 0 else f"{2**-level} h".removeprefix("1 ")
-
-
-def coefficient_digits(source: str) -> int | None:
-    """Return the decimals of coefficients that a module states as they were published, if any."""
-    found = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
-    return max(map(len, found)) if found else None
+        reason = "What cannot be measured is not certified."
+        yield Check.not_asked(name, "", reason, f"{type(error).__name__}: {said}")
 
 
 def _symplectic(s: Subject) -> Iterator[Check]:
@@ -177,7 +104,7 @@ def _symplectic(s: Subject) -> Iterator[Check]:
     if s.forced and not conformal:
         what = "not asked: forces change it, as they change that of the flow"
         reason = "Without forces a step would be symplectic."
-        yield Check("symplectic", float("nan"), "at most", EXACT, what, reason, exempt=True)
+        yield Check.not_asked("symplectic", what, reason)
         return
     n = s.n
     D, E = s.precise.tangent(s.z, s.h)
@@ -196,24 +123,30 @@ def _symplectic(s: Subject) -> Iterator[Check]:
     what = f"D^T J D - {'exp(-2 gamma h) ' if conformal else ''}J of one step, relative to D^2"
     if s.stepper._module.header.constraints:
         what += "; for all displacements that constraints allow"
-    yield Check(
-        "conformal" if conformal else "symplectic", float(defect / size**2), "at most", EXACT, what,
+    yield Check.at_most(
+        "conformal" if conformal else "symplectic",
+        float(defect / size**2),
+        EXACT,
+        what,
         f"Zero, but for the differences that give D, in {DIGITS} digits.",
-    )  # fmt: skip
+    )
 
 
 def _reversible(s: Subject) -> Iterator[Check]:
     """reversible: there with h and back with -h."""
     if not read_scheme(s.stepper.scheme).symmetric:
         what, reason = "not asked: the scheme is not symmetric", "Left Radau nodes are not."
-        yield Check("reversible", float("nan"), "at most", EXACT, what, reason, exempt=True)
+        yield Check.not_asked("reversible", what, reason)
         return
     there = s.precise.flow(s.z, s.h, 20)
     back = s.precise.flow(there, -s.h, 20, t0=20 * s.precise.context.mpf(s.h))
-    yield Check(
-        "reversible", s.distance(back, s.z), "at most", EXACT, "20 steps with h and back with -h",
+    yield Check.at_most(
+        "reversible",
+        s.distance(back, s.z),
+        EXACT,
+        "20 steps with h and back with -h",
         "The scheme is symmetric.",
-    )  # fmt: skip
+    )
 
 
 def _momenta(s: Subject) -> Iterator[Check]:
@@ -223,10 +156,13 @@ def _momenta(s: Subject) -> Iterator[Check]:
         worst, found = momentum_balance(s)
         if found:
             names = ", ".join(symmetry.name for symmetry in found)
-            yield Check(
-                "momenta", worst, "at most", EXACT, f"change of {names} less what forces gave",
+            yield Check.at_most(
+                "momenta",
+                worst,
+                EXACT,
+                f"change of {names} less what forces gave",
                 "Forces change the momentum of a linear symmetry of L by h sum_i b_i f_i.xi(q_i).",
-            )  # fmt: skip
+            )
             return
     if not s.symmetries:
         header = s.stepper._module.header
@@ -234,7 +170,7 @@ def _momenta(s: Subject) -> Iterator[Check]:
         if not header.conservative:
             what = "not asked: forces" if header.forces else "not asked: what depends on the time"
             what += " may change them"
-        yield Check("momenta", float("nan"), "at most", EXACT, what, reason, exempt=True)
+        yield Check.not_asked("momenta", what, reason)
         return
     worst = 0.0
     for symmetry in s.symmetries:
@@ -242,7 +178,7 @@ def _momenta(s: Subject) -> Iterator[Check]:
         size = symmetry.size(s.path.q, s.path.p) or 1.0
         worst = max(worst, float(max(abs(values - values[0]))) / size)
     what = f"change of {', '.join(symmetry.name for symmetry in s.symmetries)} in {SHORT} steps"
-    yield Check("momenta", worst, "at most", EXACT, what, reason)
+    yield Check.at_most("momenta", worst, EXACT, what, reason)
 
 
 def _equations(s: Subject) -> Iterator[Check]:
@@ -257,7 +193,7 @@ def _equations(s: Subject) -> Iterator[Check]:
     def evaluate(points: Any) -> tuple[Any, Any]:
         return evaluate_equations(
             precise.stepper, q[0], p[0], points, s.h, precise.parameters, 0, None
-        )  # fmt: skip
+        )
 
     exact = evaluate(nodes)[1]
     columns = []
@@ -267,22 +203,26 @@ def _equations(s: Subject) -> Iterator[Check]:
         up, down = (evaluate(nodes + x)[0] for x in (move, -move))
         columns.append((up - down) / (2 * precise.small))
     difference = max(map(abs, (exact - np.array(columns, dtype=object).T).ravel()))
-    yield Check(
-        "equations", float(difference / max(map(abs, exact.ravel()))), "at most", EXACT,
+    yield Check.at_most(
+        "equations",
+        float(difference / max(map(abs, exact.ravel()))),
+        EXACT,
         "exact derivatives of the residual against differences",
         f"Equal, but for the differences, in {DIGITS} digits.",
-    )  # fmt: skip
+    )
 
 
 def _jacobian(s: Subject) -> Iterator[Check]:
     """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
     if s.stepper._module.header.newton_unknowns == 0:
         return
-    yield Check(
-        "Jacobian", s.precise.jacobian_defect(s.z, s.h), "at most", EXACT**0.5,
+    yield Check.at_most(
+        "Jacobian",
+        s.precise.jacobian_defect(s.z, s.h),
+        EXACT**0.5,
         "what an iteration leaves of a small displacement from the solution",
         f"With the exact Jacobian, a number of second order: {float(s.precise.small):.0e}.",
-    )  # fmt: skip
+    )
 
 
 def _newton(s: Subject) -> Iterator[Check]:
@@ -297,7 +237,7 @@ def _newton(s: Subject) -> Iterator[Check]:
     if len(usable) > 2:
         a, b, c = (float(mpmath.log(x)) for x in usable[-3:])
         order = (c - b) / (b - a) if b < a else 0.0
-    yield Check("Newton", order, "at least", 1.7, f"corrections {shown}", reason)
+    yield Check.at_least("Newton", order, 1.7, f"corrections {shown}", reason)
 
 
 def _invariants(s: Subject) -> Iterator[Check]:
@@ -321,10 +261,13 @@ def _invariants(s: Subject) -> Iterator[Check]:
                 order = float(observed_orders(changes[-2:])[0])
             order = float(s.stepper.order) if kept else order
         what = f"{name}: " + ("does not change" if kept else f"changes by {changes[0]:.1e} at h")
-        yield Check(
-            "invariant", order, "at least", least, what,
+        yield Check.at_least(
+            "invariant",
+            order,
+            least,
+            what,
             "What the exact flow conserves changes at the order of the scheme.",
-        )  # fmt: skip
+        )
 
 
 def _constraints(s: Subject) -> Iterator[Check]:
@@ -337,18 +280,22 @@ def _constraints(s: Subject) -> Iterator[Check]:
     size = np.linalg.norm(slopes, axis=2)
     reach = np.maximum(1.0, np.abs(run.q).max(axis=1))[:, None]
     off = float((np.abs(run.constraint_error) / (size * reach)).max())
-    yield Check(
-        "constraints", off, "at most", 4 * FLOAT64.epsilon,
+    yield Check.at_most(
+        "constraints",
+        off,
+        4 * FLOAT64.epsilon,
         "phi(q) in 1000 steps, relative to its slope and to q",
         "Imposed anew in each step: a rounding, and no drift.",
-    )  # fmt: skip
+    )
     pulls = run._evaluated("start", "MULTIPLIER", len(held))
     part = np.abs((pulls[..., None] * slopes).sum(axis=1)).max()
-    yield Check(
-        "velocities", float(part / np.abs(run.p).max()), "at most", 1e-13,
+    yield Check.at_most(
+        "velocities",
+        float(part / np.abs(run.p).max()),
+        1e-13,
         "what constraints would take from p in 1000 steps, relative to p",
         "Momenta are projected in each step, so that Phi v = 0.",
-    )  # fmt: skip
+    )
 
 
 def _rounding(s: Subject) -> Iterator[Check]:
@@ -359,24 +306,41 @@ def _rounding(s: Subject) -> Iterator[Check]:
     moved = s.precise.flow(nearby, s.h, SHORT)
     growth = max(1.0, s.distance(moved, end) / 1e-9)
     difference = s.distance(np.concatenate([run.q[-1], run.p[-1]]), end) / growth
-    yield Check(
-        "rounding", difference, "at most", 1e-13,
+    yield Check.at_most(
+        "rounding",
+        difference,
+        1e-13,
         f"compiled against {DIGITS} digits after {SHORT} steps, errors growing {growth:.1f} times",
         "Compensated sums leave a rounding error of 1e-16 in a step.",
-    )  # fmt: skip
+    )
 
 
 def _iterations(s: Subject) -> Iterator[Check]:
     """iterations: for each step, of Newton's method or over stages."""
     most = 16.0 if s.stepper._module.header.by_stages else 4.0
     run = s.compiled(1000, every=None)
-    yield Check(
-        "iterations", float(run.newton_iterations.sum()) / 1000, "at most", most,
-        "iterations a step", "The predictor leaves few at a reasonable step.",
-    )  # fmt: skip
+    yield Check.at_most(
+        "iterations",
+        float(run.newton_iterations.sum()) / 1000,
+        most,
+        "iterations a step",
+        "The predictor leaves few at a reasonable step.",
+    )
 
 
 CHECKS: tuple[Callable[[Subject], Iterator[Check]], ...] = (
-    _order, _time, _symplectic, _reversible, _momenta, _constraints, _invariants, _equations,
-    _jacobian, _newton, _iterations, _rounding, shadow, drift,
-)  # fmt: skip
+    order_of_errors,
+    order_of_time,
+    _symplectic,
+    _reversible,
+    _momenta,
+    _constraints,
+    _invariants,
+    _equations,
+    _jacobian,
+    _newton,
+    _iterations,
+    _rounding,
+    shadow,
+    drift,
+)

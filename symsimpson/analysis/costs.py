@@ -42,10 +42,15 @@ class StepCosts:
 
     def _rows(self) -> list[tuple[str, ...]]:
         return [
-            (scheme, *(f"{getattr(self.general[scheme], part)} > {getattr(here, part)}"
-                       for part in ("unknowns", "iteration", "closing")))
+            (
+                scheme,
+                *(
+                    f"{getattr(self.general[scheme], part)} > {getattr(here, part)}"
+                    for part in ("unknowns", "iteration", "closing")
+                ),
+            )
             for scheme, here in self.here.items()
-        ]  # fmt: skip
+        ]
 
 
 def step_costs(

@@ -41,11 +41,13 @@ def shadow(s: Subject) -> Iterator[Check]:
     kept = run.shadow_energy
     # the linear oscillator's H does not swing with midpoint, nor does what is added to it
     swing = max(np.ptp(run.energy), np.abs(kept - run.energy).max()) / scale
-    yield Check(
-        "shadow", float(np.ptp(kept)) / scale, "at most", 0.5 * float(swing) + ROUNDED,
+    yield Check.at_most(
+        "shadow",
+        float(np.ptp(kept)) / scale,
+        0.5 * float(swing) + ROUNDED,
         f"swing of the energy that the scheme keeps, in {FEW} steps of h/{FINER}; H: {swing:.1e}",
         "H less the error of the action swings less than H; a drift would show at once.",
-    )  # fmt: skip
+    )
 
 
 def drift(s: Subject) -> Iterator[Check]:
@@ -68,12 +70,15 @@ def drift(s: Subject) -> Iterator[Check]:
         swing = float(np.ptp(blocks))
         what = f"{name}: trend over {LONG} steps; it swings by {swing:.1e}"
         if k < promised:
-            yield Check(
-                "drift", trend, "at most", max(1e-12, 0.2 * swing), what,
+            yield Check.at_most(
+                "drift",
+                trend,
+                max(1e-12, 0.2 * swing),
+                what,
                 "A symplectic map has no trend; a fifth of the swing is what chance may show.",
-            )  # fmt: skip
+            )
         else:
-            yield Check("watched", trend, "at most", float("inf"), what, "Nothing is promised.")
+            yield Check.at_most("watched", trend, float("inf"), what, "Nothing is promised.")
 
 
 def _balance(s: Subject) -> Iterator[Check]:
@@ -83,14 +88,19 @@ def _balance(s: Subject) -> Iterator[Check]:
     largest = []
     for parts in (1, 2):
         run = s.stepper.integrate(
-            s.z[: s.n], p0=s.z[s.n :], h=s.h / parts, steps=200 * parts,
+            s.z[: s.n],
+            p0=s.z[s.n :],
+            h=s.h / parts,
+            steps=200 * parts,
             parameters=s.precise.parameters,
-        )  # fmt: skip
+        )
         largest.append(float(np.abs(run.energy_balance).max() / run.energy_scale))
     lost = largest[1] < 1e-12
     order = float(s.stepper.order) if lost else math.log2(largest[0] / largest[1])
-    yield Check(
-        "balance", order, "at least", s.stepper.order - 1.0,
+    yield Check.at_least(
+        "balance",
+        order,
+        s.stepper.order - 1.0,
         f"energy less work: {largest[0]:.1e} and {largest[1]:.1e} of the energy with h and h/2",
         "What the energy differs by from the work done has the order of the scheme.",
-    )  # fmt: skip
+    )

@@ -20,14 +20,16 @@ def certificate(one: Certificate) -> str:
     for check in one.checks:
         sign = ">=" if check.bound == "at least" else "<="
         nothing = check.measured != check.measured
-        rows.append((
-            coloured("passed" if check.passed else "FAILED", check.passed),
-            check.name,
-            "-" if nothing else f"{check.measured:.3g}",
-            "" if check.exempt else f"{sign} {check.threshold:.2g}",
-            check.failure or check.what,
-            check.reason,
-        ))  # fmt: skip
+        rows.append(
+            (
+                coloured("passed" if check.passed else "FAILED", check.passed),
+                check.name,
+                "-" if nothing else f"{check.measured:.3g}",
+                "" if check.exempt else f"{sign} {check.threshold:.2g}",
+                check.failure or check.what,
+                check.reason,
+            )
+        )
     numbers = (", ".join(f"{x:.6g}" for x in state) for state in (one.q0, one.p0))
     verdict = "passed" if one.passed else "NOT passed"
     where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, one.h, one.seconds)

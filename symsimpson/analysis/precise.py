@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.evaluator import evaluate
+from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
 from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -40,7 +40,7 @@ class Precise:
         numbers = read_precision(digits, arithmetic)
         self.stepper = Stepper(
             stepper.source, stepper.system, numbers=numbers, names=stepper._names
-        )  # fmt: skip
+        )
         self.stepper._held = stepper._held
         self.n, self.parameters = stepper.n, parameters
         assert isinstance(numbers, Digits)
@@ -53,9 +53,14 @@ class Precise:
     ) -> Trajectory:
         """Integrate from a state."""
         return self.stepper.integrate(
-            z[: self.n], p0=z[self.n :], h=h, steps=steps, every=every, t0=t0,
+            z[: self.n],
+            p0=z[self.n :],
+            h=h,
+            steps=steps,
+            every=every,
+            t0=t0,
             parameters=self.parameters,
-        )  # fmt: skip
+        )
 
     def flow(self, z: Vector, h: Any, steps: int = 1, *, t0: Any = 0) -> Vector:
         """Return the state after some steps."""
@@ -175,9 +180,7 @@ class Precise:
         numbers, stepper = self._numbers, self.stepper
         values = stepper._values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(
-            stepper._module, values, step, 0 * step, 0, 1, ("newton",)
-        )  # fmt: skip
+        run = Run(stepper._module, values, step, 0 * step, 0, 1, ("newton",))
         run.begin(start[: self.n], start[self.n :], velocity=False)
         inputs = read_driving(stepper, None, step, 1)
         numbers.driver("give")(run.W, stepper._module.header.told, inputs, 0)

@@ -42,7 +42,11 @@ def remembered(
     def content(made: Choice) -> dict[str, Any]:
         own = made.stepper._module.declared
         adapting = isinstance(own, RetimedSystem) and own is not system
-        return {"scheme": made.stepper.scheme, "h": made.h, "reason": made.reason,
-                "adapting": adapting}  # fmt: skip
+        return {
+            "scheme": made.stepper.scheme,
+            "h": made.h,
+            "reason": made.reason,
+            "adapting": adapting,
+        }
 
     return kept("choices", repr(asked), read, choose, content)

@@ -122,9 +122,13 @@ class Subject:
         """Integrate in double precision."""
         z = self.z.astype(np.float64)
         return self.stepper.integrate(
-            z[: self.n], p0=z[self.n :], h=self.h, steps=steps, every=every,
+            z[: self.n],
+            p0=z[self.n :],
+            h=self.h,
+            steps=steps,
+            every=every,
             parameters=self.precise.parameters,
-        )  # fmt: skip
+        )
 
     def distance(self, a: Any, b: Any) -> float:
         """Return the largest difference of two states in units of the scale."""

@@ -154,10 +154,8 @@ def _name(row: NDArray[np.float64], names: Sequence[str]) -> str:
     n = len(names)
     terms = [(row[i], f"p_{a}") for i, a in enumerate(names)]
     terms += [
-        (row[n + n * i + j], f"p_{a}*{b}")
-        for i, a in enumerate(names)
-        for j, b in enumerate(names)
-    ]  # fmt: skip
+        (row[n + n * i + j], f"p_{a}*{b}") for i, a in enumerate(names) for j, b in enumerate(names)
+    ]
     text = ""
     for factor, term in terms:
         if factor != 0:

@@ -73,17 +73,21 @@ def integrate(
     """
     named = {getattr(key, "name", str(key)): value for key, value in (parameters or {}).items()}
     question = {
-        "q0": spelled(q0), "v0": spelled(v0), "p0": spelled(p0), "t_end": t_end, "error": error,
-        "on": on, "parameters": sorted((key, repr(value)) for key, value in named.items()),
+        "q0": spelled(q0),
+        "v0": spelled(v0),
+        "p0": spelled(p0),
+        "t_end": t_end,
+        "error": error,
+        "on": on,
+        "parameters": sorted((key, repr(value)) for key, value in named.items()),
         "schemes": None if schemes is None else [repr(scheme) for scheme in schemes],
-    }  # fmt: skip
+    }
     given: dict[str, Any] = {"p0": p0, "parameters": parameters}
     choice = remembered(
-        system, question,
-        lambda: choose(
-            system, q0, v0, t_end=t_end, error=error, on=on, schemes=schemes, **given
-        ),
-    )  # fmt: skip
+        system,
+        question,
+        lambda: choose(system, q0, v0, t_end=t_end, error=error, on=on, schemes=schemes, **given),
+    )
     more: dict[str, Any] = {"every": every, "t_eval": t_eval, "save": save}
     run: Trajectory | Sampled | Saved = choice.stepper.integrate(
         q0, v0, h=choice.h, t_end=t_end, progress=progress, on_failure=on_failure, **given, **more

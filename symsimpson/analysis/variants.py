@@ -38,9 +38,12 @@ def _with(stepper: Stepper, changes: Mapping[str, str]) -> Stepper:
     assert banner is not None
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
     return Stepper(
-        text, f"{stepper.system}, changed", reference_state=stepper.reference_state,
-        tools=stepper._module.tools, names=stepper._names,
-    )  # fmt: skip
+        text,
+        f"{stepper.system}, changed",
+        reference_state=stepper.reference_state,
+        tools=stepper._module.tools,
+        names=stepper._names,
+    )
 
 
 def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:

@@ -116,8 +116,10 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
         return []
     equations = in_heyoka(hy, canonical(ss.systems.double_pendulum()))
     lanes = hy.recommended_simd_size()
-    blocks = [np.vstack([part.T, np.zeros((2, lanes))])
-              for part in angles[: len(angles) // lanes * lanes].reshape(-1, lanes, 2)]  # fmt: skip
+    blocks = [
+        np.vstack([part.T, np.zeros((2, lanes))])
+        for part in angles[: len(angles) // lanes * lanes].reshape(-1, lanes, 2)
+    ]
 
     def integrator(tolerance: float) -> Any:
         options = {"tol": tolerance} if tolerance else {}

@@ -104,10 +104,18 @@ def make_problem(
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
     scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
     return Problem(
-        system, q, _velocity(hamilton, q, p), p, float(t_end), hamilton, newton, path[-1],
-        float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)), scale,
+        system,
+        q,
+        _velocity(hamilton, q, p),
+        p,
+        float(t_end),
+        hamilton,
+        newton,
+        path[-1],
+        float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)),
+        scale,
         retimed,
-    )  # fmt: skip
+    )
 
 
 def _velocity(equations: FirstOrder, q: Floats, p: Floats) -> Floats:

@@ -88,9 +88,13 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
         ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
             def run() -> Any:
                 return solve_ivp(
-                    right, (0.0, problem.t_end), start, method=method,
-                    rtol=max(tolerance, 2.3e-14), atol=tolerance,
-                )  # fmt: skip
+                    right,
+                    (0.0, problem.t_end),
+                    start,
+                    method=method,
+                    rtol=max(tolerance, 2.3e-14),
+                    atol=tolerance,
+                )
 
             def read(found: Any) -> Outcome:
                 end = found.y[:, -1] if found.success else np.full(2 * n, np.nan)
@@ -111,9 +115,14 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
     units = problem.scale if np.ptp(np.log10(problem.scale)) > 2 else np.ones(2 * n)
     forms = (
         ("q, p", problem.canonical, problem.p0, units, lambda q, p: p),
-        ("q, v", problem.second_order, problem.v0, np.ones(2 * n),
-         lambda q, v: problem.momentum(stepper, q, v)),
-    )  # fmt: skip
+        (
+            "q, v",
+            problem.second_order,
+            problem.v0,
+            np.ones(2 * n),
+            lambda q, v: problem.momentum(stepper, q, v),
+        ),
+    )
     for form, equations, other, scale, momentum in forms:
         scale = np.array([*scale, *np.ones(len(equations.unknowns) - 2 * n)])
         written = in_heyoka(hy, equations, scale)
@@ -121,10 +130,13 @@ def _heyoka(problem: Problem) -> Iterator[Contender[Runnable]]:
         for mode in ("", " compact"):
 
             def make(
-                tolerance: float, written: Any = written, start: Floats = start,
-                compact: bool = bool(mode), momentum: Callable[..., Any] = momentum,
+                tolerance: float,
+                written: Any = written,
+                start: Floats = start,
+                compact: bool = bool(mode),
+                momentum: Callable[..., Any] = momentum,
                 scale: Floats = scale,
-            ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:  # fmt: skip
+            ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
                 integrator = hy.taylor_adaptive(
                     written, start.tolist(), tol=max(tolerance, 2.3e-16), compact_mode=compact
                 )
@@ -224,11 +236,18 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
     def solve(y: Any, tolerance: Any) -> Any:
         term = diffrax.ODETerm(lambda t, y, _: jax.numpy.stack(rates(*y, *values)))
         return diffrax.diffeqsolve(
-            term, diffrax.Dopri8(), 0.0, problem.t_end, None, y,
+            term,
+            diffrax.Dopri8(),
+            0.0,
+            problem.t_end,
+            None,
+            y,
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
-            saveat=diffrax.SaveAt(t1=True), max_steps=None, throw=False,
+            saveat=diffrax.SaveAt(t1=True),
+            max_steps=None,
+            throw=False,
             adjoint=diffrax.ForwardMode(),
-        )  # fmt: skip
+        )
 
     with jax.enable_x64(True):
         compiled = jax.jit(solve).lower(start, 1.0).compile()

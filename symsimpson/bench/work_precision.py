@@ -122,16 +122,28 @@ def work_precision(
                 entry.times.append(_timed(entry.run, entry.number))
     points = [
         Point(
-            e.contender.name, e.contender.what, e.choice, e.error, min(e.times),
-            statistics.median(e.times), e.evaluations,
+            e.contender.name,
+            e.contender.what,
+            e.choice,
+            e.error,
+            min(e.times),
+            statistics.median(e.times),
+            e.evaluations,
         )
         for e in entries
-    ]  # fmt: skip
+    ]
     return WorkPrecision(
-        system.name, problem.t_end, tuple(problem.q0.tolist()), tuple(problem.p0.tolist()),
-        problem.solution_error, tuple(errors), tuple(points), seconds, _machine(),
+        system.name,
+        problem.t_end,
+        tuple(problem.q0.tolist()),
+        tuple(problem.p0.tolist()),
+        problem.solution_error,
+        tuple(errors),
+        tuple(points),
+        seconds,
+        _machine(),
         {e.contender.name: statistics.median(e.times) for e in calls},
-    )  # fmt: skip
+    )
 
 
 def _check(errors: Sequence[float], t_end: float, repeats: int) -> None:
@@ -221,9 +233,13 @@ def _machine() -> dict[str, Any]:
             continue
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan")
     return {
-        "processor": _processor(), "cores": os.cpu_count(), "load": round(load, 2),
-        "python": platform.python_version(), "system": platform.system(), "versions": versions,
-    }  # fmt: skip
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": round(load, 2),
+        "python": platform.python_version(),
+        "system": platform.system(),
+        "versions": versions,
+    }
 
 
 def _processor() -> str:

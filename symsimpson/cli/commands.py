@@ -104,8 +104,15 @@ def choose(options: argparse.Namespace) -> int:
     from symsimpson.analysis.choose import choose as chosen
 
     system = find(options.system, options.retimed)
-    print(chosen(system, **state_of(system, options), t_end=options.t_end, error=options.error,
-                 parameters=dict(options.parameters)))  # fmt: skip
+    print(
+        chosen(
+            system,
+            **state_of(system, options),
+            t_end=options.t_end,
+            error=options.error,
+            parameters=dict(options.parameters),
+        )
+    )
     return 0
 
 
@@ -144,10 +151,13 @@ def bench(options: argparse.Namespace) -> int:
         check_folder(Path(options.out), "record")
     before = WorkPrecision.load(options.against) if options.against else None
     found = work_precision(
-        find(options.system, options.retimed), options.schemes, options.peers or "installed",
+        find(options.system, options.retimed),
+        options.schemes,
+        options.peers or "installed",
         options.errors,
-        t_end=options.t_end, repeats=options.repeats,
-    )  # fmt: skip
+        t_end=options.t_end,
+        repeats=options.repeats,
+    )
     print(found)
     if before is not None:
         print(found.compare(before))

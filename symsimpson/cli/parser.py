@@ -22,8 +22,12 @@ def parser() -> argparse.ArgumentParser:
         prog="symsimpson", description="Variational integrators from kinetic and potential energy."
     )
     top.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    top.add_argument("--print-completion", choices=SHELLS, action=_Completion,
-                     help="print what completes commands in this shell")  # fmt: skip
+    top.add_argument(
+        "--print-completion",
+        choices=SHELLS,
+        action=_Completion,
+        help="print what completes commands in this shell",
+    )
     given = top.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run: Any, words: str, *parents: Any) -> argparse.ArgumentParser:
@@ -56,8 +60,11 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("system", nargs="*", help=f"{SYSTEM}; none for the whole catalogue")
     one.add_argument("--scheme", action="append", help="scheme, may be repeated; default both")
     one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
-    one = command("check", commands.check, "compare the catalogue's generated modules with fresh "
-                  "ones, where the generator is changed")  # fmt: skip
+    one = command(
+        "check",
+        commands.check,
+        "compare the catalogue's generated modules with fresh ones, where the generator is changed",
+    )
     one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
 
     one = command("stress", commands.stress, "long runs, large steps, poles, chaos, large angles")
@@ -65,14 +72,16 @@ def parser() -> argparse.ArgumentParser:
     _add_time(one)
     one.add_argument("--scheme", default="simpson", help="default: %(default)s")
     one.add_argument("--h", type=float, help="step (default: found by trial)")
-    one.add_argument("--steps", type=count, default=10**6,
-                     help="of the long run, as 1e9 (default: 1e6)")  # fmt: skip
+    one.add_argument(
+        "--steps", type=count, default=10**6, help="of the long run, as 1e9 (default: 1e6)"
+    )
 
     one = command("bench", commands.bench, "run time against error, beside other programs")
     one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the time of a step")
     _add_time(one)
-    one.add_argument("--schemes", type=words, default=["midpoint", "simpson"],
-                     help="as midpoint,simpson,gauss6")  # fmt: skip
+    one.add_argument(
+        "--schemes", type=words, default=["midpoint", "simpson"], help="as midpoint,simpson,gauss6"
+    )
     one.add_argument("--peers", type=words, help="as scipy,heyoka (default: all installed)")
     one.add_argument("--errors", type=numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
     one.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
@@ -93,8 +102,15 @@ def _state() -> argparse.ArgumentParser:
 
 
 def _add_state(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--set", type=value, action="append", default=[], metavar="NAME=VALUE",
-                     dest="parameters", help="value of a parameter, may be repeated")  # fmt: skip
+    one.add_argument(
+        "--set",
+        type=value,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="parameters",
+        help="value of a parameter, may be repeated",
+    )
     one.add_argument("--q0", type=numbers, help="positions, as 0.8,1.0")
     one.add_argument("--v0", type=numbers, help="velocities")
     one.add_argument("--p0", type=numbers, help="momenta")
@@ -102,9 +118,11 @@ def _add_state(one: argparse.ArgumentParser) -> None:
 
 
 def _add_time(one: argparse.ArgumentParser) -> None:
-    one.add_argument("--retimed", metavar="RATE",
-                     help="take steps that adapt, as of system.retimed(...): encounters or kinetic"
-                     )  # fmt: skip
+    one.add_argument(
+        "--retimed",
+        metavar="RATE",
+        help="take steps that adapt, as of system.retimed(...): encounters or kinetic",
+    )
 
 
 def _length() -> argparse.ArgumentParser:

@@ -20,29 +20,36 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     made = differentials.timed()
     step = lanes((When(_step(made)),))
     start = (
-        *made.loops.start(), Call("jet"),
+        *made.loops.start(),
+        Call("jet"),
         *made.if_varied(Call("parameter_slopes"), Call("pull_momentum_slopes")),
         Call("pull_momentum"),
-    )  # fmt: skip
+    )
     return [
         Kernel("adjoint", "Carry derivatives of a cost back over the step that was taken.", step),
         Kernel("start_adjoint", "Derivatives by q0 and v0 from those by q0 and p0.", lanes(start)),
         Kernel("record", "Keep the step that was taken.", lanes((When((Call("record_step"),)),))),
         *(_cost_kernels(made) if made.costly else ()),
-    ]  # fmt: skip
+    ]
 
 
 def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
     cost = made.if_costly(Call("cost_slopes"))
     of_end = (
-        *made.drag(), *cost, Call("pull_impulse", _AT_NODE),
-        *made.if_costly(Call("add_cost", _AT_NODE)), Call("assemble_adjoint", _AT_NODE),
-    )  # fmt: skip
+        *made.drag(),
+        *cost,
+        Call("pull_impulse", _AT_NODE),
+        *made.if_costly(Call("add_cost", _AT_NODE)),
+        Call("assemble_adjoint", _AT_NODE),
+    )
     of_nodes = (
-        *made.parameter_slopes(), *cost, Call("weigh_node", _AT_NODE),
-        *made.if_varied(Call("pull_parameters", _HERE)), Call("pull_start", _HERE),
+        *made.parameter_slopes(),
+        *cost,
+        Call("weigh_node", _AT_NODE),
+        *made.if_varied(Call("pull_parameters", _HERE)),
+        Call("pull_start", _HERE),
         *made.if_costly(Call("integrate_cost", _AT_NODE), Call("pull_cost", _AT_NODE)),
-    )  # fmt: skip
+    )
     return (
         *made.pulled_end(),
         Call("exchange_steps"),
@@ -64,14 +71,19 @@ def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
 def _cost_kernels(made: HeldDifferentials) -> list[Kernel]:
     """Return what evaluates a running cost over the step that was taken, and anywhere."""
     step = (
-        Call("exchange_steps"), *made.path_known(),
+        Call("exchange_steps"),
+        *made.path_known(),
         made.loops.nodes("range(NODES)", Call("cost_slopes"), Call("integrate_cost", _AT_NODE)),
         Call("exchange_steps"),
-    )  # fmt: skip
+    )
     here = (Call("take_for_velocity"), *made.loops.start(), Call("cost_slopes"))
     return [
-        Kernel("step_cost", "Add the running cost of the step that was taken.",
-               lanes((When(step),))),
-        Kernel("running_cost", "The running cost at q and v, which stands in the place of p.",
-               lanes(here)),
-    ]  # fmt: skip
+        Kernel(
+            "step_cost", "Add the running cost of the step that was taken.", lanes((When(step),))
+        ),
+        Kernel(
+            "running_cost",
+            "The running cost at q and v, which stands in the place of p.",
+            lanes(here),
+        ),
+    ]

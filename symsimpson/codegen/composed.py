@@ -41,8 +41,9 @@ class ComposedSolver(Explicit):
             )
         damped = {
             a: plain.written(rate).xreplace(low.parameters)
-            for a, rate in enumerate(plain.rates) if rate[0]
-        }  # fmt: skip
+            for a, rate in enumerate(plain.rates)
+            if rate[0]
+        }
         self._damped = {a: rate for a, rate in damped.items() if a in part.coordinates}
         forced = {*low.template.forced, *self._damped}
         self._forced = [a for a in part.coordinates if a in forced]

@@ -84,8 +84,9 @@ class ConstrainedSolver:
                 matrix[row].append(-entry(k, "Phi", c, a) / h if j == k else sp.S.Zero)
         for m in part.columns:
             for c in held:
-                slopes = [entry(m, "Phi", c, b) / h if j == m else sp.S.Zero
-                          for j, b in self.increments]  # fmt: skip
+                slopes = [
+                    entry(m, "Phi", c, b) / h if j == m else sp.S.Zero for j, b in self.increments
+                ]
                 matrix.append(slopes + [sp.S.Zero] * len(self.multipliers))
                 right.append(-entry(m, "phi", c) / h)
         hints = correction_names(low, self.increments)
@@ -128,17 +129,22 @@ class ConstrainedSolver:
             for a in group
         ]
         _, _, taken = held_velocities(low, end, p, "projection", group, "far")
-        slopes = [[low.held.entry(end, "projection", "Phi", c, a) for a in group]
-                  for c in self._held]  # fmt: skip
+        slopes = [
+            [low.held.entry(end, "projection", "Phi", c, a) for a in group] for c in self._held
+        ]
         for a in group:
             change[a] -= sp.Add(*(slopes[c][a] * taken[c] for c in self._held))
         return Closing(dq, change)
 
 
 def held_velocities(
-    low: Lowering, point: Point, p: Sequence[sp.Expr], section: str, group: Sequence[int],
+    low: Lowering,
+    point: Point,
+    p: Sequence[sp.Expr],
+    section: str,
+    group: Sequence[int],
     suffix: str,
-) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:  # fmt: skip
+) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
     """Solve M v + Phi^T nu = p - a, Phi v = 0.
 
     Where M needs it, w Phi^T Phi is added, which such velocities do not see: it is positive
@@ -156,15 +162,19 @@ def held_velocities(
     if low.stiffened:
         weights = _weights(low, point, section, group, suffix)
         mass = [
-            [mass[a][b] + sp.Add(*(weights[c] * slopes[c][a] * slopes[c][b] for c in held))
-             for b in group]
+            [
+                mass[a][b] + sp.Add(*(weights[c] * slopes[c][a] * slopes[c][b] for c in held))
+                for b in group
+            ]
             for a in group
-        ]  # fmt: skip
+        ]
         mass = [
-            [define(f"M_{max(a, b)}_{min(a, b)}_{suffix}", mass[max(a, b)][min(a, b)], section)
-             for b in group]
+            [
+                define(f"M_{max(a, b)}_{min(a, b)}_{suffix}", mass[max(a, b)][min(a, b)], section)
+                for b in group
+            ]
             for a in group
-        ]  # fmt: skip
+        ]
     right = [p[a] - entry(point, section, "a", a) for a in group]
     hints = [f"u_{names[a]}_{suffix}" for a in group]
     free, pivots = solve_symmetric(graph, mass, right, hints, section)
@@ -175,10 +185,18 @@ def held_velocities(
         for c in held
     ]
     matrix = [
-        [define(f"S_{c}_{e}_{suffix}", sp.Add(*(x * y for x, y in zip(slopes[max(c, e)],
-         columns[min(c, e)], strict=True))), section) for e in held]
+        [
+            define(
+                f"S_{c}_{e}_{suffix}",
+                sp.Add(
+                    *(x * y for x, y in zip(slopes[max(c, e)], columns[min(c, e)], strict=True))
+                ),
+                section,
+            )
+            for e in held
+        ]
         for c in held
-    ]  # fmt: skip
+    ]
     rates = [sp.Add(*(x * u for x, u in zip(slopes[c], free, strict=True))) for c in held]
     hints = [f"nu_{c}_{suffix}" for c in held]
     taken, _ = solve_symmetric(graph, matrix, rates, hints, section)

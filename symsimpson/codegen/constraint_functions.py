@@ -72,9 +72,10 @@ def constraint_family_functions(
     tables: dict[str, Table] = {}
     functions: list[Function] = []
     calls: dict[str, list[str]] = {
-        "constraint_slopes": ["clear_constraints"], "constrain": ["clear_constraints"],
+        "constraint_slopes": ["clear_constraints"],
+        "constrain": ["clear_constraints"],
         "pushes": ["jet", "push_of_jet"],
-    } | ({"constraint_values": []} if drifting else {})  # fmt: skip
+    } | ({"constraint_values": []} if drifting else {})
     for number, family in enumerate(families, 1):
         writer = FamilyWriter(
             low, family, f"CONSTRAINTS_{number}", derive_constraints(family.plain)
@@ -121,13 +122,17 @@ def _family_stores(
 def _slopes(entry: Entry, pair: Pair, n: int, constraints: range) -> list[Store]:
     return [
         Store(row, entry("Phi", c, a))
-        for c in constraints for a in range(n) for row in (pair(n + c, a), pair(a, n + c))
+        for c in constraints
+        for a in range(n)
+        for row in (pair(n + c, a), pair(a, n + c))
         if entry("Phi", c, a) != 0
-    ]  # fmt: skip
+    ]
 
 
 def _bends(entry: Entry, pair: Pair, n: int, *, add: bool) -> list[Store]:
     return [
         Store(pair(a, b), entry("pull", a, b), add=add)
-        for a in range(n) for b in range(n) if entry("pull", a, b) != 0
-    ]  # fmt: skip
+        for a in range(n)
+        for b in range(n)
+        if entry("pull", a, b) != 0
+    ]

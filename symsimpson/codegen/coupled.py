@@ -11,13 +11,7 @@ import sympy as sp
 from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
-from symsimpson.codegen.weighted import (
-    Increments,
-    WeightedRows,
-    bend,
-    unit_row,
-    weighted_residual,
-)
+from symsimpson.codegen.weighted import Increments, WeightedRows, bend, unit_row, weighted_residual
 from symsimpson.discrete.reductions import Coupled
 
 __all__ = [
@@ -153,9 +147,14 @@ def constant_mass_velocity(
 
 
 def node_point(
-    low: Lowering, i: int, coordinates: Sequence[int], *, moving: bool, end: Point | None = None,
+    low: Lowering,
+    i: int,
+    coordinates: Sequence[int],
+    *,
+    moving: bool,
+    end: Point | None = None,
     path: Path | None = None,
-) -> Point:  # fmt: skip
+) -> Point:
     """Return the point of node i in terms of the increments; ``end`` stands for a node at q1.
 
     Velocities are there if it is ``moving``.
@@ -264,15 +263,12 @@ def newton_rows(
 
 
 def impulses(
-    low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool,
-    path: Path | None = None,
-) -> Mapping[int, sp.Expr]:  # fmt: skip
+    low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool, path: Path | None = None
+) -> Mapping[int, sp.Expr]:
     """Return h sum_i b_i L_q at the nodes of the path that ends at ``end``."""
     points = [
         node_point(low, i, coordinates, moving=moving, end=end, path=path)
         for i in range(low.equations.scheme.stages)
     ]
-    weighted = WeightedRows(
-        low, lambda i, a: low.template.entry(points[i], f"node {i}", "F", a)
-    )  # fmt: skip
+    weighted = WeightedRows(low, lambda i, a: low.template.entry(points[i], f"node {i}", "F", a))
     return {a: weighted.impulse(a) for a in coordinates}

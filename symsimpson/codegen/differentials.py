@@ -117,9 +117,12 @@ def sizes(low: Lowering) -> dict[str, int]:
     own = {
         **{block: 1 + len(_not_zero(low, range(low.n), what)) for block, what in _BLOCKS},
         "EXCHANGE": unknowns,
-        "ADJOINT": 2 * low.n, "ADJOINT_RIGHT": unknowns, "ADJOINT_START": low.n,
-        "COST_SLOPE": max(1, varied * low.equations.scheme.stages), "TANGENTS": 1,
-    }  # fmt: skip
+        "ADJOINT": 2 * low.n,
+        "ADJOINT_RIGHT": unknowns,
+        "ADJOINT_START": low.n,
+        "COST_SLOPE": max(1, varied * low.equations.scheme.stages),
+        "TANGENTS": 1,
+    }
     if low.multipliers:
         held = len(low.multipliers)
         own |= {"CONSTRAINT_A": varied * held, "CONSTRAINT_QA": varied * low.n, "COST_END": varied}
@@ -150,7 +153,7 @@ def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
         Store(Row(block, k), low.slopes.entry(_point(low), "slopes", what, places[s], name))
         for block, what in _BLOCKS
         for k, (name, s) in enumerate(_not_zero(low, places, what))
-    ]  # fmt: skip
+    ]
     doc = "Derivatives of F and P by the parameters that are varied, at a node."
     return Function("parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
 
@@ -167,9 +170,7 @@ def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
             value = low.slopes.entry(point, "slopes", "pull_a", a, name)
             stores.append(Store(Row("CONSTRAINT_QA", j * low.n + s), value))
     doc = "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
-    return Function(
-        "constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,))
-    )  # fmt: skip
+    return Function("constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
 
 
 def _cost(low: Lowering, places: tuple[int, ...]) -> Function:

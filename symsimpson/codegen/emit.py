@@ -129,11 +129,17 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     )
     text = "\n".join(
         [
-            numbers, tables, *([constants] if constants else []),
-            "compiled = njit(**OPTIONS)\n", *([library] if library else []),
-            *(["", made] if made else []), "", body, "",
+            numbers,
+            tables,
+            *([constants] if constants else []),
+            "compiled = njit(**OPTIONS)\n",
+            *([library] if library else []),
+            *(["", made] if made else []),
+            "",
+            body,
+            "",
         ]
-    )  # fmt: skip
+    )
     documented = f'"""{docstring(equations, module)}"""\n\n{text}'
     digest = hashlib.sha256(documented.encode()).hexdigest()
     return f"{banner(equations)}# sha256 of what follows: {digest}\n{documented}"
@@ -369,9 +375,11 @@ def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
             return [f"{pad}for {index} in {over}:", *_statements(body, printer, depth + 1)]
         case Either(condition, first, second):
             return [
-                f"{pad}if {condition}:", *_statements(first, printer, depth + 1),
-                f"{pad}else:", *_statements(second, printer, depth + 1),
-            ]  # fmt: skip
+                f"{pad}if {condition}:",
+                *_statements(first, printer, depth + 1),
+                f"{pad}else:",
+                *_statements(second, printer, depth + 1),
+            ]
         case When(body):
             return [f"{pad}if W[ACTIVE, lane] != 0:", *_statements(body, printer, depth + 1)]
 

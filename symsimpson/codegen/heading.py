@@ -120,7 +120,11 @@ def folded(head: str, text: str, pad: str, *, parentheses: bool = False) -> list
         lines = [head + "(", *(pad + part for part in parts), pad[:-4] + ")"]
     else:
         lines = textwrap.wrap(
-            head + whole, _WIDTH, subsequent_indent=pad, break_long_words=False,
-            drop_whitespace=True, break_on_hyphens=False,
-        )  # fmt: skip
+            head + whole,
+            _WIDTH,
+            subsequent_indent=pad,
+            break_long_words=False,
+            drop_whitespace=True,
+            break_on_hyphens=False,
+        )
     return [line.replace("\0", " ") for line in lines]

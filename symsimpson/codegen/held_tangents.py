@@ -55,25 +55,42 @@ class HeldDifferentials(Differentials):
         if not self.loops.held:
             return ()
         curvature = Loop(
-            "constraint", "range(CONSTRAINTS)",
-            (Call("choose_constraint", ("W", "constraint", "lane")), Call("constrain"),
-             *self._slopes(), each(Call("vary_curvature", _OF_ONE),
-             *self.if_varied(Call("add_curvature_slopes", _OF_ONE)))),
-        )  # fmt: skip
+            "constraint",
+            "range(CONSTRAINTS)",
+            (
+                Call("choose_constraint", ("W", "constraint", "lane")),
+                Call("constrain"),
+                *self._slopes(),
+                each(
+                    Call("vary_curvature", _OF_ONE),
+                    *self.if_varied(Call("add_curvature_slopes", _OF_ONE)),
+                ),
+            ),
+        )
         taken = map(Call, ("momentum_taken", "allow_no_change", "solve_held", "constrain"))
         begun = each(
-            Call("begin_projection", _ONE),
-            *self.if_varied(Call("add_projection_slopes", _ONE)),
-        )  # fmt: skip
+            Call("begin_projection", _ONE), *self.if_varied(Call("add_projection_slopes", _ONE))
+        )
         closed = each(
-            Call("take_right_side", _ONE), Call("solve_held"), Call("close_projection", _ONE),
+            Call("take_right_side", _ONE),
+            Call("solve_held"),
+            Call("close_projection", _ONE),
             *self.if_varied(Call("add_momentum_slopes", _ONE)),
-        )  # fmt: skip
+        )
         return (
-            *self.loops.start("t + h"), Call("mass"), *self.loops.factors(),
-            *self.loops.solve_momentum(), Call("jet"), *self.if_varied(Call("parameter_slopes")),
-            curvature, *taken, *self._slopes(), begun, closed, *self.loops.solve_momentum(),
-        )  # fmt: skip
+            *self.loops.start("t + h"),
+            Call("mass"),
+            *self.loops.factors(),
+            *self.loops.solve_momentum(),
+            Call("jet"),
+            *self.if_varied(Call("parameter_slopes")),
+            curvature,
+            *taken,
+            *self._slopes(),
+            begun,
+            closed,
+            *self.loops.solve_momentum(),
+        )
 
     def _slopes(self) -> tuple[Statement, ...]:
         return self.if_varied(Call("constraint_parameter_slopes"))
@@ -83,15 +100,27 @@ class HeldDifferentials(Differentials):
         if not self.loops.held:
             return ()
         return (
-            Call("exchange_steps"), *self.impulse(), Call("exchange_steps"), Call("take_end"),
-            *self.loops.start("t + h"), Call("mass"), *self.loops.factors(),
-            *self.loops.solve_momentum(), Call("jet"), *self.if_varied(Call("parameter_slopes")),
+            Call("exchange_steps"),
+            *self.impulse(),
+            Call("exchange_steps"),
+            Call("take_end"),
+            *self.loops.start("t + h"),
+            Call("mass"),
+            *self.loops.factors(),
+            *self.loops.solve_momentum(),
+            Call("jet"),
+            *self.if_varied(Call("parameter_slopes")),
             *map(Call, ("keep_end", "momentum_of_adjoint", "allow_no_change", "solve_held")),
-            Call("constrain"), *self._slopes(), Call("pull_curvature"),
+            Call("constrain"),
+            *self._slopes(),
+            Call("pull_curvature"),
             *self.if_varied(Call("pull_curvature_slopes")),
-            Call("take_projected"), Call("constrain"), *self._slopes(), Call("pull_projection"),
+            Call("take_projected"),
+            Call("constrain"),
+            *self._slopes(),
+            Call("pull_projection"),
             *self.if_varied(Call("pull_projection_slopes")),
-        )  # fmt: skip
+        )
 
     def pulled_right(self) -> tuple[Statement, ...]:
         """Add what constraints at a control point contribute to the right side of the adjoint."""
@@ -110,9 +139,12 @@ class HeldDifferentials(Differentials):
         """Add the derivatives by q0 and by parameters that go through control points."""
         here = ("W", "h", "point", "lane")
         found = self.loops.points(
-            "range(DEGREE + 1)", "constrain", *self._slopes(), Call("pull_start_of_point", here),
+            "range(DEGREE + 1)",
+            "constrain",
+            *self._slopes(),
+            Call("pull_start_of_point", here),
             *self.if_varied(Call("pull_slopes_of_point", here)),
-        )  # fmt: skip
+        )
         return (*found, *self.if_held(*self.if_varied(Call("add_end_slopes"))))
 
     @staticmethod

@@ -17,12 +17,7 @@ from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.layout import layout, node_stride
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import (
-    LoopKernels,
-    equation_constants,
-    solve_constants,
-    solve_tables,
-)
+from symsimpson.codegen.looped import LoopKernels, equation_constants, solve_constants, solve_tables
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.retimed import keeping_time
@@ -243,9 +238,15 @@ def _loops(
 ) -> LoopKernels:
     plain = low.equations.plain
     return LoopKernels(
-        storage, low.equations.scheme.degree, plain.autonomous, plain.dragged, bool(plain.u),
-        plain.rate is not None, held, constant_mass,
-    )  # fmt: skip
+        storage,
+        low.equations.scheme.degree,
+        plain.autonomous,
+        plain.dragged,
+        bool(plain.u),
+        plain.rate is not None,
+        held,
+        constant_mass,
+    )
 
 
 def _module(
@@ -262,9 +263,11 @@ def _module(
     """
     storage, held = loops.storage, loops.held
     more, own_kernels, own_tables = differentiating(
-        low, loops, sorted(range(low.n), key=storage.order.__getitem__),
+        low,
+        loops,
+        sorted(range(low.n), key=storage.order.__getitem__),
         following="FOLLOWING" in tables,
-    )  # fmt: skip
+    )
     functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
     more, kernels = keeping_time(low, loops, kernels)
     functions = functions + more
@@ -318,9 +321,15 @@ def _module(
     if low.equations.varied is not None:
         first["TANGENT"] = rows  # behind all others, as much as a run needs
     return Module(
-        low.names, tuple(functions), (prepare, *kernels), low.graph.constants, first, rows,
-        unknowns, tables,
-    )  # fmt: skip
+        low.names,
+        tuple(functions),
+        (prepare, *kernels),
+        low.graph.constants,
+        first,
+        rows,
+        unknowns,
+        tables,
+    )
 
 
 def _drifting(equations: DiscreteEquations) -> bool:

@@ -42,9 +42,7 @@ class LinearSolver(Explicit):
         constants = iter([plain.written(value).xreplace(own) for value in found])
         self._M = {place: next(constants) for place in masses}
         self._K = {place: next(constants) for place in second}
-        self._f = {
-            a: sp.Add(-next(constants), *(self._K[a, b] * at for b in group)) for a in group
-        }  # fmt: skip
+        self._f = {a: sp.Add(-next(constants), *(self._K[a, b] * at for b in group)) for a in group}
 
     def close(self) -> Closing:
         """Return q1 - q0, after all shears but the last, and p1 - p0 with the last, at q1."""

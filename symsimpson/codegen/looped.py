@@ -11,13 +11,8 @@ from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import acceptance, convergence, lanes
-from symsimpson.discrete.reductions import (
-    Constrained,
-    Coupled,
-    Separable,
-    force_factor,
-    inertia_factor,
-)
+from symsimpson.discrete.reductions import Constrained, Coupled, Separable
+from symsimpson.discrete.rows import force_factor, inertia_factor
 from symsimpson.module.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
@@ -171,10 +166,14 @@ class LoopKernels:
         again = self.solve_momentum()
         first = (_call("keep_mass"),) if constant else ()
         begin = (
-            *self.start(), _call("mass"), *first, *self.factors(), *again,
+            *self.start(),
+            _call("mass"),
+            *first,
+            *self.factors(),
+            *again,
             _call("straight_path", "W", "h", "lane"),
             *((_call("clear_multipliers"),) if self.held else ()),
-        )  # fmt: skip
+        )
         rows: tuple[Statement, ...]
         if constant:
             size = str(self.storage.size(len(part.columns)))
@@ -187,15 +186,14 @@ class LoopKernels:
             rows = self.all_rows()
         if isinstance(part, Separable) and part.last is not None:
             rows = (*self._end_of_path(), *rows)
-        newton: tuple[Statement, ...] = (
-            *rows,
-            *self._corrected(),
-        )
+        newton: tuple[Statement, ...] = (*rows, *self._corrected())
         held = (_call("project_momentum"), _call("carry_multipliers")) if self.held else ()
         following: tuple[Statement, ...] = (
-            *again, *held, _call("predict", "W", "h", "lane"),
+            *again,
+            *held,
+            _call("predict", "W", "h", "lane"),
             *acceptance(bool(self.held)),
-        )  # fmt: skip
+        )
         closing: tuple[Statement, ...] = ()
         if isinstance(part, Separable) and part.last is not None:
             closing = self._end_of_path()
@@ -211,20 +209,29 @@ class LoopKernels:
         step = lanes((When(advance),))
         beginning = [
             Kernel("start", "Begin at (q, p) with increments of constant velocity.", lanes(begin)),
-            Kernel("legendre", "p = dL/dv from q and v.",
-                   lanes((*self.start(), _call("mass"), _call("momentum")))),
-        ]  # fmt: skip
+            Kernel(
+                "legendre",
+                "p = dL/dv from q and v.",
+                lanes((*self.start(), _call("mass"), _call("momentum"))),
+            ),
+        ]
         if not part.columns:  # nothing to solve, nothing to predict
             step = (Loop("step", "range(int(W[COUNT, 0]))", step),)
             doc = "Take as many steps as W[COUNT] says, by compensated sums."
             return [*beginning, Kernel("advance", doc, step)]
         return [
             *beginning,
-            Kernel("newton", "One Newton iteration, assembled node by node, with row pivoting.",
-                   lanes((When(newton),))),
-            Kernel("advance",
-                   "Close a step by compensated sums, then predict the next increments.", step),
-        ]  # fmt: skip
+            Kernel(
+                "newton",
+                "One Newton iteration, assembled node by node, with row pivoting.",
+                lanes((When(newton),)),
+            ),
+            Kernel(
+                "advance",
+                "Close a step by compensated sums, then predict the next increments.",
+                step,
+            ),
+        ]
 
     def _end_of_path(self) -> tuple[Statement, ...]:
         """Find X_d where it is no unknown."""
@@ -238,15 +245,24 @@ class LoopKernels:
         """Return the kernels of an explicit step with loops over kicks and drifts."""
         momentum = (*self.start(), _call("mass"))
         begin = (
-            *momentum, *self.factors(), *self.solve_momentum(), *self.start(), _call("gradient"),
-        )  # fmt: skip
+            *momentum,
+            *self.factors(),
+            *self.solve_momentum(),
+            *self.start(),
+            _call("gradient"),
+        )
         drift, held = ("drift_held", self.factors()) if self.held else ("drift", ())
         parts = Loop(
-            "part", "range(len(DRIFTS))",
-            (_call(drift, "W", "h", "part", "lane"),
-             *self._time("t + REACHED[part] * h", "part + 1"), *held, _call("gradient"),
-             _call("kick", "W", "h", "part + 1", "lane")),
-        )  # fmt: skip
+            "part",
+            "range(len(DRIFTS))",
+            (
+                _call(drift, "W", "h", "part", "lane"),
+                *self._time("t + REACHED[part] * h", "part + 1"),
+                *held,
+                _call("gradient"),
+                _call("kick", "W", "h", "part + 1", "lane"),
+            ),
+        )
         # the force at the end of a step is that at the start of the next one, unless t is rounded
         # or inputs are others there
         again = () if self.alike else (*self.start(), _call("gradient"))
@@ -257,10 +273,12 @@ class LoopKernels:
         return [
             Kernel("start", "Begin at (q, p) with the force there.", lanes(begin)),
             Kernel("legendre", "p = dL/dv from q and v.", lanes((*momentum, _call("momentum")))),
-            Kernel("advance",
-                   "Take as many steps as W[COUNT] says: kicks, and drifts between them.",
-                   (Loop("step", "range(int(W[COUNT, 0]))", step),)),
-        ]  # fmt: skip
+            Kernel(
+                "advance",
+                "Take as many steps as W[COUNT] says: kicks, and drifts between them.",
+                (Loop("step", "range(int(W[COUNT, 0]))", step),),
+            ),
+        ]
 
     def energy(self) -> Kernel:
         """Return H = v.(p - a)/2 + V, and the first of the two alone."""

@@ -47,9 +47,18 @@ class LoopedStages:
         """Return the sizes of the blocks of rows that stages need."""
         n, s = self.low.n, self.low.equations.scheme.stages
         rows = {
-            "V": n, "F": n, "Q": n, "P": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1,
-            "MU": s, "NU": s, "AHEAD": 2 * s,
-        }  # fmt: skip
+            "V": n,
+            "F": n,
+            "Q": n,
+            "P": n,
+            "STEP": 1,
+            "RATE": 1,
+            "CORRECTION": 1,
+            "SIZE": 1,
+            "MU": s,
+            "NU": s,
+            "AHEAD": 2 * s,
+        }
         sizes = {f"STAGE_{name}": count * self.stride for name, count in rows.items()}
         return sizes | {"STAGE_EXPECTED": 1, "STAGE_COUNT": 1}
 

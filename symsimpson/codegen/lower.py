@@ -79,20 +79,23 @@ class Lowering:
         self.node_t = self._base(["t_i"], "NODE_TIME", Level.ITERATION)[0]
         self.node_u = self._base(
             [f"{u}_i" for u in self.names.inputs], "NODE_INPUT", Level.ITERATION
-        )  # fmt: skip
+        )
         held, degree = len(equations.plain.constraints), equations.scheme.degree
         #: h mu at the control points 0..d-1, unknowns of a step with constraints.
         self.impulses = [
             self._base(
-                [f"mu_{k}_{c}" for c in range(held)], "INCREMENT", Level.ITERATION,
+                [f"mu_{k}_{c}" for c in range(held)],
+                "INCREMENT",
+                Level.ITERATION,
                 equations.unknowns.place(degree + 1 + k, 0),
             )
             for k in range(degree if held else 0)
-        ]  # fmt: skip
+        ]
         self.multipliers = self._base(
             [f"lambda_{c}" for c in range(len(equations.plain.constraints))],
-            "MULTIPLIER", Level.ITERATION,
-        )  # fmt: skip
+            "MULTIPLIER",
+            Level.ITERATION,
+        )
         self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
@@ -150,9 +153,7 @@ class Lowering:
         return self._template(watched(self.equations.plain))
 
     def _template(self, jet: Jet) -> JetTemplate:
-        return JetTemplate(
-            jet, self.graph, self.names.coordinates, self.parameters, momenta=self.p
-        )  # fmt: skip
+        return JetTemplate(jet, self.graph, self.names.coordinates, self.parameters, momenta=self.p)
 
     @property
     def n(self) -> int:

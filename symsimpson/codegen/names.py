@@ -174,9 +174,7 @@ def _written_out(name: str) -> str:
     """Write Greek letters as words, and what TeX has around indices not at all."""
     letters = []
     for letter in name:
-        greek = re.fullmatch(
-            "GREEK (SMALL|CAPITAL) LETTER ([A-Z]+)", unicodedata.name(letter, "")
-        )  # fmt: skip
+        greek = re.fullmatch("GREEK (SMALL|CAPITAL) LETTER ([A-Z]+)", unicodedata.name(letter, ""))
         if greek:
             letter = greek[2].lower() if greek[1] == "SMALL" else greek[2].capitalize()
         letters.append(letter)
@@ -186,9 +184,7 @@ def _written_out(name: str) -> str:
 def _shown(names: Iterable[str], kind: str) -> tuple[str, ...]:
     """Return names as modules write them, a number where one is no plain text."""
     plain = re.compile(r"[A-Za-z][A-Za-z0-9_ ]{0,63}")
-    return tuple(
-        name if plain.fullmatch(name) else f"{kind} {i}" for i, name in enumerate(names)
-    )  # fmt: skip
+    return tuple(name if plain.fullmatch(name) else f"{kind} {i}" for i, name in enumerate(names))
 
 
 class NameTable:

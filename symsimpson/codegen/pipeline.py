@@ -28,9 +28,7 @@ __all__ = ["derive", "source"]
 
 
 def source(
-    system: MechanicalSystem,
-    scheme: str | Scheme = "simpson",
-    exploit: str | Iterable[str] = "all",
+    system: MechanicalSystem, scheme: str | Scheme = "simpson", exploit: str | Iterable[str] = "all"
 ) -> str:
     """Generate the module of a system and a scheme.
 
@@ -117,9 +115,12 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
 
 @lru_cache(maxsize=64)
 def _derive(
-    system: MechanicalSystem, scheme: Scheme, exploit: frozenset[str],
-    names: tuple[str, ...] | None, running: Any,
-) -> Derivation:  # fmt: skip
+    system: MechanicalSystem,
+    scheme: Scheme,
+    exploit: frozenset[str],
+    names: tuple[str, ...] | None,
+    running: Any,
+) -> Derivation:
     varied = None if names is None else _varied(system, names)
     cost = _cost(system, running)
     with collecting() as seconds, rarely_collected():

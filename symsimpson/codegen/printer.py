@@ -15,16 +15,30 @@ __all__ = ["FUNCTIONS", "LARGE", "NAMED_CONSTANTS", "Printer", "count_operations
 
 #: SymPy functions and their names in :mod:`math`; every binding supplies these names.
 FUNCTIONS = {
-    sp.sin: "sin", sp.cos: "cos", sp.tan: "tan", sp.asin: "asin", sp.acos: "acos",
-    sp.atan: "atan", sp.atan2: "atan2", sp.sinh: "sinh", sp.cosh: "cosh", sp.tanh: "tanh",
-    sp.asinh: "asinh", sp.acosh: "acosh", sp.atanh: "atanh", sp.exp: "exp", sp.log: "log",
-    sp.erf: "erf", sp.erfc: "erfc",
-}  # fmt: skip
+    sp.sin: "sin",
+    sp.cos: "cos",
+    sp.tan: "tan",
+    sp.asin: "asin",
+    sp.acos: "acos",
+    sp.atan: "atan",
+    sp.atan2: "atan2",
+    sp.sinh: "sinh",
+    sp.cosh: "cosh",
+    sp.tanh: "tanh",
+    sp.asinh: "asinh",
+    sp.acosh: "acosh",
+    sp.atanh: "atanh",
+    sp.exp: "exp",
+    sp.log: "log",
+    sp.erf: "erf",
+    sp.erfc: "erfc",
+}
 #: Numbers without a formula: their names in a module, where they stand as doubles, and their
 #: values; a binding of more digits has its own.
 NAMED_CONSTANTS = {
-    "EULER_GAMMA": float(sp.EulerGamma.evalf(20)), "CATALAN": float(sp.Catalan.evalf(20)),
-}  # fmt: skip
+    "EULER_GAMMA": float(sp.EulerGamma.evalf(20)),
+    "CATALAN": float(sp.Catalan.evalf(20)),
+}
 
 
 #: Integers from here on are no exact doubles, and soon none that fit into 64 bits.

@@ -60,9 +60,7 @@ class RouthSolver:
         self.increments = [(m, a) for m in part.columns for a in part.coordinates]
         self._size = range(len(part.cyclic))
         self._weights = low.equations.scheme.quadrature.weights
-        self._multipliers = [
-            (r, c) for r in range(len(part.annihilator)) for c in self._size
-        ]  # fmt: skip
+        self._multipliers = [(r, c) for r in range(len(part.annihilator)) for c in self._size]
 
     def corrections(self) -> Mapping[Increment, sp.Expr]:
         """Return what one Newton iteration adds to each increment."""
@@ -164,11 +162,13 @@ class RouthSolver:
             return sp.Add(
                 *(
                     sp.radsimp(C[r][n.number] * C[s][n.number] / b[n.number])
-                    * n.T[k][c] * n.D_inverse[k] * n.T[k][e]
+                    * n.T[k][c]
+                    * n.D_inverse[k]
+                    * n.T[k][e]
                     for n in nodes
                     for k in self._size
                 )
-            )  # fmt: skip
+            )
 
         define = self._low.graph.define
         matrix = [
@@ -269,12 +269,13 @@ class RouthSolver:
         ]
         L = [
             [
-                factor("L0", cyclic[r], cyclic[c]) + factor("L", cyclic[r], cyclic[c]) if c < r else
-                sp.Integer(r == c)
+                factor("L0", cyclic[r], cyclic[c]) + factor("L", cyclic[r], cyclic[c])
+                if c < r
+                else sp.Integer(r == c)
                 for c in self._size
             ]
             for r in self._size
-        ]  # fmt: skip
+        ]
         one = [[sp.Integer(r == c) for c in self._size] for r in self._size]
         return _Node(i, point, D, D_inverse, L, one)
 
@@ -287,8 +288,9 @@ class RouthSolver:
         free = []
         for a in part.cyclic:
             beta = [low.template.entry(node.point, section, "a", a)]
-            beta += [low.template.entry(node.point, section, "M", a, x) * v[x]
-                     for x in part.coordinates]  # fmt: skip
+            beta += [
+                low.template.entry(node.point, section, "M", a, x) * v[x] for x in part.coordinates
+            ]
             free.append(low.p[a] - sp.Add(*beta))
         momentum = self.forward(node, free, "free")
         T = [list(row) for row in node.T]

@@ -19,7 +19,8 @@ from symsimpson.codegen.linear_solve import solve_blocks
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend
-from symsimpson.discrete.reductions import Separable, force_factor, inertia_factor
+from symsimpson.discrete.reductions import Separable
+from symsimpson.discrete.rows import force_factor, inertia_factor
 
 __all__ = ["SeparableSolver"]
 
@@ -147,10 +148,11 @@ class SeparableSolver:
                 if factor == 0:
                     continue
                 slopes = [
-                    scheme.A[i][m] * low.template.entry(point, f"node {i}", "F_q", a, b)
+                    scheme.A[i][m]
+                    * low.template.entry(point, f"node {i}", "F_q", a, b)
                     * changes[m, b]
                     for m, b in self._unknowns
-                ]  # fmt: skip
+                ]
                 terms.append(h**2 * factor * sp.Add(*slopes))
             impulses.append(low.graph.define(f"impulse_{names[a]}", sp.Add(*terms), section))
         moved = constant_mass_velocity(low, group, impulses, "dv", section)

@@ -114,9 +114,17 @@ class StageKernels:
             return {}
         n = self._low.n
         rows = {
-            "V": n, "F": n, "STEP": 1, "RATE": 1, "CORRECTION": 1, "SIZE": 1, "HELD": self.held,
-            "MU": self._nodes, "NU": self._nodes, "AHEAD": 2 * self._nodes,
-        }  # fmt: skip
+            "V": n,
+            "F": n,
+            "STEP": 1,
+            "RATE": 1,
+            "CORRECTION": 1,
+            "SIZE": 1,
+            "HELD": self.held,
+            "MU": self._nodes,
+            "NU": self._nodes,
+            "AHEAD": 2 * self._nodes,
+        }
         return {
             **{f"STAGE_{name}": count * self.stride for name, count in rows.items()},
             **({} if self._low.equations.plain.autonomous else {"STAGE_PLACE": self.stride}),
@@ -173,11 +181,13 @@ class StageKernels:
         low, n = self._low, self._low.n
         define, names, entry = low.graph.define, low.names.coordinates, low.template.entry
         q = [
-            define(f"{names[a]}_j",
-                   low.q[a] + self._combined(self._mu, self._moves[a], f"shift_{names[a]}", "path"),
-                   "path")
+            define(
+                f"{names[a]}_j",
+                low.q[a] + self._combined(self._mu, self._moves[a], f"shift_{names[a]}", "path"),
+                "path",
+            )
             for a in range(n)
-        ]  # fmt: skip
+        ]
         v = [self._velocity(a) for a in range(n)]
         point = Point("j", tuple(q), tuple(v), self._time(), self._inputs())
         kicks = [
@@ -211,9 +221,11 @@ class StageKernels:
         for symbol in held:
             del low.rows[symbol]
         body = [
-            *self._opening(opening), *self._over_nodes(ending), Call("check_stage_convergence"),
+            *self._opening(opening),
+            *self._over_nodes(ending),
+            Call("check_stage_convergence"),
             *((Call("check_turns"),) if self.angles else ()),
-        ]  # fmt: skip
+        ]
         operations = sum(
             count_operations(low.graph.definitions[s].value)
             for s in low.reached([*kicks, *closing])

@@ -44,13 +44,15 @@ def differentiating(
 def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
     """Return what carries variations of the state to the end of the step that was taken."""
     of_start = each(
-        Call("vary_start", _ONE), *made.if_varied(Call("add_slopes", _ONE)),
+        Call("vary_start", _ONE),
+        *made.if_varied(Call("add_slopes", _ONE)),
         Call("assemble_variation", _AT_NODE),
-    )  # fmt: skip
+    )
     moved = each(
-        Call("vary_path", _AT_NODE), Call("vary_momentum", _AT_NODE),
+        Call("vary_path", _AT_NODE),
+        Call("vary_momentum", _AT_NODE),
         *made.if_varied(Call("add_impulse", _AT_NODE)),
-    )  # fmt: skip
+    )
     decay = (Call("decay_variation", _ONE),) if made.loops.damped else ()
     body = (
         Call("exchange_steps"),
@@ -75,9 +77,7 @@ def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
         kernels = [written_tangent(made.low), replace(kernels[0], name=f"tangent{WITH_PIVOTS}")]
     if made.varied:
         doc = "Begin variations of parameters at given q and v."
-        slopes = (
-            *made.loops.start(), Call("parameter_slopes"), Call("vary_momentum_at_start")
-        )  # fmt: skip
+        slopes = (*made.loops.start(), Call("parameter_slopes"), Call("vary_momentum_at_start"))
         kernels.append(Kernel("momentum_slopes", doc, lanes(slopes)))
     return kernels
 

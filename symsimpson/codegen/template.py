@@ -114,8 +114,9 @@ class JetTemplate:
             return self._angle(n, line, point, section)
         done = {
             m: self._line(m, point, section)
-            for m in self._program.arguments(n) if line.kind != "sum" or m == UNIT
-        }  # fmt: skip
+            for m in self._program.arguments(n)
+            if line.kind != "sum" or m == UNIT
+        }
         if line.kind == "sum":
             written = sp.Add(*(self._value(value, point, section) for value in line.parts))
         elif line.kind == "product":

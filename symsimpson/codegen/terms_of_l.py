@@ -16,9 +16,14 @@ from symsimpson.discrete.jet import Jet, derive_jet
 from symsimpson.graph.read import tree_size
 
 __all__ = [
-    "FUNCTIONS", "FamilyWriter", "Table", "family_functions", "power_function", "power_stores",
+    "FUNCTIONS",
+    "FamilyWriter",
+    "Table",
+    "family_functions",
+    "power_function",
+    "power_stores",
     "unrolled_functions",
-]  # fmt: skip
+]
 
 #: Rows of integers.
 Table = tuple[tuple[int, ...], ...]
@@ -33,10 +38,23 @@ FUNCTIONS = {
 }
 #: Terms of more nodes are not shown.
 _SHOWN = 100
-_BLOCKS = {"F": "NODE_L_Q", "P": "NODE_L_V", "a": "NODE_L_V", "F_q": "NODE_L_QQ",
-           "F_v": "NODE_L_QV", "f_v": "NODE_F_V", "M": "NODE_L_VV", "V": "ENERGY"}  # fmt: skip
-_CLEARED = {"F": "clear_gradient", "F_q": "clear_hessian", "F_v": "clear_mixed",
-            "M": "clear_mass", "f_v": "clear_drag"}  # fmt: skip
+_BLOCKS = {
+    "F": "NODE_L_Q",
+    "P": "NODE_L_V",
+    "a": "NODE_L_V",
+    "F_q": "NODE_L_QQ",
+    "F_v": "NODE_L_QV",
+    "f_v": "NODE_F_V",
+    "M": "NODE_L_VV",
+    "V": "ENERGY",
+}
+_CLEARED = {
+    "F": "clear_gradient",
+    "F_q": "clear_hessian",
+    "F_v": "clear_mixed",
+    "M": "clear_mass",
+    "f_v": "clear_drag",
+}
 
 
 def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
@@ -145,9 +163,12 @@ class FamilyWriter:
         parameters = [*own, *(low.parameters[a] for a in plain.parameters[family.slots :])]
         self.point = Point(table.lower(), q, v, multipliers=tuple(held))
         self.template = JetTemplate(
-            jet, low.graph, [f"{s}" for s in size],
-            dict(zip(plain.parameters, parameters, strict=True)), momenta=(),
-        )  # fmt: skip
+            jet,
+            low.graph,
+            [f"{s}" for s in size],
+            dict(zip(plain.parameters, parameters, strict=True)),
+            momenta=(),
+        )
 
     def members(self, places: Sequence[int]) -> Table:
         """Return the table; coefficients that are new get rows of their own."""

@@ -66,18 +66,14 @@ class WeightedRows:
 
     def _forces(self, a: int) -> list[sp.Expr]:
         """Return h b_i L_q at the nodes."""
-        return [
-            self._weighted("Lq", i, a, self._force(i, a)) for i in range(self._scheme.stages)
-        ]  # fmt: skip
+        return [self._weighted("Lq", i, a, self._force(i, a)) for i in range(self._scheme.stages)]
 
     def _momenta(self, a: int) -> list[sp.Expr]:
         """Return h b_i L_v at the nodes; none where M is constant and the rows have its inertia."""
         momentum = self._momentum
         if momentum is None:
             return []
-        return [
-            self._weighted("Lv", i, a, momentum(i, a)) for i in range(self._scheme.stages)
-        ]  # fmt: skip
+        return [self._weighted("Lv", i, a, momentum(i, a)) for i in range(self._scheme.stages)]
 
     def _define(self, hint: str, value: sp.Expr) -> sp.Expr:
         return self._low.graph.define(hint, value, "residual D_k L_d")

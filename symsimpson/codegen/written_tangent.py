@@ -46,8 +46,11 @@ def written_tangent(low: Lowering) -> Kernel:
     ]
     levels = (Level.STEP, Level.ITERATION, Level.LATE)
     lines = _taken(low.statements(stores, levels))
-    moved = Loop("variation", "range(int(W[TANGENTS, lane]))",
-                 (Call("move_variation", ("W", "variation", "lane")),))  # fmt: skip
+    moved = Loop(
+        "variation",
+        "range(int(W[TANGENTS, lane]))",
+        (Call("move_variation", ("W", "variation", "lane")),),
+    )
     doc = "Carry variations of the state to the end of the step that was taken."
     return Kernel("tangent", doc, lanes((When((*lines, moved)),)))
 
@@ -78,8 +81,9 @@ class _Step:
         self._unknowns = [(k, a) for k in self._eqs.columns for a in range(low.n)]
         self._matrix = [
             [self._second(k, a, m, b) for m, b in self._unknowns]
-            for k in self._eqs.rows for a in range(low.n)
-        ]  # fmt: skip
+            for k in self._eqs.rows
+            for a in range(low.n)
+        ]
 
     def columns(self) -> Iterable[list[sp.Expr]]:
         """Return the columns, each of 2 n entries."""
@@ -87,8 +91,9 @@ class _Step:
             start = [sp.S(int(a == b)) for a in range(2 * self._n)]
             right = [
                 sp.Add(*(self._second(k, a, m, b) for m in range(self._eqs.scheme.degree + 1)))
-                for k in self._eqs.rows for a in range(self._n)
-            ]  # fmt: skip
+                for k in self._eqs.rows
+                for a in range(self._n)
+            ]
             direct = [self._impulse(a, b, None) for a in range(self._n)]
             yield self._column(f"q{b}", right, start, direct)
         for b in range(self._n):
@@ -107,12 +112,16 @@ class _Step:
             return self._grown(i) * slope
 
         right = [
-            sp.Add(*(
-                eqs.h * weights[i] * A[i][k] * entry("F_a", i, a)
-                + weights[i] * B[i][k] * entry("P_a", i, a) for i in self._nodes
-            ))
-            for k in eqs.rows for a in range(self._n)
-        ]  # fmt: skip
+            sp.Add(
+                *(
+                    eqs.h * weights[i] * A[i][k] * entry("F_a", i, a)
+                    + weights[i] * B[i][k] * entry("P_a", i, a)
+                    for i in self._nodes
+                )
+            )
+            for k in eqs.rows
+            for a in range(self._n)
+        ]
         direct = [
             sp.Add(*(eqs.h * weights[i] * entry("F_a", i, a) for i in self._nodes))
             for a in range(self._n)
@@ -120,9 +129,12 @@ class _Step:
         return self._column(name, right, [sp.S.Zero] * (2 * self._n), direct)
 
     def _column(
-        self, name: str, right: Sequence[sp.Expr], start: Sequence[sp.Expr],
+        self,
+        name: str,
+        right: Sequence[sp.Expr],
+        start: Sequence[sp.Expr],
         direct: Sequence[sp.Expr],
-    ) -> list[sp.Expr]:  # fmt: skip
+    ) -> list[sp.Expr]:
         """Return a column from dR, from dq0 and dp0, and from what p1 changes by at once."""
         low, n, degree = self._low, self._n, self._eqs.scheme.degree
         define = low.graph.define

@@ -79,10 +79,14 @@ def _two_terms(
 def _delicate(graph: Graph, nodes: Iterable[int]) -> set[int]:
     """Return the sines and cosines that something is divided by, or a root is taken of."""
     bases = {
-        m for n in nodes if graph.nodes[n].kind == "product"
-        for m, e in graph.nodes[n].parts if e < 0 or e.denominator != 1
-    }  # fmt: skip
+        m
+        for n in nodes
+        if graph.nodes[n].kind == "product"
+        for m, e in graph.nodes[n].parts
+        if e < 0 or e.denominator != 1
+    }
     return {
-        n for n in graph.reached(bases)
+        n
+        for n in graph.reached(bases)
         if graph.nodes[n].kind == "function" and graph.nodes[n].parts[0] in ("sin", "cos")
-    }  # fmt: skip
+    }

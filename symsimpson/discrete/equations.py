@@ -31,10 +31,10 @@ from symsimpson.discrete.reductions import (
     Part,
     Routh,
     Separable,
-    elimination_order,
     read_exploit,
     reduce,
 )
+from symsimpson.discrete.rows import elimination_order
 from symsimpson.discrete.slopes import Cost
 from symsimpson.discrete.unknowns import Unknowns
 from symsimpson.errors import SchemeError
@@ -85,10 +85,13 @@ class DiscreteEquations:
 
         Loops over terms do without.
         """
-        reader = Reader(self.plain.graph, {
-            symbol: self.plain.graph.symbol(symbol.name)
-            for symbol in (*self.plain.q, *self.plain.parameters)
-        })  # fmt: skip
+        reader = Reader(
+            self.plain.graph,
+            {
+                symbol: self.plain.graph.symbol(symbol.name)
+                for symbol in (*self.plain.q, *self.plain.parameters)
+            },
+        )
         more: dict[Key, Value] = {}
         halves: dict[int, None] = {}
         for part in self.parts:
@@ -159,9 +162,12 @@ class DiscreteEquations:
 
 
 def discretise(
-    system: MechanicalSystem, scheme: Scheme, exploit: str | Iterable[str] = "all",
-    varied: tuple[sp.Symbol, ...] | None = None, cost: Cost | None = None,
-) -> DiscreteEquations:  # fmt: skip
+    system: MechanicalSystem,
+    scheme: Scheme,
+    exploit: str | Iterable[str] = "all",
+    varied: tuple[sp.Symbol, ...] | None = None,
+    cost: Cost | None = None,
+) -> DiscreteEquations:
     """Derive the equations of one step.
 
     Parameters
@@ -207,19 +213,22 @@ def discretise(
         # nodes have weights of their own, so that M is not the same at all of them
         plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)
         parts = tuple(
-            part if isinstance(part, Affine)
+            part
+            if isinstance(part, Affine)
             else Coupled(part.coordinates, *elimination_order(scheme.degree))
             for part in reduce(structure, scheme, wanted & {"decoupled", "linear"})
-        )  # fmt: skip
+        )
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
     return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied, cost)
 
 
 def _composed_in_time(
-    system: RetimedSystem, scheme: Composition, exploit: frozenset[str],
+    system: RetimedSystem,
+    scheme: Composition,
+    exploit: frozenset[str],
     varied: tuple[sp.Symbol, ...] | None,
-) -> DiscreteEquations:  # fmt: skip
+) -> DiscreteEquations:
     """Return kicks of f(c - V) and drifts of f(T + c - E0), f' = g: both are solved exactly.
 
     Raises

@@ -53,10 +53,11 @@ def factorise(mass: sp.ImmutableDenseMatrix | None, q: tuple[sp.Symbol, ...]) ->
         return None
     order, lower, pivots = min(tried, key=lambda f: sum(sp.count_ops(x) for x in (*f[1], *f[2])))
     halves = tuple(
-        x for x in q
+        x
+        for x in q
         if any(x in pivot.free_symbols and pivot.subs(x, 0) == 0 for pivot in pivots)
         and any(sp.cos(x) in entry.atoms(sp.cos) for entry in lower)
-    )  # fmt: skip
+    )
     versed = {sp.cos(x): 1 - 2 * sp.sin(x / 2) ** 2 for x in halves}
     fixed = [[sp.S.Zero] * size for _ in range(size)]
     moving = [[sp.S.Zero] * size for _ in range(size)]

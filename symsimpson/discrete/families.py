@@ -290,8 +290,9 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     numbers = {name: graph.symbol(name) for name in (*q, *v, *slots)}
     shared = {
         read.symbol(f"c_{k}")[1]: rebuilt(system.graph, [columns[k][0]], {}, graph)[0]
-        for k in range(count) if k not in varying
-    }  # fmt: skip
+        for k in range(count)
+        if k not in varying
+    }
     (term,) = rebuilt(read, [draft.term], shared, graph)
     places = [numbers[name][1] for name in v]
     rest = dict.fromkeys(places, ZERO)
@@ -299,19 +300,27 @@ def _family(system: Plain, read: Graph, draft: _Draft) -> Family:
     slopes = [derivatives(term, x) for x in places]
     M = {
         (a, b): entry
-        for a, slope in enumerate(slopes) for b, x in enumerate(places[: a + 1])
+        for a, slope in enumerate(slopes)
+        for b, x in enumerate(places[: a + 1])
         if (entry := derivatives(slope, x))[0]
-    }  # fmt: skip
+    }
     *linear, potential = rebuilt(graph, [*slopes, term], rest) if rest else [term]
     T = graph.add(
         graph.multiply([entry, (Fraction(1, 2) if a == b else 1, places[a]), (1, places[b])])
         for (a, b), entry in M.items()
     )
     plain = Plain(
-        graph=graph, q=_symbols(q), v=_symbols(v), p=(), T=T, M=M,
-        parameters=(*_symbols(slots), *system.parameters), a=tuple(linear),
-        V=scaled(-1, potential), invariants={},
-    )  # fmt: skip
+        graph=graph,
+        q=_symbols(q),
+        v=_symbols(v),
+        p=(),
+        T=T,
+        M=M,
+        parameters=(*_symbols(slots), *system.parameters),
+        a=tuple(linear),
+        V=scaled(-1, potential),
+        invariants={},
+    )
     coefficients = tuple(tuple(row[k] for k in varying) for row in draft.coefficients)
     return Family(plain, len(slots), tuple(draft.coordinates), coefficients)
 

@@ -26,12 +26,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import ClassVar
 
 import sympy as sp
 
 from symsimpson.discrete.factors import Factors, factorise
+from symsimpson.discrete.rows import Table, annihilating, elimination_order, shear_factors
 from symsimpson.errors import GenerationError
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
@@ -41,12 +41,19 @@ from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean
 
 __all__ = [
-    "EXPLOITABLE", "Affine", "BasePart", "Composed", "Constrained", "Coupled", "Linear", "Part",
-    "Routh", "Separable", "elimination_order", "force_factor", "inertia_factor", "read_exploit",
+    "EXPLOITABLE",
+    "Affine",
+    "BasePart",
+    "Composed",
+    "Constrained",
+    "Coupled",
+    "Linear",
+    "Part",
+    "Routh",
+    "Separable",
+    "read_exploit",
     "reduce",
-]  # fmt: skip
-
-Table = tuple[tuple[sp.Expr, ...], ...]
+]
 
 #: Mass matrices with entries of more nodes than this are not factorised in symbols.
 LONGEST_ENTRY = 500
@@ -280,19 +287,6 @@ def _cyclic_mass(plain: Plain, cyclic: Sequence[int]) -> sp.ImmutableDenseMatrix
     return sp.ImmutableDenseMatrix(len(cyclic), len(cyclic), list(map(plain.written, entries)))
 
 
-def elimination_order(degree: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Order the block rows and columns so that elimination meets no singular pivot.
-
-    Every inner row names an inner control point, and eliminating X_m through its own row is
-    natural for small steps but breaks down at a finite one (x^2 = 8 for Simpson, x = h omega).
-    Pairing row k with column k + 1 shifts the pivots to the couplings between neighbours; for
-    Simpson the remaining pivot is (M + h^2 K/24) (2/h), never singular for K >= 0. The row
-    p0 + D_0 L_d comes last.
-    """
-    inner = tuple(range(1, degree))
-    return (*inner, 0), (*(k + 1 for k in inner), 1)
-
-
 def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
     d, stages = scheme.degree, range(scheme.stages)
     rows, columns = elimination_order(d)
@@ -311,85 +305,3 @@ def _separable(coordinates: tuple[int, ...], scheme: Scheme) -> Separable:
             test[last] = sp.radsimp(-S[k][d] / S[last][d])
             tests.append(tuple(test))
     return Separable(coordinates, tuple(tests), tuple(m for m in columns if m != d), last)
-
-
-def force_factor(test: Sequence[sp.Expr], scheme: Scheme, i: int) -> sp.Expr:
-    """Return b_i sum_k test_k A_ik: how often the force at node i enters a combined row."""
-    combined = sp.Add(*(c * x for c, x in zip(test, scheme.A[i], strict=True)))
-    return sp.radsimp(scheme.quadrature.weights[i] * combined)
-
-
-def inertia_factor(test: Sequence[sp.Expr], scheme: Scheme, m: int) -> sp.Expr:
-    """Return sum_k test_k S_km: how much of M X_m is in a combined row."""
-    terms = (c * scheme.stiffness[k][m] for k, c in enumerate(test))
-    return sp.radsimp(sp.expand(sp.Add(*terms)))
-
-
-def annihilating(scheme: Scheme) -> Table:
-    """Return a basis of the combinations of nodal values that vanish for degree d - 1."""
-    nodes, d = scheme.quadrature.nodes, scheme.degree
-    basis = []
-    for first in range(len(nodes) - d):  # divided differences of d + 1 neighbours
-        group = range(first, first + d + 1)
-        row = [
-            1 / sp.Mul(*(nodes[i] - nodes[j] for j in group if j != i)) if i in group else sp.S.Zero
-            for i in range(len(nodes))
-        ]
-        basis.append(tuple(sp.radsimp(sp.expand(value / row[first + d])) for value in row))
-    return tuple(basis)
-
-
-@cache
-def shear_factors(scheme: Scheme) -> tuple[tuple[bool, tuple[sp.Expr, sp.Expr]], ...] | None:
-    """Write the step of a linear oscillator as shears without a pole at any z = (h omega)^2 > 0.
-
-    With q1 = A(z) q + B(z) p (M = h = 1) two symmetric products are tried: kick, drift, kick, and
-    two such in a row whose outer kicks are -z/4. None if neither has a drift b / (1 + e z),
-    e >= 0, and kicks that are polynomials in z of degree two.
-    """
-    # the denominators have this degree, and the products below are symmetric
-    if scheme.degree > 2 or not scheme.symmetric:
-        return None
-    z = sp.Symbol("z", positive=True)
-    A, B = _oscillator(scheme, z)
-    products = (
-        [(True, (A - 1) / B), (False, B), (True, (A - 1) / B)],
-        [(True, -z / 4), (False, B / (2 + (E := A - 1 + B * z / 4))),
-         (True, E * (2 + E) / B), (False, B / (2 + E)), (True, -z / 4)],
-    )  # fmt: skip
-    for product in products:
-        shears = []
-        for is_kick, factor in product:
-            numerator, denominator = sp.fraction(sp.cancel(sp.radsimp(sp.together(factor))))
-            top, bottom = sp.Poly(numerator, z), sp.Poly(denominator, z)
-            if is_kick and bottom.degree() == 0 and top.degree() <= 2 and top.eval(0) == 0:
-                scale = bottom.eval(0)
-                kick = (top.coeff_monomial(z) / scale, top.coeff_monomial(z**2) / scale)
-                shears.append((True, kick))
-            elif not is_kick and top.degree() == 0 and bottom.degree() <= 1:
-                start = bottom.eval(0)
-                slope = bottom.coeff_monomial(z) / start
-                if not slope.is_nonnegative:
-                    break
-                shears.append((False, (top.eval(0) / start, slope)))
-            else:
-                break
-        else:
-            return tuple(shears)
-    return None
-
-
-def _oscillator(scheme: Scheme, z: sp.Symbol) -> tuple[sp.Expr, sp.Expr]:
-    """Solve one step of q'' = -z q with h = 1: q1 = A q + B p."""
-    d, b, T = scheme.degree, scheme.quadrature.weights, scheme.A
-    X = (sp.S.One, *sp.symbols(f"X1:{d + 1}"))
-    q, p = sp.symbols("q p")
-    path = (q, *X[1:])
-    rows = []
-    for k in range(d):
-        inertia = sum((scheme.stiffness[k][m] * path[m] for m in range(d + 1)), sp.S.Zero)
-        mass = [sum(b[i] * T[i][k] * T[i][m] for i in range(scheme.stages)) for m in range(d + 1)]
-        force = sum((c * x for c, x in zip(mass, path, strict=True)), sp.S.Zero)
-        rows.append(inertia - z * force + (p if k == 0 else 0))
-    solution = sp.solve(rows, X[1:], dict=True)[0][X[d]]
-    return tuple(sp.cancel(sp.radsimp(sp.together(solution.diff(s)))) for s in (q, p))

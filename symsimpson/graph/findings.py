@@ -84,9 +84,7 @@ class Findings:
         """Tell of each value whether its second differences in some symbols vanish."""
         answer = [True] * len(values)
         for number, point in enumerate(self.points):
-            corners = [
-                [at[value] for value in values] for at in _corners(point, symbols, number)
-            ]  # fmt: skip
+            corners = [[at[value] for value in values] for at in _corners(point, symbols, number)]
             arithmetic = point.arithmetic
             for k, (base, one, other, both) in enumerate(zip(*corners, strict=True)):
                 left, right = arithmetic.plus(base, both), arithmetic.plus(one, other)

@@ -77,9 +77,11 @@ class Fold:
         if k in (0, 1) or not count:
             return
         alone = sum(map(bool, self._uses[m].values())) == 1
-        constant = next(
-            (item for item in line.parts if not program.lines[item[0]].level), None
-        ) if line.kind == "product" else None  # fmt: skip
+        constant = (
+            next((item for item in line.parts if not program.lines[item[0]].level), None)
+            if line.kind == "product"
+            else None
+        )
         if constant is not None and alone:
             number = constant[0] if constant[1] == 1 else program.line("product", [constant], 0)
             scaled = program.line("sum", [(k, number)], 0)

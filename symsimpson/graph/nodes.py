@@ -13,9 +13,18 @@ from math import gcd, lcm
 from typing import Any, NamedTuple, TypeAlias
 
 __all__ = [
-    "ONE", "UNIT", "ZERO", "Exact", "Graph", "Node", "Value", "arguments", "exact", "magnitude",
+    "ONE",
+    "UNIT",
+    "ZERO",
+    "Exact",
+    "Graph",
+    "Node",
+    "Value",
+    "arguments",
+    "exact",
+    "magnitude",
     "scaled",
-]  # fmt: skip
+]
 
 #: A whole number or a fraction; a fraction is never whole.
 Exact: TypeAlias = int | Fraction
@@ -203,9 +212,8 @@ class Graph:
         shared: dict[int, Exact] | None = None
         for n in numbers:
             own = {
-                base: e for base, e in self.factors(n)
-                if self.nodes[base].kind in COMMON and e > 0
-            }  # fmt: skip
+                base: e for base, e in self.factors(n) if self.nodes[base].kind in COMMON and e > 0
+            }
             if shared is None:
                 shared = own
             else:

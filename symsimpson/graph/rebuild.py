@@ -101,9 +101,7 @@ def same(graph: Graph, old: Value, new: Value) -> bool:
                 for k, x in enumerate(symbols)
             }
             values = evaluated(graph, [old[1], new[1]], point, mpmath.mp)
-            first, second = (
-                values[n] * c.numerator / c.denominator for c, n in (old, new)
-            )  # fmt: skip
+            first, second = (values[n] * c.numerator / c.denominator for c, n in (old, new))
             if mpmath.isfinite(first):
                 seen = True
                 if not abs(first - second) <= NOTHING * (1 + abs(first)):

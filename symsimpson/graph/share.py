@@ -144,9 +144,7 @@ class _Factors(_Pairs):
 
     def _pairs(self, n: int) -> dict[Pair, None]:
         lines = self._program.lines
-        own = sorted(
-            item for item in lines[n].parts if lines[item[0]].level <= self._level
-        )  # fmt: skip
+        own = sorted(item for item in lines[n].parts if lines[item[0]].level <= self._level)
         return dict.fromkeys(combinations(own, 2)) if len(own) <= LONGEST else {}
 
     def _line(self, pair: Pair) -> int:

@@ -31,8 +31,12 @@ class Signs:
 
     def __init__(self, graph: Graph, known: Mapping[int, str]) -> None:
         self._graph = graph
-        words = {"positive": (1, True), "nonnegative": (1, False), "negative": (-1, True),
-                 "nonpositive": (-1, False)}  # fmt: skip
+        words = {
+            "positive": (1, True),
+            "nonnegative": (1, False),
+            "negative": (-1, True),
+            "nonpositive": (-1, False),
+        }
         self._done: dict[int, tuple[int, bool]] = {n: words[word] for n, word in known.items()}
 
     def __call__(self, value: Value) -> tuple[int, bool]:

@@ -115,9 +115,13 @@ def serial_arm(
     q = coordinates(joints or f"q1:{count + 1}") if count else ()
     kinetic, potential, positions = arm_energies(name, links, q, gravity, modified=modified)
     return MechanicalSystem(
-        name, coordinates=q, kinetic=kinetic, potential=potential, parameters=parameters or {},
+        name,
+        coordinates=q,
+        kinetic=kinetic,
+        potential=potential,
+        parameters=parameters or {},
         positions=positions,
-    )  # fmt: skip
+    )
 
 
 def arm_energies(
@@ -199,8 +203,11 @@ def _spin(name: str, link: Link, omega: Vector) -> sp.Expr:
     """Return omega.I.omega."""
     inertia = _entries(name, "inertia", link.inertia)
     if len(inertia) not in (3, 6):
-        raise fail(name, f"a link's inertia has {len(inertia)} entries.",
-                   "Give xx, yy, zz, or xx, yy, zz, xy, yz, xz.")  # fmt: skip
+        raise fail(
+            name,
+            f"a link's inertia has {len(inertia)} entries.",
+            "Give xx, yy, zz, or xx, yy, zz, xy, yz, xz.",
+        )
     xx, yy, zz, xy, yz, xz = (*inertia, 0, 0, 0)[:6]
     x, y, z = omega
     squares = xx * x**2 + yy * y**2 + zz * z**2
@@ -226,8 +233,9 @@ def _entries(name: str, what: str, given: Any) -> tuple[Any, ...]:
         for entry in entries:
             sp.sympify(entry, strict=True)
     except (TypeError, sp.SympifyError):
-        raise fail(name, f"a link's {what} is {spell(given)!r}.",
-                   "Give numbers or expressions of SymPy.") from None  # fmt: skip
+        raise fail(
+            name, f"a link's {what} is {spell(given)!r}.", "Give numbers or expressions of SymPy."
+        ) from None
     return entries
 
 

@@ -66,14 +66,7 @@ class RigidBody:
     (3, [0.878, 0.479, 0.0, 0.0], [0.0, 0.0, -0.959, 1.755])
     """
 
-    def __init__(
-        self,
-        name: str,
-        inertia: Any,
-        mass: Any = None,
-        *,
-        fourth: Any = None,
-    ) -> None:
+    def __init__(self, name: str, inertia: Any, mass: Any = None, *, fourth: Any = None) -> None:
         self.name, self.mass = name, mass if mass is None else sp.sympify(mass)
         self.quaternion = quaternion(f"{name}_q")
         place = " ".join(f"{name}_{axis}" for axis in "xyz")
@@ -231,11 +224,13 @@ def _from_matrix(R: Vector) -> Vector:
         raise InputError(
             "rotation is no matrix of a rotation: its rows are not orthonormal, or it mirrors."
         )
-    K = np.array([
-        [R.trace(), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-        [0, R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-        [0, 0, R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
-        [0, 0, 0, R[2, 2] - R[0, 0] - R[1, 1]],
-    ])  # fmt: skip
+    K = np.array(
+        [
+            [R.trace(), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [0, R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+            [0, 0, R[1, 1] - R[0, 0] - R[2, 2], R[1, 2] + R[2, 1]],
+            [0, 0, 0, R[2, 2] - R[0, 0] - R[1, 1]],
+        ]
+    )
     found: Vector = np.linalg.eigh(K, UPLO="U")[1][:, -1]
     return found if found[0] >= 0 else -found

@@ -18,14 +18,7 @@ from sympy.core.function import AppliedUndef
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import time
 
-__all__ = [
-    "check_names",
-    "fail",
-    "read_coordinates",
-    "read_name",
-    "read_parameters",
-    "spell",
-]
+__all__ = ["check_names", "fail", "read_coordinates", "read_name", "read_parameters", "spell"]
 
 
 def spell(expression: object, width: int = 60) -> str:

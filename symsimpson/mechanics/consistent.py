@@ -70,9 +70,13 @@ def consistent(
 
 
 def _followed(
-    at: Callable[[Reals], tuple[Reals, Reals, Reals]], start: Reals, free: Sequence[int],
-    metric: Reals, *, nearest: bool,
-) -> tuple[Reals, float]:  # fmt: skip
+    at: Callable[[Reals], tuple[Reals, Reals, Reals]],
+    start: Reals,
+    free: Sequence[int],
+    metric: Reals,
+    *,
+    nearest: bool,
+) -> tuple[Reals, float]:
     """Return positions that satisfy the constraints, and how far off they are."""
     q, goal, best, stalled = start.copy(), start[free], np.inf, 0
     for _ in range(MOST):

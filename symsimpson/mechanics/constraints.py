@@ -22,9 +22,14 @@ from symsimpson.mechanics.plain import Plain, Symbols
 from symsimpson.mechanics.quadratic import SAMPLES, conditioned, rank, samples
 
 __all__ = [
-    "accelerations", "check_held_mass", "check_independent", "names_of", "read_constraints",
-    "regular_mass", "slopes",
-]  # fmt: skip
+    "accelerations",
+    "check_held_mass",
+    "check_independent",
+    "names_of",
+    "read_constraints",
+    "regular_mass",
+    "slopes",
+]
 
 Read = Callable[[str, Any], Value]
 
@@ -104,9 +109,12 @@ def read_constraints(
 
 
 def accelerations(
-    graph: Graph, L: Value, phi: Sequence[Value], f: Sequence[Value],
+    graph: Graph,
+    L: Value,
+    phi: Sequence[Value],
+    f: Sequence[Value],
     places: tuple[Sequence[int], Sequence[int], int],
-) -> tuple[list[list[Value]], list[Value], list[Value]]:  # fmt: skip
+) -> tuple[list[list[Value]], list[Value], list[Value]]:
     """Return what determines accelerations and multipliers: M v' + Phi^T lambda = push.
 
     Parameters

@@ -57,8 +57,9 @@ def damping_rates(plain: Plain) -> tuple[Value, ...] | None:
         return None
     left = [
         graph.add([slopes[i][j], graph.multiply([rates[i], plain.entry(i, j)])])
-        for i in range(n) for j in range(n)
-    ]  # fmt: skip
+        for i in range(n)
+        for j in range(n)
+    ]
     findings = Findings(graph, left)
     if not all(map(findings.vanishes, left)):
         return None

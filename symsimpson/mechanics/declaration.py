@@ -48,10 +48,12 @@ def energies(
     if entries > LARGE:
         return lagrangian - linear + potential, linear, potential
     velocities = [symbols.back[x] for x in symbols.v]
-    kinetic = sp.Add(*(
-        restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
-        for (i, j), value in parts.M.items()
-    ))  # fmt: skip
+    kinetic = sp.Add(
+        *(
+            restored(value) * velocities[i] * velocities[j] / (2 if i == j else 1)
+            for (i, j), value in parts.M.items()
+        )
+    )
     return kinetic, linear, potential
 
 
@@ -108,30 +110,40 @@ def read_energies(
     def read_force(what: str, expression: Any) -> Value:
         return read(what, expression, s.v, (s.t,), s.u)
 
-    forces = read_forces(
-        name, coordinates, given.forces, given.dissipation, s, read_force
-    )  # fmt: skip
+    forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_force)
     check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, s, read)
     watch = s.known | {
-        user: s.graph.symbol(own.name)
-        for user, own in zip(momenta(*coordinates), s.p, strict=True)
-    }  # fmt: skip
+        user: s.graph.symbol(own.name) for user, own in zip(momenta(*coordinates), s.p, strict=True)
+    }
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
     for key, quantity in (given.invariants or {}).items():
         if not isinstance(key, str):
-            raise ModelError(f"system '{name}': the invariant's name {key!r} is not a string.\n"
-                             "Write invariants={'angular momentum': ...}.")  # fmt: skip
+            raise ModelError(
+                f"system '{name}': the invariant's name {key!r} is not a string.\n"
+                "Write invariants={'angular momentum': ...}."
+            )
         values[key] = read_expression(
             name, f"invariant {key!r}", quantity, s, watch, (*s.q, *s.v, *s.p, *s.a, s.t)
         )
         invariants[key] = sp.sympify(quantity)
     plain = Plain(
-        graph=s.graph, q=s.q, v=s.v, p=s.p, parameters=s.a, T=kinetic, M=dict(parts.M),
-        a=gyroscopic.a, V=potential, invariants=MappingProxyType(values), t=s.t, forces=forces,
-        u=s.u, constraints=constraints,
-    )  # fmt: skip
+        graph=s.graph,
+        q=s.q,
+        v=s.v,
+        p=s.p,
+        parameters=s.a,
+        T=kinetic,
+        M=dict(parts.M),
+        a=gyroscopic.a,
+        V=potential,
+        invariants=MappingProxyType(values),
+        t=s.t,
+        forces=forces,
+        u=s.u,
+        constraints=constraints,
+    )
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
     held = [f"lambda_{key}" for key in constraints]
@@ -170,9 +182,10 @@ def _read_positions(
             components = (corner,) if single else tuple(corner)
             if not 1 <= len(components) <= 3:
                 raise fail(
-                    name, f"position {key!r} has {len(components)} components.",
+                    name,
+                    f"position {key!r} has {len(components)} components.",
                     "A point has one to three Cartesian components.",
-                )  # fmt: skip
+                )
             for component in components:
                 read(f"position {key!r}", component, (symbols.t,))
             found.append(tuple(sp.sympify(c) for c in components))

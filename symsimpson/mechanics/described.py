@@ -74,10 +74,14 @@ class Described:
         return equations(cast("MechanicalSystem", self))
 
     def linearise(
-        self, q0: ArrayLike, v0: ArrayLike | None = None, *,
-        parameters: Mapping[Any, float] | None = None, inputs: Mapping[Any, float] | None = None,
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        parameters: Mapping[Any, float] | None = None,
+        inputs: Mapping[Any, float] | None = None,
         t: float = 0.0,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the linear equations of motion about a state, x' = A x + B u.
 
         Parameters

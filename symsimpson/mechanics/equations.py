@@ -51,17 +51,22 @@ def terms(
     held = sum((multiplier * phi for multiplier, phi in phis), sp.S.Zero)
     return [
         (
-            sp.diff(lagrangian, q.diff(time)), sp.diff(lagrangian, q),
+            sp.diff(lagrangian, q.diff(time)),
+            sp.diff(lagrangian, q),
             system.plain.written(own).xreplace(back) - sp.diff(held, q),
         )
         for q, own in zip(system.coordinates, system.plain.f, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def linearised(
-    system: MechanicalSystem, q0: ArrayLike, v0: ArrayLike | None,
-    parameters: Mapping[Any, float] | None, inputs: Mapping[Any, float] | None, t: float,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    system: MechanicalSystem,
+    q0: ArrayLike,
+    v0: ArrayLike | None,
+    parameters: Mapping[Any, float] | None,
+    inputs: Mapping[Any, float] | None,
+    t: float,
+) -> tuple[Floats, Floats]:
     """Return A and B of x' = A x + B u for small changes x of (q, v) and u of inputs."""
     _check(system, "linear equations")
     if system.constraints:

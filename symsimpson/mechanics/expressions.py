@@ -26,16 +26,40 @@ __all__ = ["read_expression"]
 
 #: Functions with closed-form first and second derivatives, smooth on their domain.
 SMOOTH = (
-    sp.sin, sp.cos, sp.tan, sp.cot, sp.sec, sp.csc, sp.asin, sp.acos, sp.atan, sp.atan2,
-    sp.sinh, sp.cosh, sp.tanh, sp.asinh, sp.acosh, sp.atanh, sp.exp, sp.log, sp.erf, sp.erfc,
-)  # fmt: skip
+    sp.sin,
+    sp.cos,
+    sp.tan,
+    sp.cot,
+    sp.sec,
+    sp.csc,
+    sp.asin,
+    sp.acos,
+    sp.atan,
+    sp.atan2,
+    sp.sinh,
+    sp.cosh,
+    sp.tanh,
+    sp.asinh,
+    sp.acosh,
+    sp.atanh,
+    sp.exp,
+    sp.log,
+    sp.erf,
+    sp.erfc,
+)
 #: Functions with corners or jumps.
 ROUGH = (sp.Abs, sp.sign, sp.floor, sp.ceiling, sp.Heaviside, sp.DiracDelta, sp.frac, sp.Mod)
 #: What is defined by cases.
 CASES = (sp.Piecewise, sp.Max, sp.Min, Relational, BooleanFunction)
 UNEVALUATED = (
-    sp.Derivative, sp.Integral, sp.Sum, sp.Product, sp.Limit, sp.Subs, sp.UnevaluatedExpr,
-)  # fmt: skip
+    sp.Derivative,
+    sp.Integral,
+    sp.Sum,
+    sp.Product,
+    sp.Limit,
+    sp.Subs,
+    sp.UnevaluatedExpr,
+)
 #: What expressions are made of, besides functions.
 PLAIN = (sp.Symbol, sp.Number, sp.NumberSymbol, sp.Add, sp.Mul, sp.Pow)
 NOT_FINITE = (sp.zoo, sp.nan, sp.oo, -sp.oo)
@@ -104,9 +128,13 @@ def _check_real(system: str, what: str, reader: Reader, value: Value, symbols: S
 
 
 def _check_place(
-    system: str, what: str, value: Value, known: Mapping[sp.Basic, Value], allowed: set[int],
+    system: str,
+    what: str,
+    value: Value,
+    known: Mapping[sp.Basic, Value],
+    allowed: set[int],
     symbols: Symbols,
-) -> None:  # fmt: skip
+) -> None:
     """Refuse symbols that were declared, but not for this place."""
     wrong = symbols.graph.nodes[value[1]].symbols - allowed
     for one, (_, n) in known.items():
@@ -259,9 +287,10 @@ def _not_real(node: sp.Basic, number: sp.Expr | None) -> bool:
         return True
     return bool(
         isinstance(node, sp.Pow)
-        and node.base.is_number and node.base.is_negative
+        and node.base.is_number
+        and node.base.is_negative
         and not node.exp.is_integer
-    )  # fmt: skip
+    )
 
 
 def _number(node: sp.Basic) -> sp.Expr | None:

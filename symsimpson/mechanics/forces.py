@@ -128,10 +128,7 @@ def read_inputs(
 
 
 def check_used(
-    name: str,
-    inputs: Sequence[sp.Expr],
-    symbols: Symbols,
-    forces: Mapping[str, tuple[Value, ...]],
+    name: str, inputs: Sequence[sp.Expr], symbols: Symbols, forces: Mapping[str, tuple[Value, ...]]
 ) -> None:
     """Refuse an input that stands in no force.
 

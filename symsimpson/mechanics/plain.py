@@ -251,6 +251,7 @@ def _signs(graph: Graph, parameters: Iterable[sp.Symbol]) -> Signs:
     known = {
         graph.symbol(a.name)[1]: sign
         for a in parameters
-        for sign in reversed(SIGNS) if getattr(a, f"is_{sign}")
-    }  # fmt: skip
+        for sign in reversed(SIGNS)
+        if getattr(a, f"is_{sign}")
+    }
     return Signs(graph, known)

@@ -24,9 +24,16 @@ from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 
 __all__ = [
-    "Polynomial", "check_degenerate", "check_mass_matrix", "conditioned", "connected",
-    "polynomial", "quadratic_form", "rank", "samples",
-]  # fmt: skip
+    "Polynomial",
+    "check_degenerate",
+    "check_mass_matrix",
+    "conditioned",
+    "connected",
+    "polynomial",
+    "quadratic_form",
+    "rank",
+    "samples",
+]
 
 #: Second derivatives with more nodes than this are not simplified, and not shown.
 TOO_LONG = 400
@@ -43,9 +50,7 @@ class Polynomial:
     rest: Value
 
 
-def quadratic_form(
-    graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]
-) -> Value:  # fmt: skip
+def quadratic_form(graph: Graph, M: Mapping[tuple[int, int], Value], v: Sequence[int]) -> Value:
     """Write v.M.v/2, of the entries of M on and below its diagonal."""
     half = Fraction(1, 2)
     return graph.add(
@@ -154,9 +159,7 @@ def check_degenerate(system: str, found: Polynomial, symbols: Symbols) -> None:
             )
 
 
-def check_mass_matrix(
-    system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols
-) -> None:  # fmt: skip
+def check_mass_matrix(system: str, M: Mapping[tuple[int, int], Value], symbols: Symbols) -> None:
     """Refuse a mass matrix that is singular for all q, or negative for some velocity.
 
     Raises
@@ -255,9 +258,7 @@ def conditioned(matrix: Any) -> bool:
     return bool(np.isfinite(matrix).all() and np.linalg.cond(matrix) < 1e8)
 
 
-def _regular(
-    M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]
-) -> bool:  # fmt: skip
+def _regular(M: Mapping[tuple[int, int], Value], symbols: Symbols, block: Sequence[int]) -> bool:
     """Return whether the determinant of a block of M is not zero in a field."""
     matrix = [[M.get((max(i, j), min(i, j)), ZERO) for j in block] for i in block]
     return rank(symbols.graph, matrix) == len(block)

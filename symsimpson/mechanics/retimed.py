@@ -30,9 +30,7 @@ first_rate = sp.Symbol("g_start", positive=True)
 rest = sp.Symbol("c_rest", positive=True)
 OWN = (energy, first_rate)
 #: Functions that are finite for all real numbers.
-FINITE = (
-    sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc,
-)  # fmt: skip
+FINITE = (sp.sin, sp.cos, sp.sinh, sp.cosh, sp.tanh, sp.exp, sp.atan, sp.asinh, sp.erf, sp.erfc)
 
 
 @dataclass(frozen=True)
@@ -170,9 +168,10 @@ def _check(system: MechanicalSystem) -> None:
     why = not_retimed(system)
     if why:
         raise fail(
-            system.name, f"it cannot be retimed: {why}.",
+            system.name,
+            f"it cannot be retimed: {why}.",
             "Integrate it with a fixed step in t, small enough for what is fastest.",
-        )  # fmt: skip
+        )
 
 
 def not_retimed(system: MechanicalSystem) -> str:
@@ -195,9 +194,10 @@ def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
     value = read_expression(name, "rate dt/dtau", rate, own, own.known, (*own.q, *own.a))
     if not value[0] or own.signs(value)[0] < 0:
         raise fail(
-            name, f"the rate dt/dtau is {spell(rate)}, which is nowhere positive.",
+            name,
+            f"the rate dt/dtau is {spell(rate)}, which is nowhere positive.",
             "Time must go on: give a positive g, as r**(3/2) for bodies that attract each other.",
-        )  # fmt: skip
+        )
     return value
 
 
@@ -214,9 +214,10 @@ def _named(
         of_level = 1 / sp.sqrt(rest + energy - level)
         return of_level.subs(level, V), of_level, {rest: 1.0}
     raise fail(
-        system.name, f"there is no rate named {rate!r}.",
+        system.name,
+        f"there is no rate named {rate!r}.",
         'Give an expression of positions, or "encounters" or "kinetic".',
-    )  # fmt: skip
+    )
 
 
 def attracts(system: MechanicalSystem) -> bool:

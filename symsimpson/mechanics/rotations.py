@@ -78,11 +78,13 @@ def rotation_matrix(q: Sequence[Any]) -> sp.ImmutableDenseMatrix:
     [0, 0, 1]])
     """
     a, b, c, d = _four(q)
-    return sp.ImmutableDenseMatrix([
-        [a**2 + b**2 - c**2 - d**2, 2 * (b * c - a * d), 2 * (a * c + b * d)],
-        [2 * (b * c + a * d), a**2 - b**2 + c**2 - d**2, 2 * (c * d - a * b)],
-        [2 * (b * d - a * c), 2 * (a * b + c * d), a**2 - b**2 - c**2 + d**2],
-    ])  # fmt: skip
+    return sp.ImmutableDenseMatrix(
+        [
+            [a**2 + b**2 - c**2 - d**2, 2 * (b * c - a * d), 2 * (a * c + b * d)],
+            [2 * (b * c + a * d), a**2 - b**2 + c**2 - d**2, 2 * (c * d - a * b)],
+            [2 * (b * d - a * c), 2 * (a * b + c * d), a**2 - b**2 - c**2 + d**2],
+        ]
+    )
 
 
 def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.ImmutableDenseMatrix:
@@ -113,11 +115,13 @@ def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.Immut
     """
     a, b, c, d = _four(q)
     u, x, y, z = _four([s.diff() for s in q] if rates is None else rates)
-    return sp.ImmutableDenseMatrix([
-        2 * (a * x - b * u - c * z + d * y),
-        2 * (a * y + b * z - c * u - d * x),
-        2 * (a * z - b * y + c * x - d * u),
-    ])  # fmt: skip
+    return sp.ImmutableDenseMatrix(
+        [
+            2 * (a * x - b * u - c * z + d * y),
+            2 * (a * y + b * z - c * u - d * x),
+            2 * (a * z - b * y + c * x - d * u),
+        ]
+    )
 
 
 def coincide(first: Any, second: Any) -> list[sp.Expr]:

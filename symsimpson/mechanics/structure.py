@@ -226,7 +226,7 @@ class _Look:
         groups = [
             [place[x] for x in nodes[n].symbols & place.keys()]
             for _, n in self._plain.constraints.values()
-        ]  # fmt: skip
+        ]
         return {(i, k) for group in groups for i in group for k in group if i != k}
 
     def moves(self, value: Value) -> int:
@@ -355,9 +355,7 @@ def kinetic(plain: Plain) -> Value:
 def _angle(plain: Plain, x: int) -> bool:
     """Return whether x stands somewhere, and in sines and cosines alone, by whole multiples."""
     graph = plain.graph
-    work = [
-        n for c, n in (*plain.energies, *plain.f) if c and x in graph.nodes[n].symbols
-    ]  # fmt: skip
+    work = [n for c, n in (*plain.energies, *plain.f) if c and x in graph.nodes[n].symbols]
     seen = set(work)
     while work:
         n = work.pop()

@@ -209,9 +209,7 @@ class MechanicalSystem(Described):
         symbols = Symbols(functions, values, given)
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
         with waiting(f"reading {name}"):
-            value = read_expression(
-                name, "Lagrangian", lagrangian, symbols, symbols.known, allowed
-            )  # fmt: skip
+            value = read_expression(name, "Lagrangian", lagrangian, symbols, symbols.known, allowed)
             parts = polynomial(name, "Lagrangian", value, symbols)
             kinetic, gyroscopic, potential = energies(sp.sympify(lagrangian), parts, symbols)
         return cls(
@@ -274,10 +272,18 @@ class MechanicalSystem(Described):
         if loads:
             forces = {**(forces or {}), "forcelist": loads}
         return cls.from_lagrangian(
-            name, lagrangian, coordinates, parameters, positions=positions,
-            invariants=invariants, forces=forces, dissipation=dissipation, inputs=inputs,
-            constraints={**names_of(name, constraints), **names_of(name, held)}, units=units,
-        )  # fmt: skip
+            name,
+            lagrangian,
+            coordinates,
+            parameters,
+            positions=positions,
+            invariants=invariants,
+            forces=forces,
+            dissipation=dissipation,
+            inputs=inputs,
+            constraints={**names_of(name, constraints), **names_of(name, held)},
+            units=units,
+        )
 
     @property
     def n(self) -> int:

@@ -22,20 +22,32 @@ def rows(found: Structure) -> list[Row]:
     names = [user.func.__name__ for user in found.system.coordinates]
 
     mass = ", ".join(
-        word for word, holds in (("constant", found.constant_mass),
-                                 ("diagonal", found.diagonal_mass)) if holds
-    )  # fmt: skip
+        word
+        for word, holds in (("constant", found.constant_mass), ("diagonal", found.diagonal_mass))
+        if holds
+    )
     rows_of = _some(found.constant_rows)
     some_rows = bool(rows_of) and not found.constant_mass
     table: list[Row] = [("coordinates", _some(names), "", "")]
     if found.constant_mass:
-        table.append(("mass matrix", mass, "no entry of M contains a coordinate",
-                      "dM/dq and forces that depend on v"))  # fmt: skip
+        table.append(
+            (
+                "mass matrix",
+                mass,
+                "no entry of M contains a coordinate",
+                "dM/dq and forces that depend on v",
+            )
+        )
     else:
         here = ", ".join(word for word in (mass, "depends on q") if word)
-        table.append(("mass matrix", here + (f", but for {rows_of}" if some_rows else ""),
-                      "these rows of M contain no coordinate" if some_rows else "",
-                      "their part of dM/dq" if some_rows else ""))  # fmt: skip
+        table.append(
+            (
+                "mass matrix",
+                here + (f", but for {rows_of}" if some_rows else ""),
+                "these rows of M contain no coordinate" if some_rows else "",
+                "their part of dM/dq" if some_rows else "",
+            )
+        )
     if found.gyroscopic:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
     if found.forced:
@@ -50,17 +62,29 @@ def rows(found: Structure) -> list[Row]:
             )
         )
     if found.damping is not None:
-        table.append(("damping", "f = -2 gamma p", "all forces are in proportion to the momenta",
-                      "the forces: weights of the nodes grow by exp(2 gamma c_i h)"))  # fmt: skip
+        table.append(
+            (
+                "damping",
+                "f = -2 gamma p",
+                "all forces are in proportion to the momenta",
+                "the forces: weights of the nodes grow by exp(2 gamma c_i h)",
+            )
+        )
     if not found.autonomous:
         table.append(("time", "yes", "t stands in L or in a force", ""))
     if found.separable:
         energies = "L = T(v) - V(q)" if found.autonomous else "L = T(v) - V(t, q)"
         why = "M is constant and L has no terms a(q).v"
-        table.append(("separable", energies,
-                      f"{why}, nor forces with v" if found.forced else why,
-                      "" if found.system.constraints  # which hold it, too
-                      else "the end of the path from Newton's unknowns"))  # fmt: skip
+        table.append(
+            (
+                "separable",
+                energies,
+                f"{why}, nor forces with v" if found.forced else why,
+                ""
+                if found.system.constraints  # which hold it, too
+                else "the end of the path from Newton's unknowns",
+            )
+        )
     if found.linear:
         table.append(
             (
@@ -72,9 +96,14 @@ def rows(found: Structure) -> list[Row]:
         )
     affine = [names[i] for s in found.subsystems if s.affine for i in s.coordinates]
     if affine:
-        table.append(("affine", _some(affine),
-                      "equations are linear in q and v, with constant coefficients",
-                      "Newton's method: a step is solved with factors of the run"))  # fmt: skip
+        table.append(
+            (
+                "affine",
+                _some(affine),
+                "equations are linear in q and v, with constant coefficients",
+                "Newton's method: a step is solved with factors of the run",
+            )
+        )
     if found.cyclic:
         table.append(
             (
@@ -88,15 +117,27 @@ def rows(found: Structure) -> list[Row]:
         )
     if len(found.subsystems) > 1:
         groups = (", ".join(names[i] for i in s.coordinates) for s in found.subsystems)
-        table.append(("subsystems", _some([f"({g})" for g in groups]),
-                      "no term of L joins them" + (", and no force" if found.forced else ""),
-                      "their coupling: one small solve each"))  # fmt: skip
+        table.append(
+            (
+                "subsystems",
+                _some([f"({g})" for g in groups]),
+                "no term of L joins them" + (", and no force" if found.forced else ""),
+                "their coupling: one small solve each",
+            )
+        )
     if found.periodic:
-        table.append(("angles", _some(found.periodic),
-                      "only in sines and cosines of whole multiples", ""))  # fmt: skip
+        table.append(
+            ("angles", _some(found.periodic), "only in sines and cosines of whole multiples", "")
+        )
     zeros = ", ".join(f"{name} {zero} of {all_}" for name, (zero, all_) in found.zeros.items())
-    table.append(("zeros", zeros, "these derivatives vanish identically",
-                  "their terms, and fill in elimination"))  # fmt: skip
+    table.append(
+        (
+            "zeros",
+            zeros,
+            "these derivatives vanish identically",
+            "their terms, and fill in elimination",
+        )
+    )
     for question in found.undecided:
         table.append(("undecided", question, "zero at every sample, not proved", "nothing"))
     for question in found.nearly:
@@ -115,9 +156,11 @@ def as_text(found: Structure) -> str:
         if because:
             removed = f"; removes {removes}" if removes else ""
             lines += textwrap.wrap(
-                f"because {because}{removed}", 78, initial_indent=" " * width,
+                f"because {because}{removed}",
+                78,
+                initial_indent=" " * width,
                 subsequent_indent=" " * width,
-            )  # fmt: skip
+            )
     return "\n".join(lines)
 
 

@@ -28,9 +28,24 @@ __all__ = [
 
 #: Functions of one number that modules may call, in every arithmetic.
 MATH = (
-    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
-    "exp", "log", "sqrt", "erf", "erfc",
-)  # fmt: skip
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "exp",
+    "log",
+    "sqrt",
+    "erf",
+    "erfc",
+)
 #: What a kernel calls to tell whether an iteration is done.
 _CHECKS = (
     "check_convergence",

@@ -39,9 +39,12 @@ class Animation:
     """
 
     def __init__(
-        self, page: Callable[[], str], write: Callable[..., None], frames: int,
+        self,
+        page: Callable[[], str],
+        write: Callable[..., None],
+        frames: int,
         size: tuple[int, int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._make, self._write, self.frames, self._size = page, write, frames, size
 
     @cached_property

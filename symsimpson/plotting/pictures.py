@@ -26,10 +26,16 @@ COLOURS = 48
 DOTS = 72
 #: matplotlib's player takes its icons from elsewhere; these are letters of any font.
 ICONS = {
-    "minus": "&minus;", "fast-backward": "|&laquo;", "step-backward": "|&lsaquo;",
-    "play fa-flip-horizontal": "&#9664;", "pause": "||", "play": "&#9654;",
-    "step-forward": "&rsaquo;|", "fast-forward": "&raquo;|", "plus": "+",
-}  # fmt: skip
+    "minus": "&minus;",
+    "fast-backward": "|&laquo;",
+    "step-backward": "|&lsaquo;",
+    "play fa-flip-horizontal": "&#9664;",
+    "pause": "||",
+    "play": "&#9654;",
+    "step-forward": "&rsaquo;|",
+    "fast-forward": "&raquo;|",
+    "plus": "+",
+}
 
 
 def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
@@ -105,9 +111,11 @@ def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[
         for x in scene.links
     ]
     bodies = [
-        ax.plot(*nothing, color="C0", lw=1.6)[0] if scene.spatial
-        else ax.fill([], [], color="C0", alpha=0.4)[0] for _ in scene.bodies
-    ]  # fmt: skip
+        ax.plot(*nothing, color="C0", lw=1.6)[0]
+        if scene.spatial
+        else ax.fill([], [], color="C0", alpha=0.4)[0]
+        for _ in scene.bodies
+    ]
     (dots,) = ax.plot(*nothing, "o", ms=9, color="C0")
 
     def put(line: Any, points: Any) -> None:

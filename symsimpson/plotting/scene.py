@@ -112,8 +112,15 @@ def scene_of(some: States, stride: int = 1) -> Scene:
     low = np.min([x.min(axis=(0, 1)) for x in drawn if x.size], axis=0)
     high = np.max([x.max(axis=(0, 1)) for x in drawn if x.size], axis=0)
     reach = 0.55 * float((high - low).max()) or 1.0
-    return Scene(tuple(points), joined, tuple(x[::stride] for x in bodies), links, (low + high) / 2,
-                 reach, stride)  # fmt: skip
+    return Scene(
+        tuple(points),
+        joined,
+        tuple(x[::stride] for x in bodies),
+        links,
+        (low + high) / 2,
+        reach,
+        stride,
+    )
 
 
 def _links(points: Floats) -> tuple[Link, ...]:

@@ -25,12 +25,19 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
         bodies = []
         for body in scene.bodies:
             corners = len(body[frame]) - 1
-            triangles = {"i": [0] * (corners - 2), "j": list(range(1, corners - 1)),
-                         "k": list(range(2, corners))}  # fmt: skip
+            triangles = {
+                "i": [0] * (corners - 2),
+                "j": list(range(1, corners - 1)),
+                "k": list(range(2, corners)),
+            }
             bodies.append(go.Mesh3d(**_xyz(body[frame][:-1]), **triangles, color=BODY, opacity=0.5))
             bodies.append(_line(go, body[frame], BODY, 5))
-        dots = go.Scatter3d(**_xyz(scene.points[frame]), mode="markers", hovertext=scene.names,
-                            marker={"size": 4, "color": BODY})  # fmt: skip
+        dots = go.Scatter3d(
+            **_xyz(scene.points[frame]),
+            mode="markers",
+            hovertext=scene.names,
+            marker={"size": 4, "color": BODY},
+        )
         return [_line(go, np.concatenate(links or [gap]), LINE, 6), *trails, *bodies, dots]
 
     ranges = {
@@ -40,10 +47,13 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
     at_once = {"mode": "immediate", "transition": {"duration": 0}}
     frame = {"frame": {"duration": 1000 / fps, "redraw": True}}
     buttons = [
-        {"label": "&#9654;", "method": "animate", "args": [None, at_once | frame
-                                                           | {"fromcurrent": True}]},
+        {
+            "label": "&#9654;",
+            "method": "animate",
+            "args": [None, at_once | frame | {"fromcurrent": True}],
+        },
         {"label": "||", "method": "animate", "args": [[None], at_once | frame]},
-    ]  # fmt: skip
+    ]
     steps = [
         {"label": f"{float(now):.2f}", "method": "animate", "args": [[str(k)], at_once | frame]}
         for k, now in enumerate(t)
@@ -52,15 +62,29 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
         data=parts(0),
         frames=[go.Frame(data=parts(k), name=str(k)) for k in range(len(t))],
         layout={
-            "title": title, "showlegend": False, "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
-            "scene": ranges | {"aspectmode": "cube"}, "width": 600, "height": 660,
-            "updatemenus": [{"type": "buttons", "direction": "left", "buttons": buttons,
-                             "x": 0.0, "y": 0.0, "xanchor": "left", "yanchor": "top",
-                             "pad": {"t": 30}}],
-            "sliders": [{"steps": steps, "x": 0.2, "len": 0.78,
-                         "currentvalue": {"prefix": "t = "}}],
+            "title": title,
+            "showlegend": False,
+            "margin": {"l": 0, "r": 0, "t": 40, "b": 0},
+            "scene": ranges | {"aspectmode": "cube"},
+            "width": 600,
+            "height": 660,
+            "updatemenus": [
+                {
+                    "type": "buttons",
+                    "direction": "left",
+                    "buttons": buttons,
+                    "x": 0.0,
+                    "y": 0.0,
+                    "xanchor": "left",
+                    "yanchor": "top",
+                    "pad": {"t": 30},
+                }
+            ],
+            "sliders": [
+                {"steps": steps, "x": 0.2, "len": 0.78, "currentvalue": {"prefix": "t = "}}
+            ],
         },
-    )  # fmt: skip
+    )
     page = figure.to_html(
         include_plotlyjs=True,
         full_html=True,
@@ -70,8 +94,9 @@ def film_in_space(scene: Scene, t: Any, fps: int, title: str) -> str:
 
 
 def _line(go: Any, points: Any, colour: str, width: float) -> Any:
-    return go.Scatter3d(**_xyz(points), mode="lines", line={"color": colour, "width": width},
-                        hoverinfo="skip")  # fmt: skip
+    return go.Scatter3d(
+        **_xyz(points), mode="lines", line={"color": colour, "width": width}, hoverinfo="skip"
+    )
 
 
 def _xyz(points: Any) -> dict[str, Any]:

@@ -38,13 +38,7 @@ def with_unit(name: Any, units: Mapping[str, str]) -> str:
     return label(name) + (f" [{unit}]" if unit else "")
 
 
-def plot(
-    some: States | Saved,
-    names: Any = None,
-    *,
-    connected: bool = True,
-    ax: Any = None,
-) -> Any:
+def plot(some: States | Saved, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
     single = isinstance(names, str) or hasattr(names, "free_symbols")
     wanted = [names] if single else list(names or some._stepper.coordinates)
@@ -97,9 +91,8 @@ def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any
 
 
 def plot_phase(
-    some: States, x: Any = None, y: Any = None, *, connected: bool = True,
-    ax: Any = None,
-) -> Any:  # fmt: skip
+    some: States, x: Any = None, y: Any = None, *, connected: bool = True, ax: Any = None
+) -> Any:
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     x = some._stepper.coordinates[0] if x is None else x
     y = f"p_{spelled(x)}" if y is None else y

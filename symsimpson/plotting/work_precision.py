@@ -48,8 +48,11 @@ def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
             alpha=1.0 if first else 0.75,
         )
     ax.invert_xaxis()
-    ax.set(xlabel="error of the state at the end", ylabel="run time [s]",
-           title=f"{record.system}, t = {record.t_end:g}")  # fmt: skip
+    ax.set(
+        xlabel="error of the state at the end",
+        ylabel="run time [s]",
+        title=f"{record.system}, t = {record.t_end:g}",
+    )
     ax.grid(which="major", lw=0.4, alpha=0.6)
     ax.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
     return ax

@@ -139,9 +139,13 @@ def reduced_top(p_phi: Any, p_psi: Any, *, inertia: float = 1.0, A: Any = None) 
     bend = (square + turn**2 * sp.cos(theta) - second / moment * turn) * sp.sin(theta)
     values = (p_phi, p_psi, inertia, float(4 * sp.pi**2) if A is None else A)
     return FirstOrder(
-        "reduced_top", (phi, theta, xi), ((turn, precession),), (turn, xi, bend),
-        dict(zip(symbols, values, strict=True)), ("p_phi", "p_psi", "I", "A"),
-    )  # fmt: skip
+        "reduced_top",
+        (phi, theta, xi),
+        ((turn, precession),),
+        (turn, xi, bend),
+        dict(zip(symbols, values, strict=True)),
+        ("p_phi", "p_psi", "I", "A"),
+    )
 
 
 def _system(
@@ -169,9 +173,11 @@ def line_function(
 ) -> Callable[..., Any]:
     """Return a function of numbers for results that are made of definitions."""
     made: Callable[..., Any] = sp.lambdify(
-        list(arguments), list(results), modules,
+        list(arguments),
+        list(results),
+        modules,
         cse=lambda expressions: (list(definitions), expressions),
-    )  # fmt: skip
+    )
     return made
 
 

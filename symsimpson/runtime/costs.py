@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import evaluate
+from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.kernels.observed import read_expression
 from symsimpson.runtime.runs.run import workspace
@@ -146,9 +146,18 @@ def pull_velocities(
     varied, nodes = len(header.varied_by or ()), header.nodes
     out, slopes = given.copy(), numbers.zeros((len(q), max(1, varied * nodes)))
     numbers.driver("pull_velocities")(
-        *map(kernels.address, ("prepare", "start", "start_adjoint")), numbers.read(1.0).item(), W,
-        header.told, t, q, p, header.layout["ADJOINT"], header.layout["COST_SLOPE"], out, slopes,
-    )  # fmt: skip
+        *map(kernels.address, ("prepare", "start", "start_adjoint")),
+        numbers.read(1.0).item(),
+        W,
+        header.told,
+        t,
+        q,
+        p,
+        header.layout["ADJOINT"],
+        header.layout["COST_SLOPE"],
+        out,
+        slopes,
+    )
     return out, slopes[:, : varied * nodes : nodes]
 
 

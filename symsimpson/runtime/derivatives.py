@@ -86,7 +86,7 @@ class Differentiating(Stepping):
         stepper = self if retimed else varied_stepper(self, names)
         spec = read_run(
             stepper, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(stepper, inputs), 2 * n
-        )  # fmt: skip
+        )
         if retimed:
             end = timed_run(self, spec, names, False, "raise", fixed_steps=True)
         else:
@@ -232,9 +232,7 @@ class Differentiating(Stepping):
         """
         self._not_retimed("Lyapunov exponents")
         stepper = varied_stepper(self, ())
-        spec = read_run(
-            stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs
-        )  # fmt: skip
+        spec = read_run(stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
         return find_chaos(stepper, spec, exponents, every, progress)
 
     def _telling(self, reduce: Any, tangents: Any, sensitivities: Any, store: Any) -> Self:

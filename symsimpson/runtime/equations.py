@@ -73,10 +73,19 @@ def evaluate_equations(
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
         numbers.driver("evaluate")(
-            kernels.address("prepare"), 0, kernels.address("equations"), h, run.W, header.told,
-            numbers.read([t]), q[None, :], p[None, :], header.layout["RESIDUAL"],
-            numbers.zeros((1, 0)), read_driving(stepper, inputs, h, 1),
-        )  # fmt: skip
+            kernels.address("prepare"),
+            0,
+            kernels.address("equations"),
+            h,
+            run.W,
+            header.told,
+            numbers.read([t]),
+            q[None, :],
+            p[None, :],
+            header.layout["RESIDUAL"],
+            numbers.zeros((1, 0)),
+            read_driving(stepper, inputs, h, 1),
+        )
         found = equations_of(header, run) if mu is None else held_equations_of(header, run, h)
         residual, jacobian = map(numbers.result, found)
     return residual.ravel(), jacobian.reshape(residual.size, residual.size)

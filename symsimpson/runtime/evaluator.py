@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -11,19 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.equations import evaluate_equations
-from symsimpson.runtime.inputs import read_array, read_parameters
-from symsimpson.runtime.kernels.header import Header, read_header
+from symsimpson.runtime.evaluating import evaluate_energy
+from symsimpson.runtime.inputs import read_parameters
+from symsimpson.runtime.kernels.header import read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
-from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.loaded import Loaded, Tools
 from symsimpson.runtime.names import Names
-from symsimpson.runtime.runs.driving import NO_INPUTS
-from symsimpson.runtime.runs.run import workspace
 from symsimpson.support.calling import explaining
 from symsimpson.support.derivation import Derivation
 from symsimpson.support.names import spelled
 
-__all__ = ["Evaluator", "evaluate", "evaluate_members", "watching"]
+__all__ = ["Evaluator"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
@@ -95,11 +93,14 @@ class Evaluator:
     def __reduce__(self) -> tuple[Any, ...]:
         state = self.reference_state
         given = {
-            "defaults": self._given and dict(self._given), "declared": self._module.declared,
-            "reference_state": state and dict(state), "numbers": self._module.numbers,
-            "tools": self._module.tools, "differentiate": self._differentiate,
+            "defaults": self._given and dict(self._given),
+            "declared": self._module.declared,
+            "reference_state": state and dict(state),
+            "numbers": self._module.numbers,
+            "tools": self._module.tools,
+            "differentiate": self._differentiate,
             "names": self._names,
-        }  # fmt: skip
+        }
         return partial(type(self), self.source, self._where, **given), ()
 
     def __repr__(self) -> str:
@@ -147,9 +148,7 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(
-            self, q0, p0, nodes, h, parameters, t, inputs, multipliers
-        )[0]  # fmt: skip
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs, multipliers)[0]
 
     def jacobian(
         self,
@@ -174,9 +173,7 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(
-            self, q0, p0, nodes, h, parameters, t, inputs, multipliers
-        )[1]  # fmt: skip
+        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs, multipliers)[1]
 
     def energy(
         self,
@@ -237,134 +234,8 @@ class Evaluator:
         header = self._module.header
         self._check_given(given)
         values = read_parameters(
-            self._names.parameters,
-            header.signs,
-            self._defaults,
-            given,
-            self._module.numbers,
+            self._names.parameters, header.signs, self._defaults, given, self._module.numbers
         )
         if self._names.idle:
             self._names.warn_of_idle(self.system, np.flatnonzero(values != self._defaults))
         return values
-
-
-def evaluate(
-    stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    values: Reals, inputs: Reals = NO_INPUTS, before: str = "",
-) -> Reals:  # fmt: skip
-    """Evaluate a kernel of the state at many states; shape (len(q), count).
-
-    ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
-    come ``before`` it.
-    """
-    header, numbers = stepper._module.header, stepper._module.numbers
-    with numbers.working():
-        W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs, before=before)
-
-
-def velocities_by(header: Header) -> str:
-    """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
-    return "energy" if header.retimed else "start"
-
-
-def evaluate_members(
-    stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    values: Reals,
-) -> Reals:  # fmt: skip
-    """Evaluate a kernel of the state at states of many members, each with its own parameters.
-
-    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between;
-    gives shape (K, ..., count).
-    """
-    found = np.empty((*q.shape[:-1], count))
-    own, group = np.unique(values, axis=0, return_inverse=True)
-    for k, parameters in enumerate(own):
-        here = np.flatnonzero(group.ravel() == k)
-        some_q, some_p = (x[here].reshape(-1, stepper.n) for x in (q, p))
-        times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
-        rows = evaluate(stepper, kernel, block, count, times, some_q, some_p, parameters)
-        found[here] = rows.reshape(found[here].shape)
-    return found
-
-
-def evaluate_in(
-    W: Reals, stepper: Evaluator, kernel: str, block: str, count: int, t: Reals, q: Reals, p: Reals,
-    inputs: Reals = NO_INPUTS, *, before: str = "",
-) -> Reals:  # fmt: skip
-    """Evaluate a kernel of the state in a workspace that holds parameters.
-
-    Fast sines have no value for huge angles: there the library's are taken.
-    """
-    numbers, kernels = stepper._module.numbers, stepper._module.kernels
-    place = stepper._module.header.layout[block], count
-
-    def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
-        address = kernels.address(kernel, any_angle=any_angle)
-        first = kernels.address(before, any_angle=any_angle) if before else 0
-        return _evaluated(stepper, W, (first, address), place, t, q, p, inputs)
-
-    found = values(t, q, p, inputs, any_angle=False)
-    if stepper._module.header.fast_sines and not numbers.all_finite(found):
-        again = ~numbers.finite(found).all(axis=1)
-        again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
-        if again.any():
-            own = inputs if inputs.shape[1] == 1 else inputs[:, again]
-            found[again] = values(t[again], q[again], p[again], own, any_angle=True)
-    return found
-
-
-def watching(
-    stepper: Evaluator, found: Sequence[Observed], values: Reals
-) -> Callable[[Reals, Reals, Reals], Reals]:
-    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
-
-    Raises
-    ------
-    InputError
-        If the stepper has many digits.
-    """
-    header, numbers = stepper._module.header, stepper._module.numbers
-    kernels = stepper._module.kernels
-    kernel = kernels.observing(observing_kernel(header, found), len(found))
-    energy = kernels.address("energy") if any(one.energetic for one in found) else 0
-    W = workspace(header, numbers, numbers.read(values), more=len(found))
-    return lambda t, q, p: _evaluated(
-        stepper, W, (energy, kernel), (header.rows, len(found)), t, q, p
-    )  # fmt: skip
-
-
-def _evaluated(
-    stepper: Evaluator, W: Reals, kernels: tuple[Any, Any], block: tuple[int, int], t: Reals,
-    q: Reals, p: Reals, inputs: Reals = NO_INPUTS,
-) -> Reals:  # fmt: skip
-    """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
-    numbers, (first, count) = stepper._module.numbers, block
-    out = numbers.zeros((len(q), count))
-    numbers.driver("evaluate")(
-        stepper._module.kernels.address("prepare"), *kernels, numbers.read(1.0).item(), W,
-        stepper._module.header.told, numbers.read(t), numbers.read(q), numbers.read(p), first, out,
-        inputs,
-    )  # fmt: skip
-    return numbers.result(out)
-
-
-def evaluate_energy(
-    stepper: Evaluator, given_q: ArrayLike, given_p: ArrayLike,
-    parameters: Mapping[Any, Any] | None, t: ArrayLike,
-) -> Reals:  # fmt: skip
-    """Evaluate the Hamiltonian at states of any origin."""
-    numbers, n = stepper._module.numbers, stepper.n
-    with numbers.working():
-        states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
-        for name, state in zip("qp", states, strict=True):
-            if state.ndim != 2 or state.shape != (len(states[0]), n):
-                raise InputError(
-                    f"{name} has shape {state.shape}, expected (N, {n}).\n"
-                    "Pass one row for each state; q and p of equal length."
-                )
-        values = stepper._values(parameters)
-        times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
-    q, p = states
-    found: Reals = evaluate(stepper, "energy", "ENERGY", 1, times, q, p, values)
-    return found[:, 0]

@@ -52,9 +52,14 @@ class Wanted:
 
 
 def gradient_of(
-    stepper: Evaluator, start: Any, times: Any, parameters: Any, inputs: Any, wanted: Wanted,
+    stepper: Evaluator,
+    start: Any,
+    times: Any,
+    parameters: Any,
+    inputs: Any,
+    wanted: Wanted,
     progress: bool | None,
-) -> Gradient:  # fmt: skip
+) -> Gradient:
     """Return the cost of a run and its derivatives; arguments as ``read_run`` takes them.
 
     Raises
@@ -70,8 +75,9 @@ def gradient_of(
     every = read_count("every", wanted.every, least=1)
     objective = Objective(
         read_cost(stepper, wanted.cost),
-        read_samples(stepper, wanted.samples, spec.steps, every), every,
-    )  # fmt: skip
+        read_samples(stepper, wanted.samples, spec.steps, every),
+        every,
+    )
     header = stepper._module.header
     varied = header.varied_by or ()
     of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
@@ -111,9 +117,7 @@ def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
         raise InputError(f"wrt is {', '.join(asked)}.\nName each only once.")
 
 
-def _of_input(
-    name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers
-) -> Reals:  # fmt: skip
+def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers) -> Reals:
     """Bring the derivatives through steps and nodes, shape (N, s), into the shape of an input."""
     if isinstance(given, Samples):
         values = np.asarray(given.values)

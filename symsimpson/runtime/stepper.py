@@ -75,29 +75,64 @@ class Stepper(Examining):
 
     @overload
     def integrate(
-        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
-        t_end: Any = None, steps: int | None = None, t0: Any = 0.0,
-        parameters: Parameters | None = None, inputs: Any = None, every: int | None = 1,
-        t_eval: None = None, save: None = None, tangents: ArrayLike | None = None,
-        sensitivities: Any = None, checkpoint: str | os.PathLike[str] | None = None,
-        checkpoint_every: int | None = None, progress: bool | None = None,
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: Any,
+        t_end: Any = None,
+        steps: int | None = None,
+        t0: Any = 0.0,
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        every: int | None = 1,
+        t_eval: None = None,
+        save: None = None,
+        tangents: ArrayLike | None = None,
+        sensitivities: Any = None,
+        checkpoint: str | os.PathLike[str] | None = None,
+        checkpoint_every: int | None = None,
+        progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
-    ) -> Trajectory: ...  # fmt: skip
+    ) -> Trajectory: ...
     @overload
     def integrate(
-        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
-        t_eval: ArrayLike, save: None = None, t_end: Any = None, steps: int | None = None,
-        t0: Any = 0.0, parameters: Parameters | None = None, inputs: Any = None,
-        progress: bool | None = None, on_failure: Literal["raise", "return"] = "raise",
-    ) -> Sampled: ...  # fmt: skip
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: Any,
+        t_eval: ArrayLike,
+        save: None = None,
+        t_end: Any = None,
+        steps: int | None = None,
+        t0: Any = 0.0,
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        progress: bool | None = None,
+        on_failure: Literal["raise", "return"] = "raise",
+    ) -> Sampled: ...
     @overload
     def integrate(
-        self, q0: ArrayLike, v0: ArrayLike | None = None, *, p0: ArrayLike | None = None, h: Any,
-        save: Any, t_eval: ArrayLike | None = None, t_end: Any = None, steps: int | None = None,
-        t0: Any = 0.0, parameters: Parameters | None = None, inputs: Any = None,
-        every: int | None = 1, progress: bool | None = None,
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: Any,
+        save: Any,
+        t_eval: ArrayLike | None = None,
+        t_end: Any = None,
+        steps: int | None = None,
+        t0: Any = 0.0,
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        every: int | None = 1,
+        progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
-    ) -> Saved: ...  # fmt: skip
+    ) -> Saved: ...
     def integrate(
         self,
         q0: ArrayLike,
@@ -308,9 +343,20 @@ class Stepper(Examining):
         stepper = self._telling(reduce, tangents, sensitivities, store)
         carried = 0 if tangents is None and sensitivities is not None else tangents
         task = read_task(
-            stepper, q0, v0, p0, parameters, (h, t_end, steps, t0), every, reduce, threads,
-            progress, inputs=inputs, tangents=carried, on_disk=store is not None,
-        )  # fmt: skip
+            stepper,
+            q0,
+            v0,
+            p0,
+            parameters,
+            (h, t_end, steps, t0),
+            every,
+            reduce,
+            threads,
+            progress,
+            inputs=inputs,
+            tangents=carried,
+            on_disk=store is not None,
+        )
         found, interrupted = run_ensemble(stepper, task, store, client)
         if interrupted and on_failure == "raise":
             raise Interrupted(found.message, trajectory=found)

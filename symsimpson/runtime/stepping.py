@@ -156,7 +156,7 @@ class Stepping(Evaluator):
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
         spec = read_run(
             self, (q0, v0, p0), (h, None, 1, t0), parameters, None, of_a_step(self, zeros)
-        )  # fmt: skip
+        )
         return ControlLoop(self, spec)
 
 

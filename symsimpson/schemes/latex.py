@@ -41,8 +41,10 @@ def scheme(one: Scheme) -> str:
 
 def composition(one: Composition) -> str:
     """Return order, kicks and drifts."""
-    return aligned([
-        ("", rf"\text{{{in_text(one.name)}: {len(one.drifts)} drifts, order {one.order}}}"),
-        ("b_k", sp.latex(sp.Matrix([one.kicks]).evalf(6))),
-        ("a_k", sp.latex(sp.Matrix([one.drifts]).evalf(6))),
-    ])  # fmt: skip
+    return aligned(
+        [
+            ("", rf"\text{{{in_text(one.name)}: {len(one.drifts)} drifts, order {one.order}}}"),
+            ("b_k", sp.latex(sp.Matrix([one.kicks]).evalf(6))),
+            ("a_k", sp.latex(sp.Matrix([one.drifts]).evalf(6))),
+        ]
+    )

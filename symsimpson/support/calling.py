@@ -21,18 +21,52 @@ Kind = TypeVar("Kind", bound=type)
 
 #: What arguments are called elsewhere, and here; those that a function does not have are left out.
 ELSEWHERE = {
-    "dt": "h", "step": "h", "step_size": "h", "stepsize": "h", "timestep": "h", "delta_t": "h",
-    "t_span": "t_end", "tf": "t_end", "t_final": "t_end", "t_max": "t_end", "tmax": "t_end",
-    "T": "t_end", "duration": "t_end", "n_steps": "steps", "num_steps": "steps", "N": "steps",
-    "t_eval": "every", "saveat": "t_eval", "ts": "t_eval", "stride": "every", "t_start": "t0",
-    "tol": "error", "rtol": "error", "atol": "error", "args": "parameters",
-    "params": "parameters", "y0": "q0",
-    "x0": "q0", "q": "q0", "v": "v0", "p": "p0", "u": "inputs", "method": "scheme",
-    "integrator": "scheme", "T_kin": "kinetic", "V": "potential", "q0": "q", "v0": "v", "p0": "p",
-}  # fmt: skip
+    "dt": "h",
+    "step": "h",
+    "step_size": "h",
+    "stepsize": "h",
+    "timestep": "h",
+    "delta_t": "h",
+    "t_span": "t_end",
+    "tf": "t_end",
+    "t_final": "t_end",
+    "t_max": "t_end",
+    "tmax": "t_end",
+    "T": "t_end",
+    "duration": "t_end",
+    "n_steps": "steps",
+    "num_steps": "steps",
+    "N": "steps",
+    "t_eval": "every",
+    "saveat": "t_eval",
+    "ts": "t_eval",
+    "stride": "every",
+    "t_start": "t0",
+    "tol": "error",
+    "rtol": "error",
+    "atol": "error",
+    "args": "parameters",
+    "params": "parameters",
+    "y0": "q0",
+    "x0": "q0",
+    "q": "q0",
+    "v": "v0",
+    "p": "p0",
+    "u": "inputs",
+    "method": "scheme",
+    "integrator": "scheme",
+    "T_kin": "kinetic",
+    "V": "potential",
+    "q0": "q",
+    "v0": "v",
+    "p0": "p",
+}
 #: What times are called, told to who asks for another name of one of them.
-TIMES = {"h": "the step is h=", "t_end": "the end t_end= or steps=",
-         "every": "every= says which states are stored"}  # fmt: skip
+TIMES = {
+    "h": "the step is h=",
+    "t_end": "the end t_end= or steps=",
+    "every": "every= says which states are stored",
+}
 
 
 def explained(

@@ -90,9 +90,14 @@ class Progress:
     """
 
     def __init__(
-        self, total: int, wanted: bool | None, unit: str = "member", *, look: str | None = None,
+        self,
+        total: int,
+        wanted: bool | None,
+        unit: str = "member",
+        *,
+        look: str | None = None,
         what: str | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._lock = threading.Lock()
         self._bar: Any = None
         self._at_once = wanted is True
@@ -108,9 +113,14 @@ class Progress:
             return
         if _drawn.acquire(blocking=False):
             self._bar = bars.tqdm(
-                total=total, unit=unit, delay=0.0 if wanted else DELAY, leave=False,
-                bar_format=look, desc=what, mininterval=0.1 if watched() else 10.0,
-            )  # fmt: skip
+                total=total,
+                unit=unit,
+                delay=0.0 if wanted else DELAY,
+                leave=False,
+                bar_format=look,
+                desc=what,
+                mininterval=0.1 if watched() else 10.0,
+            )
 
     def add(self, count: int) -> None:
         """Count what is done."""

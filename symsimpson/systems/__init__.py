@@ -27,12 +27,7 @@ from symsimpson.systems.harmonic_oscillator import harmonic_oscillator
 from symsimpson.systems.henon_heiles import henon_heiles
 from symsimpson.systems.kepler import kepler, kepler_plane
 from symsimpson.systems.lagrange_top import lagrange_top, lagrange_top_cusps
-from symsimpson.systems.linkages import (
-    andrews_squeezer,
-    four_bar,
-    hanging_chain,
-    slider_crank,
-)
+from symsimpson.systems.linkages import andrews_squeezer, four_bar, hanging_chain, slider_crank
 from symsimpson.systems.n_pendulum import n_pendulum
 from symsimpson.systems.pendulum import pendulum
 from symsimpson.systems.puma560 import puma560
@@ -116,8 +111,12 @@ CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
 MEETING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MEETING}
 #: All of these.
 EVERY: dict[str, Callable[[], CatalogueSystem]] = {
-    **CATALOGUE, **MODELS, **FORCED, **CONSTRAINED, **MEETING,
-}  # fmt: skip
+    **CATALOGUE,
+    **MODELS,
+    **FORCED,
+    **CONSTRAINED,
+    **MEETING,
+}
 
 __all__ = [
     "CATALOGUE",

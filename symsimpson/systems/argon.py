@@ -18,8 +18,15 @@ SOURCE = "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, sect
 BOLTZMANN = 1.380658e-23
 PARAMETERS = {"epsilon": 119.8, "sigma": 0.341, "m": 66.34e-27 / BOLTZMANN}
 #: Places and velocities of seven atoms in a plane.
-PLACES = ((0.00, 0.00), (0.02, 0.39), (0.34, 0.17), (0.36, -0.21), (-0.02, -0.40), (-0.35, -0.16),
-          (-0.31, 0.21))  # fmt: skip
+PLACES = (
+    (0.00, 0.00),
+    (0.02, 0.39),
+    (0.34, 0.17),
+    (0.36, -0.21),
+    (-0.02, -0.40),
+    (-0.35, -0.16),
+    (-0.31, 0.21),
+)
 VELOCITIES = ((-30, -20), (50, -90), (-70, -60), (90, 40), (80, 90), (-40, 100), (-80, -60))
 
 

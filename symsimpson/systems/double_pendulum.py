@@ -27,10 +27,7 @@ def double_pendulum() -> CatalogueSystem:
         + m2 * l1 * l2 * q1.diff() * q2.diff() * sp.cos(q1 - q2),
         potential=-(m1 + m2) * g * l1 * sp.cos(q1) - m2 * g * l2 * sp.cos(q2),
         parameters={m1: 1.0, m2: 1.0, l1: length, l2: length, g: gravity},
-        positions={
-            "elbow": elbow,
-            "bob": (elbow[0] + l2 * sp.sin(q2), elbow[1] - l2 * sp.cos(q2)),
-        },
+        positions={"elbow": elbow, "bob": (elbow[0] + l2 * sp.sin(q2), elbow[1] - l2 * sp.cos(q2))},
         reference_state={"q0": (math.pi / 4, math.pi / 3), "p0": (0.0, 0.0)},
         source="J. A. Rojas-Quintero, F. Dubois, F. Jourdan, arXiv:2512.03330, table 1, with "
         "l = g/omega_0^2",

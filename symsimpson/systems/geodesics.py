@@ -21,9 +21,7 @@ def torus_geodesic() -> CatalogueSystem:
         kinetic=m * (tube**2 * theta.diff() ** 2 + radius**2 * phi.diff() ** 2) / 2,
         potential=sp.S.Zero,
         parameters={m: 1.0, ring: 2.0, tube: 1.0},
-        positions={
-            "particle": (radius * sp.cos(phi), radius * sp.sin(phi), tube * sp.sin(theta)),
-        },
+        positions={"particle": (radius * sp.cos(phi), radius * sp.sin(phi), tube * sp.sin(theta))},
         invariants={"p_phi": m * radius**2 * phi.diff()},
         reference_state={"q0": (0.3, 0.0), "v0": (1.0, 0.4)},
         source="M. P. do Carmo, Differential Geometry of Curves and Surfaces, section 4-4",

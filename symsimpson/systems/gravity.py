@@ -17,26 +17,50 @@ __all__ = ["figure_eight", "n_body", "outer_solar_system", "pythagorean"]
 #: astronomical units, velocity in these a day, on 5 September 1994.
 SOLAR_SYSTEM = (
     ("Sun", 1.00000597682, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-    ("Jupiter", 0.000954786104043, (-3.5023653, -3.8169847, -1.5507963),
-     (0.00565429, -0.00412490, -0.00190589)),
-    ("Saturn", 0.000285583733151, (9.0755314, -3.0458353, -1.6483708),
-     (0.00168318, 0.00483525, 0.00192462)),
-    ("Uranus", 0.0000437273164546, (8.3101420, -16.2901086, -7.2521278),
-     (0.00354178, 0.00137102, 0.00055029)),
-    ("Neptune", 0.0000517759138449, (11.4707666, -25.7294829, -10.8169456),
-     (0.00288930, 0.00114527, 0.00039677)),
-    ("Pluto", 1 / 1.3e8, (-15.5387357, -25.2225594, -3.1902382),
-     (0.00276725, -0.00170702, -0.00136504)),
-)  # fmt: skip
+    (
+        "Jupiter",
+        0.000954786104043,
+        (-3.5023653, -3.8169847, -1.5507963),
+        (0.00565429, -0.00412490, -0.00190589),
+    ),
+    (
+        "Saturn",
+        0.000285583733151,
+        (9.0755314, -3.0458353, -1.6483708),
+        (0.00168318, 0.00483525, 0.00192462),
+    ),
+    (
+        "Uranus",
+        0.0000437273164546,
+        (8.3101420, -16.2901086, -7.2521278),
+        (0.00354178, 0.00137102, 0.00055029),
+    ),
+    (
+        "Neptune",
+        0.0000517759138449,
+        (11.4707666, -25.7294829, -10.8169456),
+        (0.00288930, 0.00114527, 0.00039677),
+    ),
+    (
+        "Pluto",
+        1 / 1.3e8,
+        (-15.5387357, -25.2225594, -3.1902382),
+        (0.00276725, -0.00170702, -0.00136504),
+    ),
+)
 
 
 def outer_solar_system() -> CatalogueSystem:
     """The Sun, the four outer planets and Pluto; days, astronomical units, solar masses."""
     _, masses, places, velocities = zip(*SOLAR_SYSTEM, strict=True)
     return _bodies(
-        "outer_solar_system", masses, 2.95912208286e-4, places, velocities,
+        "outer_solar_system",
+        masses,
+        2.95912208286e-4,
+        places,
+        velocities,
         "E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2.4",
-    )  # fmt: skip
+    )
 
 
 def n_body(n: int = 3) -> CatalogueSystem:
@@ -49,10 +73,14 @@ def n_body(n: int = 3) -> CatalogueSystem:
     places = [(math.cos(x), math.sin(x), 0.0) for x in angles]
     velocities = [(-omega * y, omega * x, 0.0) for x, y, _ in places]
     return _bodies(
-        f"n_body_{n}", (1.0,) * n, 1.0, places, velocities,
+        f"n_body_{n}",
+        (1.0,) * n,
+        1.0,
+        places,
+        velocities,
         "L. M. Perko, E. L. Walter, Regular polygon solutions of the N-body problem, "
         "Proc. AMS 94 (1985), 301-309",
-    )  # fmt: skip
+    )
 
 
 def pythagorean() -> CatalogueSystem:
@@ -62,11 +90,14 @@ def pythagorean() -> CatalogueSystem:
     ``pythagorean().retimed("encounters")``.
     """
     return _bodies(
-        "pythagorean", (3.0, 4.0, 5.0), 1.0, ((1.0, 3.0), (-2.0, -1.0), (1.0, -1.0)),
+        "pythagorean",
+        (3.0, 4.0, 5.0),
+        1.0,
+        ((1.0, 3.0), (-2.0, -1.0), (1.0, -1.0)),
         ((0.0, 0.0),) * 3,
         "C. Burrau, Astron. Nachr. 195 (1913), 113-118; V. Szebehely, C. F. Peters, Astron. J. 72 "
         "(1967), 876-883",
-    )  # fmt: skip
+    )
 
 
 def figure_eight() -> CatalogueSystem:
@@ -74,10 +105,13 @@ def figure_eight() -> CatalogueSystem:
     first, last = (0.97000436, -0.24308753), (-0.93240737, -0.86473146)
     half = tuple(-x / 2 for x in last)
     return _bodies(
-        "figure_eight", (1.0,) * 3, 1.0, (first, tuple(-x for x in first), (0.0, 0.0)),
+        "figure_eight",
+        (1.0,) * 3,
+        1.0,
+        (first, tuple(-x for x in first), (0.0, 0.0)),
         (half, half, last),
         "A. Chenciner, R. Montgomery, Annals of Mathematics 152 (2000), 881-901",
-    )  # fmt: skip
+    )
 
 
 def _bodies(

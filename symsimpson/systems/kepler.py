@@ -34,10 +34,7 @@ def kepler() -> CatalogueSystem:
             "eccentricity x": vy * area / mu - sp.cos(phi),
             "eccentricity y": -vx * area / mu - sp.sin(phi),
         },
-        reference_state={
-            "q0": (1 - eccentricity, 0.0),
-            "v0": (0.0, speed / (1 - eccentricity)),
-        },
+        reference_state={"q0": (1 - eccentricity, 0.0), "v0": (0.0, speed / (1 - eccentricity))},
         source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section I.2",
     )
 

@@ -59,14 +59,17 @@ def four_bar() -> CatalogueSystem:
         potential=g * heights,
         constraints={"loop_x": gap[0], "loop_y": gap[1]},
         parameters={l1: 1.0, l2: 2.0, l3: 1.5, l0: 2.2, m1: 1.0, m2: 1.4, m3: 0.8, g: 9.81},
-        positions={"crank": tuple(crank), "coupler": tuple(crank + coupler),
-                   "bars": [(0, 0), tuple(crank), tuple(ground + rocker), tuple(ground)]},
+        positions={
+            "crank": tuple(crank),
+            "coupler": tuple(crank + coupler),
+            "bars": [(0, 0), tuple(crank), tuple(ground + rocker), tuple(ground)],
+        },
         reference_state={
             "q0": (1.0, 0.325720853941296127, 1.413385124163572719),
             "v0": (1.3, -0.29486108928672544, 0.611025130836330358),
         },
         source="E. J. Haug, Computer Aided Kinematics and Dynamics of Mechanical Systems, 1989",
-    )  # fmt: skip
+    )
 
 
 def slider_crank() -> CatalogueSystem:
@@ -94,15 +97,49 @@ def slider_crank() -> CatalogueSystem:
 
 #: Masses, lengths and inertias of the squeezer, in kg, m and kg m^2.
 _SQUEEZER = {
-    "m1": 0.04325, "m2": 0.00365, "m3": 0.02373, "m4": 0.00706, "m5": 0.0705, "m6": 0.00706,
-    "m7": 0.05498, "i1": 2.194e-06, "i2": 4.41e-07, "i3": 5.255e-06, "i4": 5.667e-07,
-    "i5": 1.169e-05, "i6": 5.667e-07, "i7": 1.912e-05, "xa": -0.06934, "ya": -0.00227,
-    "xb": -0.03635, "yb": 0.03273, "xc": 0.014, "yc": 0.072, "c0": 4530.0, "d": 0.028,
-    "da": 0.0115, "e": 0.02, "ea": 0.01421, "rr": 0.007, "ra": 0.00092, "ss": 0.035,
-    "sa": 0.01874, "sb": 0.01043, "sc": 0.018, "sd": 0.02, "zt": 0.04, "ta": 0.02308,
-    "tb": 0.00916, "u": 0.04, "ua": 0.01228, "ub": 0.00449, "zf": 0.02, "fa": 0.01421,
-    "l0": 0.07785, "mom": 0.033,
-}  # fmt: skip
+    "m1": 0.04325,
+    "m2": 0.00365,
+    "m3": 0.02373,
+    "m4": 0.00706,
+    "m5": 0.0705,
+    "m6": 0.00706,
+    "m7": 0.05498,
+    "i1": 2.194e-06,
+    "i2": 4.41e-07,
+    "i3": 5.255e-06,
+    "i4": 5.667e-07,
+    "i5": 1.169e-05,
+    "i6": 5.667e-07,
+    "i7": 1.912e-05,
+    "xa": -0.06934,
+    "ya": -0.00227,
+    "xb": -0.03635,
+    "yb": 0.03273,
+    "xc": 0.014,
+    "yc": 0.072,
+    "c0": 4530.0,
+    "d": 0.028,
+    "da": 0.0115,
+    "e": 0.02,
+    "ea": 0.01421,
+    "rr": 0.007,
+    "ra": 0.00092,
+    "ss": 0.035,
+    "sa": 0.01874,
+    "sb": 0.01043,
+    "sc": 0.018,
+    "sd": 0.02,
+    "zt": 0.04,
+    "ta": 0.02308,
+    "tb": 0.00916,
+    "u": 0.04,
+    "ua": 0.01228,
+    "ub": 0.00449,
+    "zf": 0.02,
+    "fa": 0.01421,
+    "l0": 0.07785,
+    "mom": 0.033,
+}
 
 
 def andrews_squeezer() -> CatalogueSystem:
@@ -126,20 +163,23 @@ def andrews_squeezer() -> CatalogueSystem:
         (ga, ga): m3 * (sa**2 + sb**2) + i3,
         (ph, ph): m4 * rod**2 + i4,
         (ph, de): m4 * (rod**2 + zt * rod * sp.sin(ph)) + i4,
-        (de, de): m4 * (zt**2 + 2 * zt * rod * sp.sin(ph) + rod**2) + m5 * (ta**2 + tb**2)
-        + i4 + i5,
+        (de, de): m4 * (zt**2 + 2 * zt * rod * sp.sin(ph) + rod**2)
+        + m5 * (ta**2 + tb**2)
+        + i4
+        + i5,
         (om, om): m6 * bar**2 + i6,
         (om, ep): m6 * (bar**2 - u * bar * sp.sin(om)) + i6,
         (ep, ep): m6 * (bar**2 - 2 * u * bar * sp.sin(om) + u**2) + m7 * (ua**2 + ub**2) + i6 + i7,
-    }  # fmt: skip
+    }
     kinetic = sum(
-        (M * p.diff() * q.diff() / (2 if p == q else 1) for (p, q), M in entries.items()),
-        sp.S.Zero,
+        (M * p.diff() * q.diff() / (2 if p == q else 1) for (p, q), M in entries.items()), sp.S.Zero
     )
-    hook = sp.Matrix([
-        a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
-        a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
-    ])  # fmt: skip
+    hook = sp.Matrix(
+        [
+            a["xb"] + a["sc"] * sp.sin(ga) + a["sd"] * sp.cos(ga),
+            a["yb"] + a["sd"] * sp.sin(ga) - a["sc"] * sp.cos(ga),
+        ]
+    )
     length = sp.sqrt((hook[0] - a["xc"]) ** 2 + (hook[1] - a["yc"]) ** 2)
     end = [rr * f(be) - d * f(be + th) for f in (sp.cos, sp.sin)]
     first = (-ss * sp.sin(ga) - a["xb"], ss * sp.cos(ga) - a["yb"])
@@ -159,9 +199,16 @@ def andrews_squeezer() -> CatalogueSystem:
         parameters={symbol: _SQUEEZER[name] for name, symbol in a.items()},
         positions={"end": tuple(end), "hook": tuple(hook)},
         reference_state={
-            "q0": (-0.06171389001427644, 0.0, 0.45527981916307038, 0.222668390165885884,
-                   0.48736497954384255, -0.22266839016588588, 1.230547444549821192),
+            "q0": (
+                -0.06171389001427644,
+                0.0,
+                0.45527981916307038,
+                0.222668390165885884,
+                0.48736497954384255,
+                -0.22266839016588588,
+                1.230547444549821192,
+            ),
             "v0": (0.0,) * 7,
         },
         source="F. Mazzia and C. Magherini, Test Set for IVP Solvers, section II-18",
-    )  # fmt: skip
+    )

@@ -36,8 +36,12 @@ def water() -> CatalogueSystem:
         potential=k_r * sp.Add(*((r - r_0) ** 2 for r in lengths)) / 2
         + k_theta * (angle - theta_0) ** 2 / 2,
         parameters={
-            m_O: 15.9994, m_H: 1.008, k_r: 1059.162 * KILOCALORIE, k_theta: 75.90 * KILOCALORIE,
-            r_0: bond, theta_0: bend,
+            m_O: 15.9994,
+            m_H: 1.008,
+            k_r: 1059.162 * KILOCALORIE,
+            k_theta: 75.90 * KILOCALORIE,
+            r_0: bond,
+            theta_0: bend,
         },
         positions={name: q[3 * i : 3 * i + 3] for i, name in enumerate(("O", "H1", "H2"))},
         reference_state={
@@ -46,4 +50,4 @@ def water() -> CatalogueSystem:
         },
         source="Y. Wu, H. L. Tepper, G. A. Voth, Flexible simple point-charge water model with "
         "improved liquid-state properties, J. Chem. Phys. 124 (2006), 024503",
-    )  # fmt: skip
+    )

@@ -109,9 +109,7 @@ class Arrays(Values):
         number: Any = 0
         shape, strides = [], []
         whole = [Range(0, None)] * (len(array.shape) - len(places))
-        for place, size, stride in zip(
-            [*places, *whole], array.shape, array.strides, strict=True
-        ):  # fmt: skip
+        for place, size, stride in zip([*places, *whole], array.shape, array.strides, strict=True):
             first = place
             if isinstance(place, Range):
                 first = place.first

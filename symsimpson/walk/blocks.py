@@ -229,10 +229,14 @@ class Blocks(Arrays):
         for one in shape:
             size = self.multiply(size, one)
         raw = BYTE.as_pointer()
-        kinds = {"malloc": ir.FunctionType(raw, [INT]),
-                 "free": ir.FunctionType(ir.VoidType(), [raw])}  # fmt: skip
-        known_as = {name: module.globals.get(name) or ir.Function(module, made, name)
-                    for name, made in kinds.items()}  # fmt: skip
+        kinds = {
+            "malloc": ir.FunctionType(raw, [INT]),
+            "free": ir.FunctionType(ir.VoidType(), [raw]),
+        }
+        known_as = {
+            name: module.globals.get(name) or ir.Function(module, made, name)
+            for name, made in kinds.items()
+        }
         with builder.goto_entry_block():
             place = builder.alloca(raw)
             builder.store(ir.Constant(raw, None), place)

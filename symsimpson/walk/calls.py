@@ -73,9 +73,16 @@ class Calls(Blocks):
         self.builder = ir.IRBuilder(made.append_basic_block("entry"))
         found = walk(list(made.args[1:]))
         results = found if isinstance(found, list) else [] if found is None else [found]
-        typed = [self.whole(x) if isinstance(x, int) and not isinstance(x, bool) else
-                 self.bit(x) if isinstance(x, bool) else self.real(x) if known(x) else x
-                 for x in results]  # fmt: skip
+        typed = [
+            self.whole(x)
+            if isinstance(x, int) and not isinstance(x, bool)
+            else self.bit(x)
+            if isinstance(x, bool)
+            else self.real(x)
+            if known(x)
+            else x
+            for x in results
+        ]
         for k, value in enumerate(typed):
             self.builder.store(value, self._result(made.args[0], k, value.type))
         self.builder.ret_void()

@@ -64,9 +64,13 @@ class Expressions(ABC):
     """
 
     def __init__(
-        self, text: Text, values: Calls, call: Callable[[Any, Any, list[Any]], Any], few: int = FEW,
+        self,
+        text: Text,
+        values: Calls,
+        call: Callable[[Any, Any, list[Any]], Any],
+        few: int = FEW,
         apart: frozenset[str] = frozenset(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._text, self._values, self._call, self._few = text, values, call, few
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0

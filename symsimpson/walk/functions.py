@@ -26,9 +26,10 @@ __all__ = ["read_functions", "walking_function"]
 def read_functions(text: str) -> Text:
     """Read a text of functions for numba, which is executed for its constants."""
     functions = {
-        node.name: node for node in ast.parse(text).body
+        node.name: node
+        for node in ast.parse(text).body
         if isinstance(node, ast.FunctionDef) and node.decorator_list
-    }  # fmt: skip
+    }
     constants: dict[str, Any] = {}
     exec(compile(text, "<functions for numba>", "exec"), constants)
     return Text(functions, constants)

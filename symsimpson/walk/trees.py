@@ -24,9 +24,10 @@ def assigned(body: Iterable[ast.stmt]) -> frozenset[str]:
 @lru_cache(maxsize=4096)
 def _assigned(statement: ast.stmt) -> frozenset[str]:
     stored = (
-        node.id for node in ast.walk(statement)
+        node.id
+        for node in ast.walk(statement)
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-    )  # fmt: skip
+    )
     return frozenset(stored)
 
 
@@ -34,11 +35,13 @@ def _assigned(statement: ast.stmt) -> frozenset[str]:
 def used_once(function: ast.FunctionDef) -> frozenset[str]:
     """Return the names that a function sets once and uses once."""
     uses = Counter(
-        (part.id, isinstance(part.ctx, ast.Store)) for part in ast.walk(function)
+        (part.id, isinstance(part.ctx, ast.Store))
+        for part in ast.walk(function)
         if isinstance(part, ast.Name)
-    )  # fmt: skip
-    return frozenset(name for name, stored in uses if stored and uses[name, True] == 1
-                     and uses[name, False] == 1)  # fmt: skip
+    )
+    return frozenset(
+        name for name, stored in uses if stored and uses[name, True] == 1 and uses[name, False] == 1
+    )
 
 
 @lru_cache(maxsize=4096)
@@ -153,8 +156,9 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                     return False
     return bool(written) and all(
         own == other or own[1] <= other[0] or other[1] <= own[0]
-        for own in written for other in [*written, *read]
-    )  # fmt: skip
+        for own in written
+        for other in [*written, *read]
+    )
 
 
 @lru_cache(maxsize=256)

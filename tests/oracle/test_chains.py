@@ -16,10 +16,11 @@ def test_bands_give_the_steps_of_dense_matrices(scheme):
     """In 20 digits, so that nothing is compiled; with results that are made of constraints."""
     system = ss.systems.hanging_chain(6)
     banded, dense = (
-        ss.compile(system, scheme, exploit=exploit, precision=20)
-        .integrate(**system.reference_state, h=0.02, steps=3)
+        ss.compile(system, scheme, exploit=exploit, precision=20).integrate(
+            **system.reference_state, h=0.02, steps=3
+        )
         for exploit in ("all", ())
-    )  # fmt: skip
+    )
     for name in ("q", "p", "multipliers", "constraint_forces"):
         assert max(abs(getattr(banded, name) - getattr(dense, name)).ravel()) < 1e-15, name
     assert max(abs(banded.constraint_error).ravel()) < 1e-19
@@ -33,12 +34,15 @@ def test_multipliers_where_the_mass_matrix_is_not_constant():
     r, angle = ss.coordinates("r1:7"), ss.coordinates("a1:7")
     points, joints = list(zip(r, angle, strict=True)), [(k, k + 1) for k in range(5)]
     system = ss.MechanicalSystem(
-        "polar", coordinates=(*r, *angle),
+        "polar",
+        coordinates=(*r, *angle),
         kinetic=sum(a.diff() ** 2 + a**2 * b.diff() ** 2 for a, b in points) / 2,
         potential=sum(a * sp.cos(b) for a, b in points),
-        constraints=[r[i] ** 2 + r[k] ** 2 - 2 * r[i] * r[k] * sp.cos(angle[i] - angle[k]) - 1
-                     for i, k in joints],
-    )  # fmt: skip
+        constraints=[
+            r[i] ** 2 + r[k] ** 2 - 2 * r[i] * r[k] * sp.cos(angle[i] - angle[k]) - 1
+            for i, k in joints
+        ],
+    )
     near = [1, 1.5, 2, 2.5, 3, 3.5, 0, 0.5, 1.0, 1.3, 1.6, 1.8]
     q0, v0 = system.consistent(near, np.cos(np.arange(12.0)))
     stepper = ss.compile(system, precision=20)
@@ -102,9 +106,12 @@ def test_a_drift_may_end_where_all_coordinates_are_zero():
     """Rest at the origin has no size that a correction could be relative to."""
     x, y = ss.coordinates("x y")
     line = ss.MechanicalSystem(
-        "line", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=x**2 / 2, constraints=[x - y],
-    )  # fmt: skip
+        "line",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**2 / 2,
+        constraints=[x - y],
+    )
     stepper = ss.compile(line, "suzuki4", precision=20)
     assert not stepper.integrate([0, 0], [0, 0], h="0.1", steps=2).q.any()
 
@@ -112,9 +119,12 @@ def test_a_drift_may_end_where_all_coordinates_are_zero():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    [("cartesian_pendulum", "suzuki4"), ("cartesian_pendulum", "kahan_li8"),
-     ("hanging_chain", "suzuki4")],
-)  # fmt: skip
+    [
+        ("cartesian_pendulum", "suzuki4"),
+        ("cartesian_pendulum", "kahan_li8"),
+        ("hanging_chain", "suzuki4"),
+    ],
+)
 def test_certificates_of_compositions(name, scheme):
     system = getattr(ss.systems, name)(*([3] if name == "hanging_chain" else []))
     certificate = ss.compile(system, scheme).certify(h=0.05)
@@ -126,9 +136,13 @@ def test_compositions_follow_the_schemes_of_the_family():
     """A chain, whose loops are those of bands, and a drive in its forces."""
     x, y = ss.coordinates("x y")
     driven = ss.MechanicalSystem(
-        "driven", coordinates=(x, y), kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
-        potential=9.81 * y, forces={x: ss.time}, constraints=[x**2 + y**2 - 1],
-    )  # fmt: skip
+        "driven",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
+        potential=9.81 * y,
+        forces={x: ss.time},
+        constraints=[x**2 + y**2 - 1],
+    )
     starts = {driven: {"q0": [0.6, -0.8], "v0": [0.8, 0.6]}}
     chain = ss.systems.hanging_chain(12)
     starts[chain] = chain.reference_state

@@ -92,9 +92,12 @@ def test_a_long_chain():
     """Loops over families, whose coordinates stand in another order."""
     q = ss.coordinates(" ".join(f"x{i}" for i in range(40)))
     chain = ss.MechanicalSystem(
-        "long_chain", coordinates=q, kinetic=sum(x.diff() ** 2 for x in q) / 2,
-        potential=sum((b - a) ** 2 / 2 + (b - a) ** 4 / 4 for a, b in pairwise(q)), parameters={},
-    )  # fmt: skip
+        "long_chain",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum((b - a) ** 2 / 2 + (b - a) ** 4 / 4 for a, b in pairwise(q)),
+        parameters={},
+    )
     start = {"q0": np.sin(np.arange(40.0)), "p0": np.zeros(40), "every": None}
     run = ss.compile(chain, "kahan_li8").integrate(**start, h=0.05, steps=100)
     fine = ss.compile(chain, "simpson").integrate(**start, h=0.005, steps=1000)
@@ -104,9 +107,11 @@ def test_a_long_chain():
 
 @pytest.mark.parametrize(
     ("system", "what"),
-    [(ss.systems.double_pendulum(), "mass matrix depends on positions"),
-     (ss.systems.lagrange_top(), "mass matrix depends on positions")],
-)  # fmt: skip
+    [
+        (ss.systems.double_pendulum(), "mass matrix depends on positions"),
+        (ss.systems.lagrange_top(), "mass matrix depends on positions"),
+    ],
+)
 def test_what_is_not_explicit_is_refused(system, what):
     with pytest.raises(ss.SchemeError, match=what):
         ss.compile(system, "kahan_li8")

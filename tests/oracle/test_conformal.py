@@ -17,10 +17,13 @@ GAMMA = 0.25
 def damped():
     kinetic = (1 + x**2 / 4) * (x.diff() ** 2 + y.diff() ** 2) / 2
     return ss.MechanicalSystem(
-        "damped_henon_heiles", coordinates=(x, y), kinetic=kinetic,
-        potential=(x**2 + 2 * y**2) / 2 + x**2 * y, parameters={k: GAMMA},
+        "damped_henon_heiles",
+        coordinates=(x, y),
+        kinetic=kinetic,
+        potential=(x**2 + 2 * y**2) / 2 + x**2 * y,
+        parameters={k: GAMMA},
         dissipation=2 * k * kinetic,
-    )  # fmt: skip
+    )
 
 
 STATE = np.array([0.3, 0.2, 0.4, -0.1])
@@ -108,8 +111,14 @@ def test_large_systems_damp_by_forces():
     q = ss.coordinates(" ".join(f"x{i}" for i in range(20)))
     kinetic = sum(a.diff() ** 2 for a in q) / 2
     potential = sum((a - b) ** 4 for a, b in zip(q[1:], q, strict=False))
-    system = ss.MechanicalSystem("long", coordinates=q, kinetic=kinetic, potential=potential,
-                                 parameters={k: 0.1}, dissipation=k * kinetic)  # fmt: skip
+    system = ss.MechanicalSystem(
+        "long",
+        coordinates=q,
+        kinetic=kinetic,
+        potential=potential,
+        parameters={k: 0.1},
+        dissipation=k * kinetic,
+    )
     made = ss.compile(system)
     assert not made._module.header.conformal
     run = made.integrate(np.linspace(0, 2, 20), v0=np.ones(20), h=0.05, steps=40)

@@ -13,8 +13,15 @@ from symsimpson.analysis.precise import Precise
 
 #: The end, and the steps to it that the order is seen from.
 PROBLEMS = {"four_bar": ("0.4", 20), "quaternion_top": ("0.4", 8), "jointed_bodies": ("0.2", 4)}
-ORDERS = {"midpoint": 2, "lobatto2": 2, "simpson": 4, "gauss4": 4, "lobatto6": 6, "gauss6": 6,
-          "gauss8": 8}  # fmt: skip
+ORDERS = {
+    "midpoint": 2,
+    "lobatto2": 2,
+    "simpson": 4,
+    "gauss4": 4,
+    "lobatto6": 6,
+    "gauss6": 6,
+    "gauss8": 8,
+}
 
 
 @pytest.mark.slow
@@ -74,11 +81,14 @@ def test_certificates_with_friction_and_a_drive():
     x, y = ss.coordinates("x y")
     c, w = sp.symbols("c w", positive=True)
     system = ss.MechanicalSystem(
-        "braked", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        "braked",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
         potential=9.81 * y,
         forces={x: sp.cos(w * ss.time) - c * x.diff() ** 3, y: -c * y.diff()},
-        parameters={c: 0.2, w: 3.0}, constraints=[x**2 + y**2 - 1],
-    )  # fmt: skip
+        parameters={c: 0.2, w: 3.0},
+        constraints=[x**2 + y**2 - 1],
+    )
     certificate = ss.compile(system).certify([0.6, -0.8], [0.8, 0.6], h=0.02)
     assert certificate.passed, certificate
 
@@ -139,16 +149,25 @@ def by_hand(wrong, h, steps, q, p):
     return q, p
 
 
-MISTAKES = ["", "the force along the start", "phi at the end alone", "one multiplier",
-            "at Gauss points", "p as it comes"]  # fmt: skip
+MISTAKES = [
+    "",
+    "the force along the start",
+    "phi at the end alone",
+    "one multiplier",
+    "at Gauss points",
+    "p as it comes",
+]
 
 
 def pendulum():
     x, y = ss.coordinates("x y")
     return ss.MechanicalSystem(
-        "plane_pendulum", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=9.81 * y, constraints=[(x**2 + y**2 - 1) / 2],
-    )  # fmt: skip
+        "plane_pendulum",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * y,
+        constraints=[(x**2 + y**2 - 1) / 2],
+    )
 
 
 @pytest.mark.parametrize("wrong", MISTAKES)
@@ -197,8 +216,15 @@ def test_squeezer_at_its_end():
     """The Test Set's problem: its published values are good to nine digits, ours to eleven."""
     system = ss.systems.andrews_squeezer()
     run = ss.compile(system, "gauss8").integrate(**system.reference_state, h=1e-4, t_end=0.03)
-    exact = [15.81077119516, -15.75637105842, 0.04082224011970, -0.5347301163419,
-             0.5244099658800, 0.5347301163419, 1.048080741042]  # fmt: skip
+    exact = [
+        15.81077119516,
+        -15.75637105842,
+        0.04082224011970,
+        -0.5347301163419,
+        0.5244099658800,
+        0.5347301163419,
+        1.048080741042,
+    ]
     assert np.abs(run.q[-1] - exact).max() < 1e-10
     assert abs(run.q[-1, 0] - 15.81077119629904) < 5e-9
     assert abs(run.q[-1, 1] + 15.75637105984298) < 5e-9
@@ -221,10 +247,13 @@ def upright(I3=0.4, **start):
     g = sp.Symbol("g", positive=True)
     body = ss.RigidBody("top", inertia=(1, 1, sp.Rational(int(10 * I3), 10)))
     system = ss.MechanicalSystem(
-        "upright", coordinates=body.coordinates, kinetic=body.kinetic,
-        potential=g * body.to_space((0, 0, 1))[2], constraints=body.constraints,
+        "upright",
+        coordinates=body.coordinates,
+        kinetic=body.kinetic,
+        potential=g * body.to_space((0, 0, 1))[2],
+        constraints=body.constraints,
         parameters={g: 1.0},
-    )  # fmt: skip
+    )
     return system, body, body.state(**start)
 
 
@@ -264,9 +293,12 @@ def test_singular_mass_matrices():
     """A massless coordinate that a constraint moves, and SymPy's bodies without J0."""
     x, y = ss.coordinates("x y")
     lever = ss.MechanicalSystem(
-        "lever", coordinates=(x, y), kinetic=x.diff() ** 2 / 2, potential=y**2,
+        "lever",
+        coordinates=(x, y),
+        kinetic=x.diff() ** 2 / 2,
+        potential=y**2,
         constraints=[y - sp.sin(x)],
-    )  # fmt: skip
+    )
     run = ss.compile(lever).integrate([1.0, np.sin(1.0)], v0=[0.0, 0.0], h=0.01, steps=200)
     same = ss.MechanicalSystem(
         "same", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.sin(x) ** 2

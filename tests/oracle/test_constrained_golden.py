@@ -18,8 +18,11 @@ import symsimpson as ss
 DATA = DATA / "golden_constrained.json"
 CASES = json.loads(DATA.read_text())["cases"]
 #: Lines written out, loops, and a singular M come first.
-FIRST = ("spherical_pendulum_simpson", "two_bodies_simpson",
-         "heavy_asymmetric_top_singular_mass_matrix_simpson")  # fmt: skip
+FIRST = (
+    "spherical_pendulum_simpson",
+    "two_bodies_simpson",
+    "heavy_asymmetric_top_singular_mass_matrix_simpson",
+)
 CASES.sort(key=lambda case: case["name"] not in FIRST)
 #: Seconds in many digits grow with the third power of the unknowns.
 SMALL = [case for case in CASES if len(case["q0"]) <= 4]
@@ -41,12 +44,17 @@ def system_of(case):
 
 def run_of(case, stepper, number):
     read = np.frompyfunc(number, 1, 1)
-    values = {name: number(sp.Rational(x).p) / number(sp.Rational(x).q)
-              for name, x in case["params"].items()}  # fmt: skip
+    values = {
+        name: number(sp.Rational(x).p) / number(sp.Rational(x).q)
+        for name, x in case["params"].items()
+    }
     return stepper.integrate(
-        read(case["q0"]), p0=read(case["p0"]), h=number(case["h"]), steps=case["N"],
+        read(case["q0"]),
+        p0=read(case["p0"]),
+        h=number(case["h"]),
+        steps=case["N"],
         parameters=values,
-    )  # fmt: skip
+    )
 
 
 def errors_of(case, run, number):

@@ -70,9 +70,12 @@ def scissor_lift(levels, start):
         constraints[f"z{level + 1}"] = middles[0][1] - middles[1][1]
         ends = tips[::-1]
     system = ss.MechanicalSystem(
-        f"scissor_lift_{levels}", coordinates=(*left, *right, slider), kinetic=kinetic,
-        potential=potential, constraints=constraints,
-    )  # fmt: skip
+        f"scissor_lift_{levels}",
+        coordinates=(*left, *right, slider),
+        kinetic=kinetic,
+        potential=potential,
+        constraints=constraints,
+    )
     turns = [start, *[np.pi - 2 * start] * (levels - 1)]
     others = [np.pi - start, *[-np.pi + 2 * start] * (levels - 1)]
     # a tip's frame becomes the base of the other side, one level up
@@ -118,22 +121,34 @@ def test_the_closed_chain_of_trep():
             turned += joint
             frames.append((y, z, turned))
             y, z = y + length * sp.sin(turned), z - length * sp.cos(turned)
-        return lambda k, along: sp.Matrix([
-            frames[k][0] + along * sp.sin(frames[k][2]),
-            frames[k][1] - along * sp.cos(frames[k][2]),
-        ])  # fmt: skip
+        return lambda k, along: sp.Matrix(
+            [
+                frames[k][0] + along * sp.sin(frames[k][2]),
+                frames[k][1] - along * sp.cos(frames[k][2]),
+            ]
+        )
 
     middle = arm(0, (1, J), (2, H))
     right = arm(sp.Rational(3, 2), (2, K), (1, M))
     left = arm(-sp.Rational(3, 2), (2, A), (0.75, C), (1, E))
-    masses = [middle(0, 0.5), middle(1, 1), right(0, 1), right(1, 0.5), left(0, 1),
-              left(1, 0.375), left(2, 0.5)]  # fmt: skip
+    masses = [
+        middle(0, 0.5),
+        middle(1, 1),
+        right(0, 1),
+        right(1, 0.5),
+        left(0, 1),
+        left(1, 0.375),
+        left(2, 0.5),
+    ]
     speeds = [x.diff(ss.time) for x in masses]
     loops = [*(right(1, 1) - middle(1, 2)), *(middle(1, 1) - left(2, 1))]
     system = ss.MechanicalSystem(
-        "closed_chain", coordinates=angles, kinetic=sum((v.T * v)[0] for v in speeds) / 2,
-        potential=9.8 * sum(x[1] for x in masses), constraints=loops,
-    )  # fmt: skip
+        "closed_chain",
+        coordinates=angles,
+        kinetic=sum((v.T * v)[0] for v in speeds) / 2,
+        potential=9.8 * sum(x[1] for x in masses),
+        constraints=loops,
+    )
     near = [-0.523599, 1.21009, 0.523599, -1.34537, -0.523599, 1.5385, 1.22497]
     q0, v0 = system.consistent(near, np.zeros(7))
     error, run = apart(system, q0, v0, 0.005, 100)
@@ -144,8 +159,13 @@ def test_the_closed_chain_of_trep():
 @pytest.mark.slow
 def test_two_bodies_on_strings():
     """A marionette's body on two strings of fixed length, and a limb on two more below it."""
-    bodies = [ss.RigidBody(name, inertia=inertia, mass=mass) for name, inertia, mass in
-              (("body", (0.3, 0.2, 0.4), 1.5), ("limb", (0.1, 0.15, 0.05), 0.6))]  # fmt: skip
+    bodies = [
+        ss.RigidBody(name, inertia=inertia, mass=mass)
+        for name, inertia, mass in (
+            ("body", (0.3, 0.2, 0.4), 1.5),
+            ("limb", (0.1, 0.15, 0.05), 0.6),
+        )
+    ]
     body, limb = bodies
     hooks = [sp.Matrix(x) for x in ((-0.5, 0, 2), (0.5, 0.1, 2))]
     eyes = [body.point(x) for x in ((-0.4, 0, 0.2), (0.4, 0, 0.2))]
@@ -154,16 +174,23 @@ def test_two_bodies_on_strings():
     strings = {
         f"string {k}": sum((sp.Matrix(a) - sp.Matrix(b)).applyfunc(lambda c: c**2)) - length**2
         for k, (a, b, length) in enumerate(
-            [(hooks[0], eyes[0], 1.8), (hooks[1], eyes[1], 1.9), (low[0], ears[0], 1.0),
-             (low[1], ears[1], 0.9)], 1)
-    }  # fmt: skip
+            [
+                (hooks[0], eyes[0], 1.8),
+                (hooks[1], eyes[1], 1.9),
+                (low[0], ears[0], 1.0),
+                (low[1], ears[1], 0.9),
+            ],
+            1,
+        )
+    }
     lengths = {f"{b.coordinates[0]}": c for b in bodies for c in b.constraints}
     system = ss.MechanicalSystem(
-        "marionette", coordinates=[q for b in bodies for q in b.coordinates],
+        "marionette",
+        coordinates=[q for b in bodies for q in b.coordinates],
         kinetic=sum(b.kinetic for b in bodies),
         potential=g * sum(b.mass * b.point((0, 0, 0))[2] for b in bodies),
         constraints={**lengths, **strings},
-    )  # fmt: skip
+    )
     starts = [
         body.state(angles=(0.1, 0.2, -0.1), position=(0, 0, 0), angular_velocity=(0.5, 1, 0)),
         limb.state(angles=(0.0, 0.3, 0.2), position=(0, 0.1, -1.3), velocity=(0.3, 0, 0)),

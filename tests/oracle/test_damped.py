@@ -19,10 +19,13 @@ def test_kicks_damp_as_friction_does_by_itself(scheme):
     x, y = ss.coordinates("x y")
     u = x.diff() + y.diff() / 2
     system = ss.MechanicalSystem(
-        "damped_kicks", coordinates=(x, y), kinetic=(2 * x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=x**4 / 4 + x**2 * y + y**2, parameters={c: 0.3, k: 0.2, w: 3.0},
+        "damped_kicks",
+        coordinates=(x, y),
+        kinetic=(2 * x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**4 / 4 + x**2 * y + y**2,
+        parameters={c: 0.3, k: 0.2, w: 3.0},
         forces={x: sp.cos(w * t) * y - c * x.diff(), y: -k * y.diff()},
-    )  # fmt: skip
+    )
     stepper, q, v = ss.compile(system, scheme), [0.5, 0.2], [0.1, 0.0]
     p = stepper.integrate(q, v, h=0.1, steps=0).p[0]
     exact = truth(system, q, p, 2.0)
@@ -36,13 +39,19 @@ def test_kicks_damp_as_friction_does_by_itself(scheme):
     run = stepper.integrate(q, p0=p, h=0.1, steps=5)
     assert np.abs((run.p - precise.p).astype(float)).max() < 1e-15
     # not in proportion to each momentum, of no positive rate, or of another order
-    for force, message in (({x: -c * u, y: -c * u / 2}, "force depends on velocities"),
-                           ({x: c * x.diff()}, "friction in proportion to each momentum"),
-                           ({x: -c * x * x.diff()}, "force depends on velocities")):  # fmt: skip
+    for force, message in (
+        ({x: -c * u, y: -c * u / 2}, "force depends on velocities"),
+        ({x: c * x.diff()}, "friction in proportion to each momentum"),
+        ({x: -c * x * x.diff()}, "force depends on velocities"),
+    ):
         other = ss.MechanicalSystem(
-            "other_kicks", coordinates=(x, y), kinetic=system.kinetic, parameters={c: 0.3},
-            potential=system.potential, forces=force,
-        )  # fmt: skip
+            "other_kicks",
+            coordinates=(x, y),
+            kinetic=system.kinetic,
+            parameters={c: 0.3},
+            potential=system.potential,
+            forces=force,
+        )
         with pytest.raises(ss.SchemeError, match=message):
             ss.compile(other, scheme)
     with pytest.raises(ss.SchemeError, match="it would fall to order 4"):
@@ -55,9 +64,13 @@ def test_strong_damping_makes_no_step_singular():
     """Where the iteration over stages does not contract, Newton's method goes on."""
     (x,) = ss.coordinates("x")
     system = ss.MechanicalSystem(
-        "stiff", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.cos(x),
-        forces={x: -k * (x.diff() - sp.cos(t))}, parameters={k: 100.0},
-    )  # fmt: skip
+        "stiff",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=sp.cos(x),
+        forces={x: -k * (x.diff() - sp.cos(t))},
+        parameters={k: 100.0},
+    )
     for scheme in ("simpson", "gauss4", "gauss8", "midpoint"):
         run = ss.compile(system, scheme).integrate([0.0], [1.0], h=0.05, t_end=2.0)
         assert abs(run.q[-1, 0] - 0.93588) < 1e-3
@@ -100,13 +113,21 @@ def test_strong_damping_decays_with_radau_nodes():
     """x'' = -c (x' - cos t) - sin x with h c = 500, against an implicit method in small steps."""
     (x,) = ss.coordinates("x")
     system = ss.MechanicalSystem(
-        "stiff", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=-sp.cos(x),
-        forces={x: -c * (x.diff() - sp.cos(t))}, parameters={c: 1e4},
-    )  # fmt: skip
+        "stiff",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=-sp.cos(x),
+        forces={x: -c * (x.diff() - sp.cos(t))},
+        parameters={c: 1e4},
+    )
     q, p = solve_ivp(
-        lambda s, y: [y[1], -1e4 * (y[1] - np.cos(s)) - np.sin(y[0])], (0, 2), [0.0, 1.5],
-        method="Radau", rtol=1e-12, atol=1e-13,
-    ).y[:, -1]  # fmt: skip
+        lambda s, y: [y[1], -1e4 * (y[1] - np.cos(s)) - np.sin(y[0])],
+        (0, 2),
+        [0.0, 1.5],
+        method="Radau",
+        rtol=1e-12,
+        atol=1e-13,
+    ).y[:, -1]
     errors = {}
     for scheme in ("midpoint", "radau3", "radau5"):
         run = ss.compile(system, scheme).integrate([0.0], [1.5], h=0.05, steps=40)
@@ -122,9 +143,13 @@ def test_strong_damping_decays_with_radau_nodes():
 def test_damping_that_is_not_resolved_is_warned_of():
     (x,) = ss.coordinates("x")
     system = ss.MechanicalSystem(
-        "braked", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.cos(x),
-        dissipation=c * x.diff() ** 2 / 2, parameters={c: 100.0},
-    )  # fmt: skip
+        "braked",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=sp.cos(x),
+        dissipation=c * x.diff() ** 2 / 2,
+        parameters={c: 100.0},
+    )
     told = r"damping at the start, of rate 100(.|\n)*'radau3'"
     with pytest.warns(ss.StabilityWarning, match=told):
         ss.compile(system).integrate([0.1], [1.0], h=0.05, steps=1)

@@ -42,7 +42,7 @@ def drift(stepper, together):
         runs = [
             stepper.integrate(q, p0=p, h=0.1, steps=steps, every=every)
             for q, p in zip(q0, p0, strict=True)
-        ]  # fmt: skip
+        ]
         q, p = np.array([run.q for run in runs]), np.array([run.p for run in runs])
     energy = stepper.energy(q.reshape(-1, 2), p.reshape(-1, 2)).reshape(MEMBERS, -1)
     energy = (energy - energy[:, :1]) / energy[:, :1]

@@ -21,10 +21,23 @@ PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()
 
 #: Schemes of each kind up to order 10.
 SCHEMES = [
-    "midpoint", "simpson", "lobatto6", "lobatto8", "lobatto10", "gauss4", "gauss6", "gauss8",
-    "gauss10", "lobatto2", "lobatto_2_2", "lobatto_3_3", "lobatto_4_4", "lobatto_5_5",
-    "gauss_3_2", "gauss_4_3",
-]  # fmt: skip
+    "midpoint",
+    "simpson",
+    "lobatto6",
+    "lobatto8",
+    "lobatto10",
+    "gauss4",
+    "gauss6",
+    "gauss8",
+    "gauss10",
+    "lobatto2",
+    "lobatto_2_2",
+    "lobatto_3_3",
+    "lobatto_4_4",
+    "lobatto_5_5",
+    "gauss_3_2",
+    "gauss_4_3",
+]
 #: With so many digits nothing is iterated over stages.
 BY_NEWTON = MOST_BY_STAGES + 1
 BY_STAGES = ["gauss6", "gauss8", "gauss12", "gauss16", "lobatto_3_3", "lobatto_5_5"]
@@ -81,11 +94,19 @@ def runge_kutta_step(system, kind, stages, h):
         K = []
         for i in range(stages):
             Q = [q[x] + h * sum(a[i][j] * before[j][x] for j in range(stages)) for x in range(n)]
-            P = [p[x] + h * sum(hat[i][j] * before[j][n + x] for j in range(stages))
-                 for x in range(n)]  # fmt: skip
+            P = [
+                p[x] + h * sum(hat[i][j] * before[j][n + x] for j in range(stages))
+                for x in range(n)
+            ]
             K.append(rates(*Q, *P, *values))
-        if max(abs(x - y) for u, v in zip(K, before, strict=True)
-               for x, y in zip(u, v, strict=True)) < mpmath.mpf(10) ** -58:  # fmt: skip
+        if (
+            max(
+                abs(x - y)
+                for u, v in zip(K, before, strict=True)
+                for x, y in zip(u, v, strict=True)
+            )
+            < mpmath.mpf(10) ** -58
+        ):
             break
     return [x + h * sum(b[j] * K[j][m] for j in range(stages)) for m, x in enumerate([*q, *p])]
 
@@ -130,8 +151,11 @@ def test_stages_solve_the_equations(system, scheme):
         W = np.full((module.ROWS, 1), mpmath.mpf(0), dtype=object)
         newton = ss.compile(system, scheme, precision=BY_NEWTON)
         start = newton.integrate(**system.reference_state, h=h, steps=0)
-        blocks = {"POSITION": start.q[0], "MOMENTUM": start.p[0],
-                  "PARAMETER": [mpmath.mpf(x) for x in system.parameters.values()]}  # fmt: skip
+        blocks = {
+            "POSITION": start.q[0],
+            "MOMENTUM": start.p[0],
+            "PARAMETER": [mpmath.mpf(x) for x in system.parameters.values()],
+        }
         for name, values in blocks.items():
             first = getattr(module, name)
             W[first : first + len(values), 0] = values
@@ -157,8 +181,19 @@ def test_stages_solve_the_equations(system, scheme):
 
 
 @pytest.mark.parametrize("scheme", sweep(BY_STAGES))
-@pytest.mark.parametrize("name", sweep(["double_pendulum", "lagrange_top", "heavy_top", "kepler",
-                                  "henon_heiles", "ellipsoid_geodesic"]))  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    sweep(
+        [
+            "double_pendulum",
+            "lagrange_top",
+            "heavy_top",
+            "kepler",
+            "henon_heiles",
+            "ellipsoid_geodesic",
+        ]
+    ),
+)
 def test_compiled_stages_against_many_digits(name, scheme):
     system = ss.systems.CATALOGUE[name]()
     stepper = ss.compile(system, scheme)

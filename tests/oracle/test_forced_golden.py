@@ -43,8 +43,11 @@ def test_states_in_many_digits(case):
 @pytest.mark.parametrize("case", sweep(OTHERS, 3), ids=lambda case: case["name"])
 def test_work_and_balance(case):
     run = run_of(case, stepper_of(case), float)
-    final = {name: float(value) for name, value in case["results"]["final"].items()
-             if isinstance(value, str)}  # fmt: skip
+    final = {
+        name: float(value)
+        for name, value in case["results"]["final"].items()
+        if isinstance(value, str)
+    }
     assert abs(run.energy[-1] - final["H"]) < 1e-13
     assert abs(run.work["total"][-1] - final["work"]) < 1e-13
     balance = final["H"] - final["H0"] - final["work"] + final["integral_L_t"]

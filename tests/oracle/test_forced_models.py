@@ -21,11 +21,19 @@ def damped_pendulum():
     """trep's example: a pendulum with a damper in its joint."""
     (theta,) = ss.coordinates("theta")
     m, l, g, c = sp.symbols("m l g c", positive=True)
-    return ss.MechanicalSystem(
-        "damped", coordinates=(theta,), kinetic=m * l**2 * theta.diff() ** 2 / 2,
-        potential=-m * g * l * cos(theta), parameters={m: 1.0, l: 1.0, g: 9.8, c: 0.1},
-        dissipation=c * theta.diff() ** 2 / 2,
-    ), [2.5], [0.0], 0.02  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "damped",
+            coordinates=(theta,),
+            kinetic=m * l**2 * theta.diff() ** 2 / 2,
+            potential=-m * g * l * cos(theta),
+            parameters={m: 1.0, l: 1.0, g: 9.8, c: 0.1},
+            dissipation=c * theta.diff() ** 2 / 2,
+        ),
+        [2.5],
+        [0.0],
+        0.02,
+    )
 
 
 def dual_pendulums():
@@ -36,12 +44,19 @@ def dual_pendulums():
     second = sp.Matrix([d + l * sin(b), -l * cos(b)])
     length = sp.sqrt((second - first).dot(second - first))
     kinetic = m * l**2 * (a.diff() ** 2 + b.diff() ** 2) / 2
-    return ss.MechanicalSystem(
-        "dual_pendulums", coordinates=(a, b), kinetic=kinetic,
-        potential=-m * g * l * (cos(a) + cos(b)) + k * (length - x0) ** 2 / 2,
-        parameters={m: 1.0, l: 1.5, d: 1.0, g: 9.8, k: 20.0, c: 1.0, x0: 1.0},
-        dissipation=c * length.diff(t) ** 2 / 2,
-    ), [-0.6, 0.2], [0.0, 0.0], 0.02  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "dual_pendulums",
+            coordinates=(a, b),
+            kinetic=kinetic,
+            potential=-m * g * l * (cos(a) + cos(b)) + k * (length - x0) ** 2 / 2,
+            parameters={m: 1.0, l: 1.5, d: 1.0, g: 9.8, k: 20.0, c: 1.0, x0: 1.0},
+            dissipation=c * length.diff(t) ** 2 / 2,
+        ),
+        [-0.6, 0.2],
+        [0.0, 0.0],
+        0.02,
+    )
 
 
 def configuration_spring():
@@ -54,21 +69,39 @@ def configuration_spring():
         x, y = x + sin(angle), y - cos(angle)
         kinetic += (x.diff(t) ** 2 + y.diff(t) ** 2) / 2
         potential += g * y + k * x_i**2 / 2
-    return ss.MechanicalSystem(
-        "springs", coordinates=q, kinetic=kinetic, potential=potential,
-        parameters={k: 15.0, c: 0.5, g: 9.8, torque: 2.0}, forces={q[0]: torque * sin(3 * t)},
-        dissipation=c * sum(x_i.diff() ** 2 for x_i in q) / 2,
-    ), [0.5, -0.3, 0.4], [0.0, 0.0, 0.0], 0.01  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "springs",
+            coordinates=q,
+            kinetic=kinetic,
+            potential=potential,
+            parameters={k: 15.0, c: 0.5, g: 9.8, torque: 2.0},
+            forces={q[0]: torque * sin(3 * t)},
+            dissipation=c * sum(x_i.diff() ** 2 for x_i in q) / 2,
+        ),
+        [0.5, -0.3, 0.4],
+        [0.0, 0.0, 0.0],
+        0.01,
+    )
 
 
 def slimplectic_oscillator():
     """slimplectic's damped oscillator."""
     (x,) = ss.coordinates("x")
     m, k, lam = sp.symbols("m k lam", positive=True)
-    return ss.MechanicalSystem(
-        "slimplectic", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=k * x**2 / 2,
-        parameters={m: 1.0, k: 100.0, lam: 0.1 / 3}, forces={x: -lam * x.diff()},
-    ), [1.0], [0.0], 0.05  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "slimplectic",
+            coordinates=(x,),
+            kinetic=m * x.diff() ** 2 / 2,
+            potential=k * x**2 / 2,
+            parameters={m: 1.0, k: 100.0, lam: 0.1 / 3},
+            forces={x: -lam * x.diff()},
+        ),
+        [1.0],
+        [0.0],
+        0.05,
+    )
 
 
 def poynting_robertson():
@@ -78,20 +111,36 @@ def poynting_robertson():
     r2 = x**2 + y**2
     radial = (x * x.diff() + y * y.diff()) / r2
     drag = {q: -beta / (light * r2) * (q.diff() + radial * q) for q in (x, y)}
-    return ss.MechanicalSystem(
-        "dust", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-(1 - beta) / sp.sqrt(r2), parameters={beta: 0.1, light: 50.0},
-        forces={"radiation": drag},
-    ), [1.0, 0.0], [0.0, 0.9], 0.05  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "dust",
+            coordinates=(x, y),
+            kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+            potential=-(1 - beta) / sp.sqrt(r2),
+            parameters={beta: 0.1, light: 50.0},
+            forces={"radiation": drag},
+        ),
+        [1.0, 0.0],
+        [0.0, 0.9],
+        0.05,
+    )
 
 
 def driven_pendulum():
     """heyoka's tutorial on time: a pendulum with damping and a periodic drive."""
     (x,) = ss.coordinates("x")
-    return ss.MechanicalSystem(
-        "driven", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=-cos(x),
-        forces={"damping": {x: -x.diff() / 10}, "drive": {x: cos(t)}},
-    ), [0.0], [1.85], 0.05  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "driven",
+            coordinates=(x,),
+            kinetic=x.diff() ** 2 / 2,
+            potential=-cos(x),
+            forces={"damping": {x: -x.diff() / 10}, "drive": {x: cos(t)}},
+        ),
+        [0.0],
+        [1.85],
+        0.05,
+    )
 
 
 def puma():
@@ -103,10 +152,19 @@ def puma():
     for k, (x, b) in enumerate(zip(q, viscous, strict=True)):
         coulomb = sp.Rational(2, 5) * sp.tanh(x.diff() / sp.Rational(1, 5))
         forces[x] = -1000 * b * x.diff() - coulomb + 5 * cos((k + 2) * t)
-    return ss.MechanicalSystem(
-        "puma_with_friction", coordinates=q, kinetic=arm.kinetic, potential=arm.potential,
-        parameters=arm.parameters, forces=forces,
-    ), [0.3, -0.4, 0.5], [0.1, 0.2, -0.1], 0.01  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "puma_with_friction",
+            coordinates=q,
+            kinetic=arm.kinetic,
+            potential=arm.potential,
+            parameters=arm.parameters,
+            forces=forces,
+        ),
+        [0.3, -0.4, 0.5],
+        [0.1, 0.2, -0.1],
+        0.01,
+    )
 
 
 def kapitza():
@@ -120,11 +178,18 @@ def foucault():
     W, g, l, c = sp.symbols("W g l c", positive=True)
     vx, vy = x.diff() - W * y, y.diff() + W * x
     speed = sp.sqrt(x.diff() ** 2 + y.diff() ** 2 + sp.Float(1e-6))
-    return ss.MechanicalSystem.from_lagrangian(
-        "foucault", (vx**2 + vy**2) / 2 - g / l * (x**2 + y**2) / 2, (x, y),
-        {W: 0.05, g: 9.81, l: 67.0, c: 0.02},
-        forces={x: -c * speed * x.diff(), y: -c * speed * y.diff()},
-    ), [2.0, 0.0], [0.0, 0.0], 0.1  # fmt: skip
+    return (
+        ss.MechanicalSystem.from_lagrangian(
+            "foucault",
+            (vx**2 + vy**2) / 2 - g / l * (x**2 + y**2) / 2,
+            (x, y),
+            {W: 0.05, g: 9.81, l: 67.0, c: 0.02},
+            forces={x: -c * speed * x.diff(), y: -c * speed * y.diff()},
+        ),
+        [2.0, 0.0],
+        [0.0, 0.0],
+        0.1,
+    )
 
 
 def quarter_car():
@@ -132,13 +197,19 @@ def quarter_car():
     wheel, body = ss.coordinates("wheel body")
     m, M, k, K, c, a, w = sp.symbols("m M k K c a w", positive=True)
     road = a * sin(w * t)
-    return ss.MechanicalSystem(
-        "quarter_car", coordinates=(wheel, body),
-        kinetic=(m * wheel.diff() ** 2 + M * body.diff() ** 2) / 2,
-        potential=K * (wheel - road) ** 2 / 2 + k * (body - wheel) ** 2 / 2,
-        parameters={m: 40.0, M: 320.0, k: 1.8e4, K: 2.0e5, c: 1.0e3, a: 0.02, w: 12.0},
-        dissipation=c * (body.diff() - wheel.diff()) ** 2 / 2,
-    ), [0.0, 0.0], [0.0, 0.1], 0.005  # fmt: skip
+    return (
+        ss.MechanicalSystem(
+            "quarter_car",
+            coordinates=(wheel, body),
+            kinetic=(m * wheel.diff() ** 2 + M * body.diff() ** 2) / 2,
+            potential=K * (wheel - road) ** 2 / 2 + k * (body - wheel) ** 2 / 2,
+            parameters={m: 40.0, M: 320.0, k: 1.8e4, K: 2.0e5, c: 1.0e3, a: 0.02, w: 12.0},
+            dissipation=c * (body.diff() - wheel.diff()) ** 2 / 2,
+        ),
+        [0.0, 0.0],
+        [0.0, 0.1],
+        0.005,
+    )
 
 
 def rolling_disc():
@@ -155,17 +226,32 @@ def rolling_disc():
     pull = -m * g * sin(slope) * frame.x + cos(2 * t) * frame.x
     loads = [(centre, pull), (turned, -c * s.diff() * frame.z)]
     method = me.LagrangesMethod(me.Lagrangian(frame, disc), [s], forcelist=loads, frame=frame)
-    return ss.MechanicalSystem.from_lagranges_method(
-        "disc", method, {m: 2.0, r: 0.3, g: 9.81, slope: 0.1, c: 0.4}
-    ), [0.0], [1.0], 0.05  # fmt: skip
+    return (
+        ss.MechanicalSystem.from_lagranges_method(
+            "disc", method, {m: 2.0, r: 0.3, g: 9.81, slope: 0.1, c: 0.4}
+        ),
+        [0.0],
+        [1.0],
+        0.05,
+    )
 
 
 MODELS = {
     make.__name__: make
-    for make in (rolling_disc, dual_pendulums, damped_pendulum, configuration_spring,
-                 slimplectic_oscillator, poynting_robertson, driven_pendulum, puma, kapitza,
-                 foucault, quarter_car)
-}  # fmt: skip
+    for make in (
+        rolling_disc,
+        dual_pendulums,
+        damped_pendulum,
+        configuration_spring,
+        slimplectic_oscillator,
+        poynting_robertson,
+        driven_pendulum,
+        puma,
+        kapitza,
+        foucault,
+        quarter_car,
+    )
+}
 
 
 @pytest.mark.parametrize("name", sweep(MODELS, 0))

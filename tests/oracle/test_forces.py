@@ -17,8 +17,15 @@ t = ss.time
 a, c, g, k, w = sp.symbols("a c g k w", positive=True)
 
 
-STEPS = {"midpoint": (160, 320), "simpson": (80, 160), "lobatto6": (40, 80), "gauss4": (80, 160),
-         "gauss6": (40, 80), "gauss8": (14, 28), "gauss12": (10, 16)}  # fmt: skip
+STEPS = {
+    "midpoint": (160, 320),
+    "simpson": (80, 160),
+    "lobatto6": (40, 80),
+    "gauss4": (80, 160),
+    "gauss6": (40, 80),
+    "gauss8": (14, 28),
+    "gauss12": (10, 16),
+}
 
 
 @pytest.mark.slow
@@ -43,10 +50,13 @@ def test_the_order_is_that_without_forces(name, scheme):
 def test_explicit_steps_take_forces_of_time_and_position():
     x, y = ss.coordinates("x y")
     system = ss.MechanicalSystem(
-        "kicked", coordinates=(x, y), kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
-        potential=x**4 / 4 + y**2 / 2, parameters={a: 0.5, w: 3.0},
+        "kicked",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + 2 * y.diff() ** 2) / 2,
+        potential=x**4 / 4 + y**2 / 2,
+        parameters={a: 0.5, w: 3.0},
         forces={x: a * sp.cos(w * t) + y / 10, y: -sp.sin(y) * x / 5},
-    )  # fmt: skip
+    )
     q, v = [0.5, 0.3], [0.2, 0.1]
     for scheme, (few, many) in {"suzuki4": (20, 40), "blanes_moan6": (10, 20)}.items():
         stepper = ss.compile(system, scheme)
@@ -109,8 +119,14 @@ def simpson_by_hand(rate, wrong, h, steps, q, p):
     return np.array([q, p])
 
 
-MISTAKES = ["", "ends alone", "middle alone", "mean velocity", "time of the middle",
-            "all into the start"]  # fmt: skip
+MISTAKES = [
+    "",
+    "ends alone",
+    "middle alone",
+    "mean velocity",
+    "time of the middle",
+    "all into the start",
+]
 
 
 @pytest.mark.parametrize("wrong", MISTAKES)
@@ -141,10 +157,13 @@ def test_momentum_changes_by_what_forces_give(scheme):
     x, y, z = ss.coordinates("x y z")
     drag = system.forces["drag"]
     wider = ss.MechanicalSystem(
-        "with_torque", coordinates=(x, y, z), kinetic=system.kinetic + z.diff() ** 2 / 2,
-        potential=system.potential, parameters=system.parameters,
+        "with_torque",
+        coordinates=(x, y, z),
+        kinetic=system.kinetic + z.diff() ** 2 / 2,
+        potential=system.potential,
+        parameters=system.parameters,
         forces={"drag": {**drag, z: x * drag[y] - y * drag[x]}},
-    )  # fmt: skip
+    )
     run = ss.compile(wider, scheme).integrate([*q, 0.0], [*v, 0.0], h=0.1, steps=100)
     angular = run["x"] * run["p_y"] - run["y"] * run["p_x"]
     assert abs(angular[-1] - angular[0]) > 0.1
@@ -156,9 +175,13 @@ def test_momentum_of_a_cyclic_coordinate_stays_to_the_bit(scheme):
     theta, phi = ss.coordinates("theta phi")
     kinetic = (theta.diff() ** 2 + sp.sin(theta) ** 2 * phi.diff() ** 2) / 2
     system = ss.MechanicalSystem(
-        "braked", coordinates=(theta, phi), kinetic=kinetic, potential=g * sp.cos(theta),
-        parameters={g: 9.81, c: 0.3}, dissipation=c * theta.diff() ** 2 / 2,
-    )  # fmt: skip
+        "braked",
+        coordinates=(theta, phi),
+        kinetic=kinetic,
+        potential=g * sp.cos(theta),
+        parameters={g: 9.81, c: 0.3},
+        dissipation=c * theta.diff() ** 2 / 2,
+    )
     run = ss.compile(system, scheme).integrate([1.5, 0.0], [0.2, 2.0], h=0.02, steps=500)
     assert np.ptp(run["p_phi"]) == 0
     assert run.energy[-1] < run.energy[0] - 0.1
@@ -236,11 +259,14 @@ def test_loops_take_forces_too(force):
     gaps = [X[0], *[q - p for p, q in pairwise(X)], -X[-1]]
     loss = c * sum(gap.diff(t) ** 2 for gap in gaps) / 2
     system = ss.MechanicalSystem(
-        "driven_chain", coordinates=X, kinetic=sum(x.diff() ** 2 for x in X) / 2,
-        potential=sum(z**2 / 2 + z**4 / 4 for z in gaps), parameters={c: 0.2, a: 0.5, w: 2.0},
+        "driven_chain",
+        coordinates=X,
+        kinetic=sum(x.diff() ** 2 for x in X) / 2,
+        potential=sum(z**2 / 2 + z**4 / 4 for z in gaps),
+        parameters={c: 0.2, a: 0.5, w: 2.0},
         forces={"drive": {X[0]: a * sp.cos(w * t) * X[1]}},
         dissipation=loss if force == "of v" else None,
-    )  # fmt: skip
+    )
     q, v = [0.3 * np.sin(i) for i in range(18)], [0.1] * 18
     stepper = ss.compile(system)
     assert not stepper._module.header.unrolled

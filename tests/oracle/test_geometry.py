@@ -39,9 +39,12 @@ def tangent(module, q, p, parameters, h, steps):
 x, y = ss.coordinates("x y")
 #: Constant M, forces of positions alone, a rotational symmetry: every scheme takes it.
 CENTRAL = ss.MechanicalSystem(
-    "central_force", coordinates=[x, y], kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-    potential=(x**2 + y**2) / 2 + (x**2 + y**2) ** 2 / 4, parameters={},
-)  # fmt: skip
+    "central_force",
+    coordinates=[x, y],
+    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=(x**2 + y**2) / 2 + (x**2 + y**2) ** 2 / 4,
+    parameters={},
+)
 EVEN = range(6, 17, 2)
 KINDS = ["simpson", "gauss6", "blanes_moan6"]
 FAMILY = [
@@ -93,8 +96,10 @@ def test_one_step_is_symplectic(system, h, scheme):
         q, p = [0.7, -1.1], [0.9, -0.25]
     else:  # units in which the momenta are of order one: 1/g instead of kg
         q, p = [0.0, np.pi / 3, 0.0], [32.1145, 0.5, 32.075]
-        parameters = [a * (1000 if str(k) in ("m_top", "I", "I3") else 1)
-                      for k, a in system.parameters.items()]  # fmt: skip
+        parameters = [
+            a * (1000 if str(k) in ("m_top", "I", "I3") else 1)
+            for k, a in system.parameters.items()
+        ]
     D = tangent(module, q, p, parameters, h, 1)
     assert symplectic_defect(D) < 1e-13 * max(1.0, np.abs(D).max())
 
@@ -147,10 +152,16 @@ def test_the_printed_formula_is_not_symplectic():
         z = np.concatenate([q0, q0, p0])
         for _ in range(60):
             R = printed_simpson_residual(PENDULUM, z, q0, p0, h, parameters)
-            J = np.array([
-                (printed_simpson_residual(PENDULUM, z + d, q0, p0, h, parameters)
-                 - printed_simpson_residual(PENDULUM, z - d, q0, p0, h, parameters)) / 2e-6
-                for d in 1e-6 * np.eye(6)]).T  # fmt: skip
+            J = np.array(
+                [
+                    (
+                        printed_simpson_residual(PENDULUM, z + d, q0, p0, h, parameters)
+                        - printed_simpson_residual(PENDULUM, z - d, q0, p0, h, parameters)
+                    )
+                    / 2e-6
+                    for d in 1e-6 * np.eye(6)
+                ]
+            ).T
             z = z - np.linalg.solve(J, R)
             if np.abs(R).max() < 1e-13:
                 break
@@ -174,10 +185,14 @@ def test_the_printed_formula_is_not_symplectic():
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 @pytest.mark.parametrize(
     ("system", "h", "steps", "threshold"),
-    [(PENDULUM, 0.05, 100, 1e-13), (PENDULUM, 0.05, 10_000, 1e-10),
-     (TOP, 0.05, 37, 1e-11), (TOP, 0.05, 3700, 1e-8)],
+    [
+        (PENDULUM, 0.05, 100, 1e-13),
+        (PENDULUM, 0.05, 10_000, 1e-10),
+        (TOP, 0.05, 37, 1e-11),
+        (TOP, 0.05, 3700, 1e-8),
+    ],
     ids=["pendulum", "pendulum long", "top", "top long"],
-)  # fmt: skip
+)
 def test_reversibility(system, h, steps, threshold, scheme):
     stepper = ss.compile(system, scheme)
     there = stepper.integrate(**system.reference_state, h=h, steps=steps)
@@ -189,8 +204,15 @@ def test_reversibility(system, h, steps, threshold, scheme):
     assert np.abs((flipped.q[0] - there.q[0]) / scale).max() < threshold
 
 
-CYCLIC = {"lagrange_top": (0, 2), "spherical_pendulum": (1,), "cart_pole": (0,), "kepler": (1,),
-          "rigid_body": (0,), "heavy_top": (0,), "torus_geodesic": (1,)}  # fmt: skip
+CYCLIC = {
+    "lagrange_top": (0, 2),
+    "spherical_pendulum": (1,),
+    "cart_pole": (0,),
+    "kepler": (1,),
+    "rigid_body": (0,),
+    "heavy_top": (0,),
+    "torus_geodesic": (1,),
+}
 
 
 @pytest.mark.parametrize("name", sweep(CYCLIC, 2))

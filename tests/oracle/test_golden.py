@@ -65,9 +65,12 @@ def test_golden_in_64_digits(case, arithmetic):
     system = SYSTEMS[case["system"]]()
     stepper = ss.compile(system, case["scheme"], precision=64, arithmetic=arithmetic)
     run = stepper.integrate(
-        case["q0"], p0=case["p0"], h=case["h"], steps=case["N"],
+        case["q0"],
+        p0=case["p0"],
+        h=case["h"],
+        steps=case["N"],
         parameters=parameters_of(case, system),
-    )  # fmt: skip
+    )
     for state, place, end in ((case["first_step"], 1, "1"), (case["final"], -1, "")):
         for found, key in ((run.q[place], f"q{end}"), (run.p[place], f"p{end}")):
             for number, truth in zip(found, stretched(state[key]), strict=True):

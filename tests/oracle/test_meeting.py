@@ -42,9 +42,13 @@ def test_a_comet_follows_keplers_equation():
 @pytest.mark.slow
 def test_run_times_are_measured_in_both_times():
     found = ss.work_precision(
-        ss.systems.kepler_plane().retimed("encounters"), ["gauss8"], peers=(), errors=[1e-3],
-        t_end=8.0, repeats=1,
-    )  # fmt: skip
+        ss.systems.kepler_plane().retimed("encounters"),
+        ["gauss8"],
+        peers=(),
+        errors=[1e-3],
+        t_end=8.0,
+        repeats=1,
+    )
     assert found.names == ("gauss8", "gauss8 retimed")
     fixed, adapting = (found.fastest(name, 1e-3) for name in found.names)
     assert adapting.choice < fixed.choice

@@ -53,9 +53,11 @@ def exact_nutation(times):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "order", "known"),
-    [("simpson", 4, [3.438e-6, 2.142e-7, 1.338e-8, 8.363e-10]),
-     ("midpoint", 2, [1.691e-2, 4.213e-3, 1.052e-3, 2.631e-4])],
-)  # fmt: skip
+    [
+        ("simpson", 4, [3.438e-6, 2.142e-7, 1.338e-8, 8.363e-10]),
+        ("midpoint", 2, [1.691e-2, 4.213e-3, 1.052e-3, 2.631e-4]),
+    ],
+)
 def test_nutation_of_the_top(scheme, order, known):
     """Against elliptic functions: the largest relative error over about one period."""
     system = ss.systems.lagrange_top()

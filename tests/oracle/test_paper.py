@@ -290,10 +290,11 @@ def test_the_printed_motion_is_regular():
     length = GRAVITY / TURN**2
     given = {"h": 0.02, "parameters": {"m1": 1, "m2": 1, "l1": length, "l2": length, "g": GRAVITY}}
     ends = [
-        simpson.integrate([math.pi / 4 + eps, math.pi / 3], p0=[0, 0], steps=50_000, every=5000,
-                          **given).q
+        simpson.integrate(
+            [math.pi / 4 + eps, math.pi / 3], p0=[0, 0], steps=50_000, every=5000, **given
+        ).q
         for eps in (0, 1e-9)
-    ]  # fmt: skip
+    ]
     growth = np.abs(ends[1] - ends[0])[1:].max(axis=1) / 1e-9
     assert growth[-1] < 1500
     assert growth[-1] / growth[0] < 30

@@ -25,9 +25,12 @@ def test_the_energy_of_the_argon_crystal_is_that_of_the_textbook():
     crystal = ss.systems.argon()
     energy = ss.compile(crystal, "midpoint").energy(
         [crystal.reference_state["q0"]],
-        p=[[crystal.parameters[m] * v for v in crystal.reference_state["v0"]]
-           for m in crystal.parameters if m.name == "m"],
-    )  # fmt: skip
+        p=[
+            [crystal.parameters[m] * v for v in crystal.reference_state["v0"]]
+            for m in crystal.parameters
+            if m.name == "m"
+        ],
+    )
     assert abs(energy[0] + 1260.2) < 0.05
 
 
@@ -47,9 +50,14 @@ def dh_arm(joints):
     for k, link in enumerate(LINKS[:joints]):
         c, s = sp.cos(q[k]), sp.sin(q[k])
         ca, sa = round(float(np.cos(link.alpha))), round(float(np.sin(link.alpha)))
-        total = total * sp.Matrix([[c, -s * ca, s * sa, link.a * c],
-                                   [s, c * ca, -c * sa, link.a * s],
-                                   [0, sa, ca, link.d], [0, 0, 0, 1]])  # fmt: skip
+        total = total * sp.Matrix(
+            [
+                [c, -s * ca, s * sa, link.a * c],
+                [s, c * ca, -c * sa, link.a * s],
+                [0, sa, ca, link.d],
+                [0, 0, 0, 1],
+            ]
+        )
         rotation = total[:3, :3]
         place = total[:3, 3] + rotation * sp.Matrix(link.centre)
         moving = place.jacobian(q) * sp.Matrix(v)
@@ -87,8 +95,12 @@ def test_arms_against_newton_and_euler(joints):
         for _ in range(3):
             q, v = random.uniform(-2, 2, joints), random.uniform(-1, 1, joints)
             found = jet_values(jet, q, v, [])
-            table = {name: np.array([[float(found[name, i, j]) for j in range(joints)]
-                                     for i in range(joints)]) for name in ("M", "P_q")}  # fmt: skip
+            table = {
+                name: np.array(
+                    [[float(found[name, i, j]) for j in range(joints)] for i in range(joints)]
+                )
+                for name in ("M", "P_q")
+            }
             force = np.array([float(found["F", i]) for i in range(joints)])
             mine = np.linalg.solve(table["M"], force - table["P_q"] @ v)
             truth = accelerations(LINKS[:joints], q, v, GRAVITY)
@@ -100,13 +112,16 @@ def test_conventions_of_denavit_and_hartenberg_agree():
     """Two bars in a plane and a slide, in the standard and in the modified convention."""
     bar = {"mass": 2.0, "inertia": (0.1, 0.2, 0.3)}
     standard = ss.serial_arm(
-        "standard", [ss.Link(a=0.5, centre=(-0.2, 0, 0), **bar),
-                     ss.Link(a=0.4, centre=(-0.1, 0, 0), **bar)], gravity=(0, -9.81, 0),
-    )  # fmt: skip
+        "standard",
+        [ss.Link(a=0.5, centre=(-0.2, 0, 0), **bar), ss.Link(a=0.4, centre=(-0.1, 0, 0), **bar)],
+        gravity=(0, -9.81, 0),
+    )
     modified = ss.serial_arm(
-        "modified", [ss.Link(centre=(0.3, 0, 0), **bar), ss.Link(a=0.5, centre=(0.3, 0, 0), **bar)],
-        gravity=(0, -9.81, 0), modified=True,
-    )  # fmt: skip
+        "modified",
+        [ss.Link(centre=(0.3, 0, 0), **bar), ss.Link(a=0.5, centre=(0.3, 0, 0), **bar)],
+        gravity=(0, -9.81, 0),
+        modified=True,
+    )
     runs = [
         ss.compile(arm).integrate([0.3, 0.5], v0=[0.1, -0.4], h=0.01, steps=50)
         for arm in (standard, modified)
@@ -118,8 +133,9 @@ def test_conventions_of_denavit_and_hartenberg_agree():
     np.testing.assert_allclose(run.q[-1, 0], 1 + 2 - 9.81 / 2, rtol=1e-14)
 
 
-@pytest.mark.parametrize("wrong", [{"links": []}, {"gravity": (0, 9.81)}, {"centre": (1, 2)},
-                                   {"inertia": (1, 2)}])  # fmt: skip
+@pytest.mark.parametrize(
+    "wrong", [{"links": []}, {"gravity": (0, 9.81)}, {"centre": (1, 2)}, {"inertia": (1, 2)}]
+)
 def test_arms_that_are_none(wrong):
     link = ss.Link(a=1.0, mass=1.0, inertia=(1, 1, 1))
     if wrong.keys() & {"centre", "inertia"}:
@@ -151,8 +167,9 @@ def test_a_report_tells_what_was_done():
 
 def exact(expression):
     """Write floats as the fractions that they are."""
-    floats = {x: sp.Rational(*Fraction(float(x)).as_integer_ratio())
-              for x in expression.atoms(sp.Float)}  # fmt: skip
+    floats = {
+        x: sp.Rational(*Fraction(float(x)).as_integer_ratio()) for x in expression.atoms(sp.Float)
+    }
     return expression.xreplace(floats)
 
 
@@ -160,8 +177,11 @@ def symengine_truth(system, point):
     """Second derivatives of L by SymEngine, in many digits."""
     symengine = pytest.importorskip("symengine")
     n = system.n
-    names = [*(f"q_{i}" for i in range(n)), *(f"v_{i}" for i in range(n)),
-             *(f"a_{i}" for i in range(len(system.parameters)))]  # fmt: skip
+    names = [
+        *(f"q_{i}" for i in range(n)),
+        *(f"v_{i}" for i in range(n)),
+        *(f"a_{i}" for i in range(len(system.parameters))),
+    ]
     own = sp.symbols(names, real=True)
     users = [*system.coordinates, *(x.diff() for x in system.coordinates), *system.parameters]
     lagrangian = exact(system.lagrangian).xreplace(dict(zip(users, own, strict=True)))
@@ -190,8 +210,12 @@ def agrees_with_symengine(system, seed=0):
             assert abs(found["F", i] - first[i]) < mp.mpf("1e-30") * size
             assert abs(found["P", i] - first[n + i]) < mp.mpf("1e-30") * size
             for j in range(n):
-                for name, a, b in (("F_q", i, j), ("F_v", i, n + j), ("P_q", n + i, j),
-                                   ("M", n + i, n + j)):  # fmt: skip
+                for name, a, b in (
+                    ("F_q", i, j),
+                    ("F_v", i, n + j),
+                    ("P_q", n + i, j),
+                    ("M", n + i, n + j),
+                ):
                     gap = abs(found[name, i, j] - second[2 * n * a + b])
                     assert gap < mp.mpf("1e-30") * size, (system.name, name, i, j)
 
@@ -242,9 +266,11 @@ def test_jets_agree_with_casadi(name):
     point = random.uniform(0.2, 0.9, 2 * n)
     first, second = (np.array(x) for x in evaluate(point))
     found = jet_values(
-        derive_jet(system.structure.plain), point[:n], point[n:],
+        derive_jet(system.structure.plain),
+        point[:n],
+        point[n:],
         [float(x) for x in system.parameters.values()],
-    )  # fmt: skip
+    )
     size = 1 + abs(second).max()
     for i in range(n):
         assert abs(float(found["F", i]) - first[i, 0]) < 1e-12 * size
@@ -266,9 +292,13 @@ def test_water_against_runge_and_kutta():
     rates = canonical(molecule).function("math")
     parameters = list(molecule.parameters.values())
     found = solve_ivp(
-        lambda t, y: rates(*y, *parameters), (0, 10), [*run.q[0], *run.p[0]], "DOP853",
-        rtol=1e-13, atol=1e-14,
-    )  # fmt: skip
+        lambda t, y: rates(*y, *parameters),
+        (0, 10),
+        [*run.q[0], *run.p[0]],
+        "DOP853",
+        rtol=1e-13,
+        atol=1e-14,
+    )
     np.testing.assert_allclose([*run.q[-1], *run.p[-1]], found.y[:, -1], rtol=1e-8, atol=1e-9)
 
 

@@ -86,10 +86,11 @@ def test_planted_structure_compiled(seed):
     system, _ = structured_system(seed)
     q, v = random_state(seed, system.n)
     ends = [
-        ss.compile(system, SCHEMES[seed // 10 % 2], exploit=exploit)
-        .integrate(q, p0=v, h=0.02, steps=STEPS, every=None)
+        ss.compile(system, SCHEMES[seed // 10 % 2], exploit=exploit).integrate(
+            q, p0=v, h=0.02, steps=STEPS, every=None
+        )
         for exploit in ((), "all")
-    ]  # fmt: skip
+    ]
     for a, b in ((ends[0].q, ends[1].q), (ends[0].p, ends[1].p)):
         assert np.abs(a - b).max() < 1e-12 * np.abs(a).max()
 
@@ -135,8 +136,9 @@ def test_top_near_the_vertical(scheme):
                 module.newton(mp.mpf(h), 0, W)
             module.advance(mp.mpf(h), 0, W)
         truth = state(module, W)
-        errors = np.array([[abs(float(x - y)) for x, y in zip(end, truth, strict=True)]
-                           for end in ends])  # fmt: skip
+        errors = np.array(
+            [[abs(float(x - y)) for x, y in zip(end, truth, strict=True)] for end in ends]
+        )
     assert errors[1, 1] < 1e-12
     assert (errors[1] <= errors[0] + 1e-15).all()
     assert errors[0, 0] > 1e-12  # else this is no test of it
@@ -283,9 +285,12 @@ def test_chain_with_a_mass_that_depends_on_q():
     kinetic = sum((2 + sp.cos(a)) * u**2 for a, u in zip(x, v, strict=True)) / 2
     kinetic += sum(sp.cos(x[i] - x[i + 1]) * v[i] * v[i + 1] / 3 for i in range(n - 1))
     system = ss.MechanicalSystem(
-        "chain", coordinates=x, kinetic=kinetic, parameters={},
+        "chain",
+        coordinates=x,
+        kinetic=kinetic,
+        parameters={},
         potential=sum((x[i] - x[i + 1]) ** 4 + x[i] ** 2 for i in range(n - 1)),
-    )  # fmt: skip
+    )
     text = source(system)
     assert "BAND = 1\n" in text
     q, p = [0.1 * (i % 4) for i in range(n)], [0.05 * (i % 3) for i in range(n)]

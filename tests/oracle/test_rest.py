@@ -15,8 +15,13 @@ import symsimpson as ss
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "midpoint", "radau5", "gauss16"], 2))
 def test_rest_between_two_walls(scheme):
     """At x = 0 forces of the size 1 cancel: increments are smaller than their rounding."""
-    walls = ss.MechanicalSystem("walls", coordinates=(X,), kinetic=X.diff() ** 2 / 2,
-                                potential=1 / (1 - X) + 1 / (1 + X), parameters={})  # fmt: skip
+    walls = ss.MechanicalSystem(
+        "walls",
+        coordinates=(X,),
+        kinetic=X.diff() ** 2 / 2,
+        potential=1 / (1 - X) + 1 / (1 + X),
+        parameters={},
+    )
     run = ss.compile(walls, scheme).integrate([1e-13], v0=[0.0], h=0.1, t_end=50.0)
     assert np.abs(run.q).max() < 1.1e-13  # omega = 2: it swings with its amplitude
     assert run.q.min() < -0.5e-13 or scheme == "radau5"
@@ -27,8 +32,9 @@ def test_a_linear_step_is_taken_whatever_h_is():
     x, y = ss.coordinates("x y")
     B = sp.Symbol("B", positive=True)
     L = (x.diff() ** 2 + y.diff() ** 2) / 2 + B / 2 * (x * y.diff() - y * x.diff())
-    stepper = ss.compile(ss.MechanicalSystem.from_lagrangian("field", L, (x, y), {B: 18.0}),
-                         "midpoint")  # fmt: skip
+    stepper = ss.compile(
+        ss.MechanicalSystem.from_lagrangian("field", L, (x, y), {B: 18.0}), "midpoint"
+    )
     with pytest.warns(ss.StabilityWarning, match="turns by 18 rad"):
         run = stepper.integrate([0, 0], v0=[0, 1], h=1.0, steps=5)
     turned = 10 * np.arctan(9.0)
@@ -40,10 +46,13 @@ def test_what_drag_does_not_explain_is_warned_of():
     """A close passage that steps do not resolve, with a drag that takes 1e-6 of the energy."""
     x, y = ss.coordinates("x y")
     bodies = ss.MechanicalSystem(
-        "dragged", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(x**2 + y**2), parameters={},
+        "dragged",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+        parameters={},
         dissipation=1e-6 * (x.diff() ** 2 + y.diff() ** 2) / 2,
-    )  # fmt: skip
+    )
     stepper = ss.compile(bodies)
     for every in (1, None):
         with pytest.warns(ss.ResolutionWarning, match="does not come back"):
@@ -57,9 +66,13 @@ def test_what_drag_does_not_explain_is_warned_of():
 def test_a_pole_that_steps_jump_is_told():
     """In polar coordinates with little angular momentum r would become negative."""
     r, a = ss.coordinates("r a")
-    central = ss.MechanicalSystem("central", coordinates=(r, a), parameters={},
-                                  kinetic=r.diff() ** 2 / 2 + r**2 * a.diff() ** 2 / 2,
-                                  potential=r**2 / 2)  # fmt: skip
+    central = ss.MechanicalSystem(
+        "central",
+        coordinates=(r, a),
+        parameters={},
+        kinetic=r.diff() ** 2 / 2 + r**2 * a.diff() ** 2 / 2,
+        potential=r**2 / 2,
+    )
     stepper = ss.compile(central, "gauss8")
     for _ in range(2):  # a short run that was made before is looked at, too
         with pytest.warns(ss.ResolutionWarning, match=r"singular point(.|\n)*constraint"):

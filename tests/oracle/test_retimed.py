@@ -47,10 +47,13 @@ def run_of(case, number, **options):
     read = np.frompyfunc(number, 1, 1)
     step = sp.Float(case["dtau"], 40) * first
     return stepper.integrate(
-        read(case["q0"]), p0=read(case["p0"]), h=number(str(step)), steps=case["steps"],
+        read(case["q0"]),
+        p0=read(case["p0"]),
+        h=number(str(step)),
+        steps=case["steps"],
         t0=number(case["t0"]),
         parameters={name: number(value) for name, value in case["parameters"].items()},
-    )  # fmt: skip
+    )
 
 
 def off(found, wanted, number):
@@ -99,9 +102,12 @@ def composed_run(case, number, **options):
     masses = [next((a for a in values if a.name == f"m{i // 2 + 1}"), 1) for i in range(len(q))]
     T = sum(m * x.diff() ** 2 for m, x in zip(masses, q, strict=True)) / 2
     system = ss.MechanicalSystem(
-        "case", coordinates=q, kinetic=T, potential=V,
+        "case",
+        coordinates=q,
+        kinetic=T,
+        potential=V,
         parameters={a: float(x) for a, x in values.items()},
-    )  # fmt: skip
+    )
     name = case["composition"]
     stepper = ss.compile(
         system.retimed(-1 / V), verlet() if name == "verlet" else ss.composition(name), **options
@@ -122,20 +128,26 @@ def test_kicks_and_drifts(case, digits):
         run = composed_run(case, number, **({} if digits == 15 else {"precision": digits}))
         golden = case["results"]
         for found, wanted in (
-            (run.q[1], golden["first_step"]["q1"]), (run.p[1], golden["first_step"]["p1"]),
-            (run.t[1:2], golden["first_step"]["t1"]), (run.q[-1], golden["q"]),
-            (run.p[-1], golden["p"]), (run.t[-1:], golden["t"]),
+            (run.q[1], golden["first_step"]["q1"]),
+            (run.p[1], golden["first_step"]["p1"]),
+            (run.t[1:2], golden["first_step"]["t1"]),
+            (run.q[-1], golden["q"]),
+            (run.p[-1], golden["p"]),
+            (run.t[-1:], golden["t"]),
             (np.array([run.E0]), golden["E0"]),
-        ):  # fmt: skip
+        ):
             assert off(found, wanted, number) < most
 
 
 def kepler(**more):
     x, y = ss.coordinates("x y")
     return ss.MechanicalSystem(
-        "kepler_plane", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(x**2 + y**2), **more,
-    )  # fmt: skip
+        "kepler_plane",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+        **more,
+    )
 
 
 def apocentre(e, number=float):
@@ -159,8 +171,14 @@ def states(stepper, steps, e="0.6"):
         return np.concatenate([run.q[-1], run.p[-1], run.t[-1:]])
 
 
-ORDERS = [("simpson", 4, 40), ("gauss8", 8, 12), ("midpoint", 2, 80), ("gauss4", 4, 40),
-          ("lobatto6", 6, 20), ("gauss6", 6, 16)]  # fmt: skip
+ORDERS = [
+    ("simpson", 4, 40),
+    ("gauss8", 8, 12),
+    ("midpoint", 2, 80),
+    ("gauss4", 4, 40),
+    ("lobatto6", 6, 20),
+    ("gauss6", 6, 16),
+]
 
 
 @pytest.mark.slow
@@ -231,8 +249,9 @@ def test_there_and_back():
 def test_momenta_are_kept_where_the_rate_is_invariant():
     x, y = ss.coordinates("x y")
     p_x, p_y = ss.momenta(x, y)
-    system = kepler(invariants={"angular momentum": x * p_y - y * p_x, "by v": x * y.diff()
-                                - y * x.diff()})  # fmt: skip
+    system = kepler(
+        invariants={"angular momentum": x * p_y - y * p_x, "by v": x * y.diff() - y * x.diff()}
+    )
     run = ss.compile(system.retimed(sp.sqrt(x**2 + y**2)), "simpson").integrate(
         [1.9, 0.0], v0=[0.0, 0.2], h=0.2, steps=400
     )

@@ -25,14 +25,22 @@ def exact():
 
 @pytest.mark.parametrize(
     ("scheme", "order", "steps"),
-    sweep([("simpson", 4, (40, 80)), ("midpoint", 2, (80, 160)), ("lobatto6", 6, (40, 80)),
-           ("gauss8", 8, (32, 64))], 0),
-)  # fmt: skip
+    sweep(
+        [
+            ("simpson", 4, (40, 80)),
+            ("midpoint", 2, (80, 160)),
+            ("lobatto6", 6, (40, 80)),
+            ("gauss8", 8, (32, 64)),
+        ],
+        0,
+    ),
+)
 def test_the_derivative_has_the_order_of_the_scheme(exact, scheme, order, steps):
     stepper, errors = ss.compile(ss.systems.double_pendulum(), scheme), []
     for count in steps:
-        run = stepper.integrate(START[0], p0=START[1], h=1 / count, steps=count, tangents=4,
-                                every=None)  # fmt: skip
+        run = stepper.integrate(
+            START[0], p0=START[1], h=1 / count, steps=count, tangents=4, every=None
+        )
         errors.append(np.abs(run.tangent[0] - exact).max() / np.abs(exact).max())
     # with smaller steps of gauss8 rounding is seen, at 2e-13
     assert abs(np.log2(errors[0] / errors[1]) - order) < 0.2

@@ -51,12 +51,22 @@ def by_complex_steps(module, z, a, **how):
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([("double_pendulum", "simpson"), ("van_der_pol", "gauss4"),
-           ("elastic_pendulum", "gauss8"), ("damped_pendulum", "lobatto6"),
-           ("lagrange_top", "simpson"), ("kepler", "gauss6"), ("cart_pole", "midpoint"),
-           ("henon_heiles", "gauss6"), ("fermi_pasta_ulam", "simpson"),
-           ("heavy_top", "lobatto6")], 2),
-)  # fmt: skip
+    sweep(
+        [
+            ("double_pendulum", "simpson"),
+            ("van_der_pol", "gauss4"),
+            ("elastic_pendulum", "gauss8"),
+            ("damped_pendulum", "lobatto6"),
+            ("lagrange_top", "simpson"),
+            ("kepler", "gauss6"),
+            ("cart_pole", "midpoint"),
+            ("henon_heiles", "gauss6"),
+            ("fermi_pasta_ulam", "simpson"),
+            ("heavy_top", "lobatto6"),
+        ],
+        2,
+    ),
+)
 def test_derivatives_are_those_of_the_text(name, scheme):
     system = getattr(ss.systems, name)()
     text = derive(system, scheme, varied=[str(a) for a in system.parameters]).text

@@ -27,9 +27,15 @@ def carried(stepper, z, h=H, **options):
     return stepper.integrate(z[:n], p0=z[n:], h=h, steps=STEPS, **options)
 
 
-CASES = [("cartesian_pendulum", "simpson"), ("four_bar", "gauss4"), ("quaternion_top", "midpoint"),
-         ("jointed_bodies", "simpson"), ("slider_crank", "lobatto6"), ("tumbling_body", "gauss6"),
-         ("andrews_squeezer", "simpson")]  # fmt: skip
+CASES = [
+    ("cartesian_pendulum", "simpson"),
+    ("four_bar", "gauss4"),
+    ("quaternion_top", "midpoint"),
+    ("jointed_bodies", "simpson"),
+    ("slider_crank", "lobatto6"),
+    ("tumbling_body", "gauss6"),
+    ("andrews_squeezer", "simpson"),
+]
 
 
 @pytest.mark.slow
@@ -115,9 +121,16 @@ def test_a_running_cost_of_a_motion_on_constraints():
 
     def gradient(g):
         return stepper.gradient(
-            q0, **state, h=0.02, steps=50, parameters={"g": g}, wrt="g",
-            running=x.diff() ** 2 + x * y, samples={"p_x": [0.1] * 11}, every=5,
-        )  # fmt: skip
+            q0,
+            **state,
+            h=0.02,
+            steps=50,
+            parameters={"g": g},
+            wrt="g",
+            running=x.diff() ** 2 + x * y,
+            samples={"p_x": [0.1] * 11},
+            every=5,
+        )
 
     values = [gradient(9.81 + number * 1e-2).value for number in (1, -1, 2, -2)]
     slope = (8 * (values[0] - values[1]) - (values[2] - values[3])) / 0.12

@@ -51,8 +51,14 @@ def test_gallery_pages_are_short_and_described():
         assert lines <= 60, path.name
         assert (path.parent / "thumbnails" / f"{path.stem}.png").stat().st_size > 2000, path.name
         assert f"thumbnails/{path.stem}.png" in index, path.name
-        drawn = [c for c in cells if any("image/png" in str(o.get("data", {})) or
-                 "text/html" in str(o.get("data", {})) for o in c.get("outputs", []))]  # fmt: skip
+        drawn = [
+            c
+            for c in cells
+            if any(
+                "image/png" in str(o.get("data", {})) or "text/html" in str(o.get("data", {}))
+                for o in c.get("outputs", [])
+            )
+        ]
         described = [c for c in cells if "mystnb" in c.metadata]
         assert drawn, path.name
         assert described, path.name
@@ -108,9 +114,14 @@ def test_nothing_is_wider_than_the_screen(book, browser, width):
 
 #: What people look for, and the page that should be among the first six.
 SOUGHT = {
-    "step size": "guide/choose", "energy drift": "guide/trust", "Poincare": "guide/run",
-    "licence": "index", "license": "index", "export pandas": "guide/files", "film": "guide/run",
-}  # fmt: skip
+    "step size": "guide/choose",
+    "energy drift": "guide/trust",
+    "Poincare": "guide/run",
+    "licence": "index",
+    "license": "index",
+    "export pandas": "guide/files",
+    "film": "guide/run",
+}
 
 
 @pytest.mark.slow

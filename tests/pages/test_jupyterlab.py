@@ -23,16 +23,14 @@ MINUTES = 10 * 60_000
 SETTINGS = {  # cells out of sight are drawn too
     "@jupyterlab/notebook-extension/tracker.jupyterlab-settings": {"windowingMode": "none"},
     "@jupyterlab/apputils-extension/notification.jupyterlab-settings": {
-        "fetchNews": "false", "checkForUpdates": False,
+        "fetchNews": "false",
+        "checkForUpdates": False,
     },
-}  # fmt: skip
+}
 
 pytest.importorskip("jupyterlab")
 api = pytest.importorskip("playwright.sync_api")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +47,17 @@ def lab(tmp_path_factory):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     command = [
-        sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--port={port}",
-        "--ServerApp.port_retries=0", "--IdentityProvider.token=", f"--ServerApp.root_dir={folder}",
+        sys.executable,
+        "-m",
+        "jupyterlab",
+        "--no-browser",
+        "--allow-root",
+        f"--port={port}",
+        "--ServerApp.port_retries=0",
+        "--IdentityProvider.token=",
+        f"--ServerApp.root_dir={folder}",
         "--LabApp.expose_app_in_browser=True",
-    ]  # fmt: skip
+    ]
     environment = os.environ | {
         "JUPYTERLAB_SETTINGS_DIR": str(folder / "settings"),
         "JUPYTERLAB_WORKSPACES_DIR": str(folder / "workspaces"),
@@ -96,13 +101,13 @@ def run_all(browser, lab, name):
     page.goto(f"{lab}/lab/tree/{name}.ipynb?reset")
     page.wait_for_selector(".jp-Notebook .jp-CodeCell")
     page.wait_for_function(
-        "window.jupyterapp.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'",
+        "window.jupyterapp.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
     )
     for command in ("notebook:clear-all-cell-outputs", "notebook:run-all-cells"):
         page.evaluate(f"window.jupyterapp.commands.execute('{command}')")
     prompts = ".jp-CodeCell .jp-InputPrompt"
     page.wait_for_function(
-        f"[...document.querySelectorAll('{prompts}')].every(x => /\\[\\d+\\]/.test(x.innerText))",
+        f"[...document.querySelectorAll('{prompts}')].every(x => /\\[\\d+\\]/.test(x.innerText))"
     )
     assert page.locator("[data-mime-type='application/vnd.jupyter.error']").count() == 0
     OUTPUT.mkdir(exist_ok=True)

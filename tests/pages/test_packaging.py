@@ -16,9 +16,11 @@ def built(tmp_path_factory):
     pytest.importorskip("hatchling")
     folder = tmp_path_factory.mktemp("dist")
     subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-d", str(folder)], cwd=ROOT, check=True,
+        [sys.executable, "-m", "hatchling", "build", "-d", str(folder)],
+        cwd=ROOT,
+        check=True,
         capture_output=True,
-    )  # fmt: skip
+    )
     return folder
 
 
@@ -112,8 +114,11 @@ def test_a_missing_extra_is_named(library, use, extra, monkeypatch, tmp_path):
 
     monkeypatch.chdir(tmp_path)
     stepper = ss.compile(ss.systems.pendulum())
-    names = {"ss": ss, "stepper": stepper,
-             "run": stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9)}  # fmt: skip
+    names = {
+        "ss": ss,
+        "stepper": stepper,
+        "run": stepper.integrate([1.0], v0=[0.0], h=0.1, steps=9),
+    }
     if extra == "plot":
         top = ss.compile(ss.systems.lagrange_top())
         names["top"] = top.integrate(**top.reference_state, h=0.001, steps=9)

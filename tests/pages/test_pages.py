@@ -8,11 +8,17 @@ from support.places import ROOT
 
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
 PAGES = [
-    *GUIDE, "README.md", "notebooks/README.md", "notebooks/coming_from.md",
-    "notebooks/contributing/index.md", "notebooks/contributing/changes.md",
-    "symsimpson/ARCHITECTURE.md", ".github/CONTRIBUTING.md", ".github/SECURITY.md",
+    *GUIDE,
+    "README.md",
+    "notebooks/README.md",
+    "notebooks/coming_from.md",
+    "notebooks/contributing/index.md",
+    "notebooks/contributing/changes.md",
+    "symsimpson/ARCHITECTURE.md",
+    ".github/CONTRIBUTING.md",
+    ".github/SECURITY.md",
     "symsimpson/codegen/PARTS.md",
-]  # fmt: skip
+]
 
 #: Pages of prose and commands.
 WITHOUT_CODE = [
@@ -21,8 +27,9 @@ WITHOUT_CODE = [
 ]
 
 
-@pytest.mark.parametrize("page", sweep(["README.md", "symsimpson/codegen/PARTS.md",
-    "notebooks/coming_from.md", *GUIDE]))  # fmt: skip
+@pytest.mark.parametrize(
+    "page", sweep(["README.md", "symsimpson/codegen/PARTS.md", "notebooks/coming_from.md", *GUIDE])
+)
 @pytest.mark.filterwarnings("ignore::symsimpson.StabilityWarning")
 def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -26,10 +26,13 @@ SEED = "SYMSIMPSON_TEST_SEED"
 def sweep(values, fast=1):
     """Parameters of a test: the first ones for the fast line, all others for the slow part."""
     values = list(values)
-    return [*values[:fast], *(
-        pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=pytest.mark.slow)
-        for x in values[fast:]
-    )]  # fmt: skip
+    return [
+        *values[:fast],
+        *(
+            pytest.param(*(x if isinstance(x, tuple) else (x,)), marks=pytest.mark.slow)
+            for x in values[fast:]
+        ),
+    ]
 
 
 def seed_of_the_run(config):

@@ -18,8 +18,10 @@ def system_of(case):
     names = {"t": ss.time}
     for i, x in enumerate(q):
         names |= {f"q{i}": x, f"v{i}": x.diff()}
-    values = {sp.Symbol(name, real=True): float(sp.Rational(value))
-              for name, value in case["parameters"].items()}  # fmt: skip
+    values = {
+        sp.Symbol(name, real=True): float(sp.Rational(value))
+        for name, value in case["parameters"].items()
+    }
     inputs = [sp.Symbol(name, real=True) for name in case.get("inputs", ())]
     names |= {symbol.name: symbol for symbol in (*values, *inputs)}
     L = sp.sympify(case["L"], locals=names)
@@ -51,6 +53,10 @@ def given_to(case, number):
     values = {name: number(value) for name, value in case["parameters"].items()}
     inputs = read(case["u"]) if "inputs" in case else None
     return q, {
-        "p0": p, "h": number(case["h"]), "t0": number(case["t0"]), "steps": case["steps"],
-        "parameters": values, "inputs": inputs,
-    }  # fmt: skip
+        "p0": p,
+        "h": number(case["h"]),
+        "t0": number(case["t0"]),
+        "steps": case["steps"],
+        "parameters": values,
+        "inputs": inputs,
+    }

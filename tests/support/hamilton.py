@@ -10,7 +10,11 @@ def truth(system, q, p, end):
     rates = canonical(system).function("math")
     start = [*q, *p] + ([] if system.plain.autonomous else [0.0])
     found = solve_ivp(
-        lambda _, y: rates(*y, *system.parameters.values()), (0, end), start, method="DOP853",
-        rtol=3e-14, atol=1e-15,
-    )  # fmt: skip
+        lambda _, y: rates(*y, *system.parameters.values()),
+        (0, end),
+        start,
+        method="DOP853",
+        rtol=3e-14,
+        atol=1e-15,
+    )
     return found.y[: 2 * system.n, -1]

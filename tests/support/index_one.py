@@ -40,6 +40,10 @@ def motion(system, q, v, times, method="DOP853", tolerance=1e-12):
     accelerations, n = index_one(system), len(q)
     return solve_ivp(
         lambda t, y: np.concatenate([y[n:], accelerations(y[:n], y[n:])[0]]),
-        (0.0, times[-1]), [*q, *v], method=method, rtol=tolerance, atol=tolerance * 1e-1,
+        (0.0, times[-1]),
+        [*q, *v],
+        method=method,
+        rtol=tolerance,
+        atol=tolerance * 1e-1,
         t_eval=times,
-    ).y.T  # fmt: skip
+    ).y.T

@@ -59,8 +59,9 @@ def walk(node):
             names = {getattr(target, "id", "") for target in getattr(child, "targets", ())}
             if isinstance(child, ast.AST) and not (
                 isinstance(child, ast.Raise | ast.Assert | ast.JoinedStr)
-                or "__all__" in names or getattr(child, "arg", "") == "strict"
-            ):  # fmt: skip
+                or "__all__" in names
+                or getattr(child, "arg", "") == "strict"
+            ):
                 yield from walk(child)
 
 

@@ -30,8 +30,10 @@ def forces(system):
     names = {c.diff(): w for c, w in zip(system.coordinates, v, strict=True)}
     names |= dict(zip(system.coordinates, q, strict=True))
     loss = sp.sympify(system.dissipation or 0).xreplace(names)
-    rows = [sp.sympify(system.forces.get(c, 0)).xreplace(names) - sp.diff(loss, w)
-            for c, w in zip(system.coordinates, v, strict=True)]  # fmt: skip
+    rows = [
+        sp.sympify(system.forces.get(c, 0)).xreplace(names) - sp.diff(loss, w)
+        for c, w in zip(system.coordinates, v, strict=True)
+    ]
     return sp.lambdify((t, q, v, tuple(system.parameters)), rows, modules="mpmath")
 
 

@@ -49,14 +49,20 @@ def raised(a, b):
 
 FUNCTIONS = {name: getattr(math, name) for name in (*MATH, "atan2")}
 QUICK = {
-    **FUNCTIONS, "pi": math.pi, "real": float, "array": lambda rows: rows,
-    "compiled": lambda function: function, "carray": lambda workspace, shape: workspace,
-}  # fmt: skip
+    **FUNCTIONS,
+    "pi": math.pi,
+    "real": float,
+    "array": lambda rows: rows,
+    "compiled": lambda function: function,
+    "carray": lambda workspace, shape: workspace,
+}
 #: What has a value everywhere, at three times the time.
 TOTAL = {
-    **QUICK, **{name: total(function) for name, function in FUNCTIONS.items()},
-    "divided": divided, "raised": raised,
-}  # fmt: skip
+    **QUICK,
+    **{name: total(function) for name, function in FUNCTIONS.items()},
+    "divided": divided,
+    "raised": raised,
+}
 
 
 class _Lists(ast.NodeTransformer):

@@ -24,12 +24,27 @@ def drawn_system(pick, name, *, gyroscopic=False):
     def term():
         x, y = pick.choice(q), pick.choice(q)
         c = sp.Rational(pick.randint(-9, 9) or 1, pick.randint(5, 9))
-        return c * pick.choice([
-            sp.sin(w * x), sp.cos(x - 2 * y), x**3 * y, x**2, k * x * y, 1 / (3 + sp.cos(x) + y**2),
-            sp.exp(-(x**2)), sp.exp(sp.sin(y)), sp.sqrt(2 + x**2), sp.sqrt(1 + (x - y) ** 2) ** 3,
-            sp.tan(x / 4), sp.log(2 + y**2), sp.tanh(x), sp.atan(x * y), sp.sinh(x / 3),
-            (4 + x) ** sp.Rational(1, 3), sp.Float(0.7) * x,
-        ])  # fmt: skip
+        return c * pick.choice(
+            [
+                sp.sin(w * x),
+                sp.cos(x - 2 * y),
+                x**3 * y,
+                x**2,
+                k * x * y,
+                1 / (3 + sp.cos(x) + y**2),
+                sp.exp(-(x**2)),
+                sp.exp(sp.sin(y)),
+                sp.sqrt(2 + x**2),
+                sp.sqrt(1 + (x - y) ** 2) ** 3,
+                sp.tan(x / 4),
+                sp.log(2 + y**2),
+                sp.tanh(x),
+                sp.atan(x * y),
+                sp.sinh(x / 3),
+                (4 + x) ** sp.Rational(1, 3),
+                sp.Float(0.7) * x,
+            ]
+        )
 
     # M = D + sum of squares: positive definite for every q
     kinetic = sum((m + sp.Rational(i, 3)) * u**2 for i, u in enumerate(v)) / 2
@@ -39,9 +54,13 @@ def drawn_system(pick, name, *, gyroscopic=False):
     linear = sum((u * term() / 5 for u in v), sp.S.Zero) if gyroscopic else sp.S.Zero
     potential += pick.choice([sp.S.Zero, sp.Rational(2, 3), k, -w * k / 3])  # no coordinate in it
     return ss.MechanicalSystem(
-        name, coordinates=q, kinetic=kinetic, potential=potential,
-        gyroscopic=linear, parameters={m: 1.25, k: 0.5, w: 1.5},
-    )  # fmt: skip
+        name,
+        coordinates=q,
+        kinetic=kinetic,
+        potential=potential,
+        gyroscopic=linear,
+        parameters={m: 1.25, k: 0.5, w: 1.5},
+    )
 
 
 def random_state(seed, n):
@@ -91,7 +110,11 @@ def structured_system(seed):
     order = list(range(len(q)))
     pick.shuffle(order)
     system = ss.MechanicalSystem(
-        f"structured_{seed}", coordinates=[q[i] for i in order], kinetic=sp.expand(kinetic),
-        potential=potential, gyroscopic=gyroscopic, parameters={m: 1.25, k: 0.5, w: 1.5},
-    )  # fmt: skip
+        f"structured_{seed}",
+        coordinates=[q[i] for i in order],
+        kinetic=sp.expand(kinetic),
+        potential=potential,
+        gyroscopic=gyroscopic,
+        parameters={m: 1.25, k: 0.5, w: 1.5},
+    )
     return system, planted | ({"decoupled"} if groups > 1 else set())

@@ -25,23 +25,32 @@ def states(n):
 
 #: What a user may pass by mistake.
 anything = st.one_of(
-    st.none(), st.booleans(), st.integers(-(2**70), 2**70), st.floats(), st.text(max_size=5),
-    st.binary(max_size=3), st.lists(st.floats(), max_size=4), st.complex_numbers(),
+    st.none(),
+    st.booleans(),
+    st.integers(-(2**70), 2**70),
+    st.floats(),
+    st.text(max_size=5),
+    st.binary(max_size=3),
+    st.lists(st.floats(), max_size=4),
+    st.complex_numbers(),
     st.dictionaries(st.text(max_size=2), st.floats(), max_size=2),
     st.lists(st.lists(st.integers(), max_size=2), max_size=2),
-)  # fmt: skip
+)
 
 
 @st.composite
 def runs(draw, n):
     """Arguments of integrate, right and wrong; few steps."""
     given = {
-        "q0": draw(states(n)), "p0": draw(states(n)),
+        "q0": draw(states(n)),
+        "p0": draw(states(n)),
         "h": draw(st.one_of(st.floats(-0.5, 0.5), st.sampled_from([0.01, 1e-300, 1e300]))),
-        "steps": draw(st.integers(0, 40)), "every": draw(st.sampled_from([1, 2, 7, 100, None])),
-    }  # fmt: skip
-    for name in draw(st.lists(st.sampled_from([*given, "t0", "t_end", "v0", "parameters"]),
-                              max_size=2)):  # fmt: skip
+        "steps": draw(st.integers(0, 40)),
+        "every": draw(st.sampled_from([1, 2, 7, 100, None])),
+    }
+    for name in draw(
+        st.lists(st.sampled_from([*given, "t0", "t_end", "v0", "parameters"]), max_size=2)
+    ):
         given[name] = draw(anything)
     if type(given["steps"]) is int and given["steps"] > 40:
         given["steps"] = 10**30  # more than can be counted, not more than anybody waits for

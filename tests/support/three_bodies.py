@@ -13,8 +13,9 @@ def pythagorean():
     kinetic = sum(m[k] * (v[2 * k] ** 2 + v[2 * k + 1] ** 2) for k in range(3)) / 2
     potential = -sum(
         m[i] * m[j] / sp.sqrt((q[2 * i] - q[2 * j]) ** 2 + (q[2 * i + 1] - q[2 * j + 1]) ** 2)
-        for i in range(3) for j in range(i)
-    )  # fmt: skip
+        for i in range(3)
+        for j in range(i)
+    )
     system = ss.MechanicalSystem(
         "pythagorean", coordinates=q, kinetic=kinetic, potential=potential, parameters={}
     )

@@ -12,14 +12,21 @@ from symsimpson.graph.evaluate import line_value
 from symsimpson.runtime.kernels.vectors import vector_bits
 from symsimpson.walk.kernels import stubs, walking
 
-TABLES = {"simpson": ("lobatto", 3, 2), "midpoint": ("gauss", 1, 1),
-          "gauss4": ("gauss", 2, 2), "lobatto6": ("lobatto", 4, 3)}  # fmt: skip
+TABLES = {
+    "simpson": ("lobatto", 3, 2),
+    "midpoint": ("gauss", 1, 1),
+    "gauss4": ("gauss", 2, 2),
+    "lobatto6": ("lobatto", 4, 3),
+}
 
 
 def jet_values(jet, q, v, parameters):
     """The outputs of a jet at a point, line by line in the digits that mpmath is set to."""
-    given = {f"{kind}_{i}": x for kind, values in zip("qva", (q, v, parameters), strict=True)
-             for i, x in enumerate(values)}  # fmt: skip
+    given = {
+        f"{kind}_{i}": x
+        for kind, values in zip("qva", (q, v, parameters), strict=True)
+        for i, x in enumerate(values)
+    }
     found = {}
     for n in jet.program.order():
         line = jet.program.lines[n]

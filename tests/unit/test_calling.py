@@ -95,7 +95,11 @@ def test_warnings_belong_to_the_line_that_calls():
 def test_parameters_of_positions_alone_are_no_idle_ones():
     l = sp.Symbol("l")
     system = ss.MechanicalSystem(
-        "drawn", coordinates=(x,), kinetic=T, potential=V, parameters={l: 1.0},
+        "drawn",
+        coordinates=(x,),
+        kinetic=T,
+        potential=V,
+        parameters={l: 1.0},
         positions={"bob": (l * sp.sin(x),), "body": [(0, l), (1, x), (0, 0)]},
-    )  # fmt: skip
+    )
     assert not ss.compile(system)._names.idle

@@ -126,8 +126,9 @@ def test_help(command, capsys):
 
 @pytest.mark.slow
 def test_module_is_a_command():
-    done = subprocess.run([sys.executable, "-m", "symsimpson", "run", "nothing"],
-                          capture_output=True, text=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "symsimpson", "run", "nothing"], capture_output=True, text=True
+    )
     assert done.returncode == 1
     assert done.stderr.startswith("InputError: there is no system 'nothing'")
 
@@ -143,9 +144,13 @@ def test_values_that_begin_with_a_minus(capsys):
 
 @pytest.mark.parametrize(
     ("line", "said"),
-    [("stress pendulum --steps -5", "no whole number"), ("run pendulum --q0 a", "no list of numb"),
-     ("run pendulum --steps 1.5", "no whole number"), ("run pendulum --steps many", "no whole")],
-)  # fmt: skip
+    [
+        ("stress pendulum --steps -5", "no whole number"),
+        ("run pendulum --q0 a", "no list of numb"),
+        ("run pendulum --steps 1.5", "no whole number"),
+        ("run pendulum --steps many", "no whole"),
+    ],
+)
 def test_wrong_values_are_named(line, said, capsys):
     with pytest.raises(SystemExit):
         main(line.split())

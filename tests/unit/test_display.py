@@ -46,15 +46,24 @@ def shown():
     stepper = ss.compile(system, "gauss6")
     run = stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.02, t_end=5)
     ensemble = stepper.ensemble(
-        np.linspace(0.1, 1, 20)[:, None] * [1, 1], v0=[0, 0], h=0.02, steps=50,
+        np.linspace(0.1, 1, 20)[:, None] * [1, 1],
+        v0=[0, 0],
+        h=0.02,
+        steps=50,
         reduce={HOSTILE: ("max", "q1")},
-    )  # fmt: skip
+    )
     return {
-        "stepper": stepper, "trajectory": run, "states": run[3:9], "one state": run[3:4],
-        "none": run[3:3], "last": stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.1, steps=0),
-        "events": run.events("q1"), "ensemble": ensemble, "structure": system.structure,
+        "stepper": stepper,
+        "trajectory": run,
+        "states": run[3:9],
+        "one state": run[3:4],
+        "none": run[3:3],
+        "last": stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.1, steps=0),
+        "events": run.events("q1"),
+        "ensemble": ensemble,
+        "structure": system.structure,
         "certificate": ss.compile(ss.systems.pendulum()).certify(),
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.slow
@@ -71,9 +80,19 @@ def test_html_is_whole_and_holds_what_matters(shown):
     for name, value in shown.items():
         text = value._repr_html_()
         assert tags_of(text) <= {
-            "div", "b", "table", "thead", "tbody", "tr", "th", "td", "svg", "polyline", "circle",
+            "div",
+            "b",
+            "table",
+            "thead",
+            "tbody",
+            "tr",
+            "th",
+            "td",
+            "svg",
+            "polyline",
+            "circle",
             "span",
-        }, name  # fmt: skip
+        }, name
         assert expected.get(name, "").replace("7 states", "6 states") in text
         assert len(text) < 200_000
         assert repr(value)
@@ -86,9 +105,13 @@ def test_hostile_names_stay_text(shown):
     (x,) = ss.coordinates("x")
     mass = sp.Symbol(HOSTILE, positive=True)
     system = ss.MechanicalSystem(
-        "spring", coordinates=(x,), kinetic=mass * x.diff() ** 2 / 2, potential=x**4,
-        parameters={mass: 1.0}, invariants={HOSTILE: x},
-    )  # fmt: skip
+        "spring",
+        coordinates=(x,),
+        kinetic=mass * x.diff() ** 2 / 2,
+        potential=x**4,
+        parameters={mass: 1.0},
+        invariants={HOSTILE: x},
+    )
     stepper = ss.compile(system)
     run = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=5)
     for value in (stepper, run, system.structure):

@@ -33,17 +33,20 @@ def is_reach(node):
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
 FIGURES = {
     "lines that no formatter may touch": (
-        417, lambda: sum("# fmt: skip" in x for p in FILES for x in p.read_text().splitlines())
+        0,
+        lambda: sum("# fmt: skip" in x for p in FILES for x in p.read_text().splitlines()),
     ),
     "functions with more than 8 arguments": (40, lambda: with_more_arguments(8)),
     "functions with more than 12 arguments": (20, lambda: with_more_arguments(12)),
     "private names asked of others": (447, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
     "modules at the root": (4, lambda: len(list(PACKAGE.glob("*.py")))),
     "docstrings that cannot be read alone": (
-        0, lambda: sum((ast.get_docstring(x) or "").startswith(("Do so", "What"))
-                       for x in nodes(SPOKEN)),
+        0,
+        lambda: sum(
+            (ast.get_docstring(x) or "").startswith(("Do so", "What")) for x in nodes(SPOKEN)
+        ),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FIGURES)

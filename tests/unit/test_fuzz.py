@@ -81,9 +81,12 @@ def test_any_name_is_text(first, second):
     mass = sp.Symbol(second, positive=True)
     try:
         system = ss.MechanicalSystem(
-            "named", coordinates=[q], kinetic=mass * q.diff() ** 2 / 2, potential=sp.cos(q),
+            "named",
+            coordinates=[q],
+            kinetic=mass * q.diff() ** 2 / 2,
+            potential=sp.cos(q),
             parameters={mass: 1.0},
-        )  # fmt: skip
+        )
     except ss.ModelError:
         return
     text = source(system, "midpoint")

@@ -28,9 +28,15 @@ def test_names_and_places_of_what_the_driver_is_told_agree(text):
     told, layout = read_header(text, "here").told, read_header(text, "here").layout
     none = {} if text == DRIVEN else {"INPUT": 0, "INPUT_STRIDE": 0}
     for name in set(interface.TOLD) - {
-        "STATE_END", "DIMENSION", "MEASURED", "STEPS_A_CALL", "TANGENT", "KEPT", "RENEWED",
+        "STATE_END",
+        "DIMENSION",
+        "MEASURED",
+        "STEPS_A_CALL",
+        "TANGENT",
+        "KEPT",
+        "RENEWED",
         "RENEWAL",
-    }:  # fmt: skip
+    }:
         assert told[getattr(interface, name)] == {**none, **layout}[name]
     assert told[interface.TANGENT] == layout["ROWS"]  # behind all others
     assert told[interface.STATE_END] == layout["PREDICTED"]

@@ -12,9 +12,17 @@ COORDINATES = Named("coordinate", ("q0", "q0_2"), (r"\theta_1", "q0"))
 
 @pytest.mark.parametrize(
     ("key", "name"),
-    [("x", "x"), ("x(t)", "x"), (THETA, r"\theta_1"), (THETA.diff(), r"v_\theta_1"),
-     (sp.Symbol("x'", positive=True), "x'"), (sp.Dummy("m"), "m"), (3, "3"), (None, "None")],
-)  # fmt: skip
+    [
+        ("x", "x"),
+        ("x(t)", "x"),
+        (THETA, r"\theta_1"),
+        (THETA.diff(), r"v_\theta_1"),
+        (sp.Symbol("x'", positive=True), "x'"),
+        (sp.Dummy("m"), "m"),
+        (3, "3"),
+        (None, "None"),
+    ],
+)
 def test_what_a_key_means(key, name):
     assert spelled(key) == name
 
@@ -52,12 +60,18 @@ def test_what_was_probably_meant(name, meant):
         (lambda: ss.compile(ss.systems.pendulum(), "simspon"), ss.SchemeError, "mean simpson?"),
         (lambda: ss.composition("kahan_li7"), ss.SchemeError, "mean kahan_li[68]?"),
         (lambda: ss.systems.double_pendulums, AttributeError, "mean double_pendulum?"),
-        (lambda: ss.compile(ss.systems.pendulum, "midpoint"), ss.GenerationError,
-         r"Call it: symsimpson\.systems\.pendulum\(\)"),
-        (lambda: ss.compile(ss.systems.pendulum(), exploit="ciclic"), ss.GenerationError,
-         "mean cyclic?"),
+        (
+            lambda: ss.compile(ss.systems.pendulum, "midpoint"),
+            ss.GenerationError,
+            r"Call it: symsimpson\.systems\.pendulum\(\)",
+        ),
+        (
+            lambda: ss.compile(ss.systems.pendulum(), exploit="ciclic"),
+            ss.GenerationError,
+            "mean cyclic?",
+        ),
     ],
-)  # fmt: skip
+)
 def test_names_of_the_package(call, kind, message):
     with pytest.raises(kind, match=message):
         call()

@@ -127,9 +127,19 @@ def energy_drift(
     last = change[:, -1]
     error = max(float(last.std(ddof=1)), noise, 1e-300) / np.sqrt(len(last))
     return Drift(
-        stepper.scheme, h, steps, t, rms, noise, _exponent(t, rms, noise),
-        abs(float(last.mean())) / error, within, max(0.0, gap - 2 * noise), momenta, failed,
-    )  # fmt: skip
+        stepper.scheme,
+        h,
+        steps,
+        t,
+        rms,
+        noise,
+        _exponent(t, rms, noise),
+        abs(float(last.mean())) / error,
+        within,
+        max(0.0, gap - 2 * noise),
+        momenta,
+        failed,
+    )
 
 
 def _sampled(

@@ -102,11 +102,10 @@ def _turning(system: MechanicalSystem) -> Callable[..., Any]:
     stiffness = [derivatives(derivatives(plain.V, x), y) for x in q for y in q]
     turning = [
         graph.add([slopes[j][i], scaled(-1, slopes[i][j]), derivatives(plain.f[i], v[j])])
-        for i in range(n) for j in range(n)
-    ]  # fmt: skip
-    return _function(
-        system, {"K": stiffness, "G": turning}, (*plain.q, *plain.v), [(n, n)] * 3
-    )  # fmt: skip
+        for i in range(n)
+        for j in range(n)
+    ]
+    return _function(system, {"K": stiffness, "G": turning}, (*plain.q, *plain.v), [(n, n)] * 3)
 
 
 @lru_cache(maxsize=64)
@@ -117,8 +116,12 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
     energies = [plain.V, *plain.constraints.values()]
     slopes = [[derivatives(energy, x) for x in q] for energy in energies]
     stiffness, *bends = ([derivatives(slope, x) for slope in row for x in q] for row in slopes)
-    entries = {"K": stiffness, "F": slopes[0], "Phi": [x for row in slopes[1:] for x in row],
-               "B": [x for bend in bends for x in bend]}  # fmt: skip
+    entries = {
+        "K": stiffness,
+        "F": slopes[0],
+        "Phi": [x for row in slopes[1:] for x in row],
+        "B": [x for bend in bends for x in bend],
+    }
     m = len(bends)
     return _function(system, entries, plain.q, [(n, n), (n,), (m, n), (m, n, n), (n, n)])
 
@@ -169,9 +172,11 @@ def _drag(system: MechanicalSystem) -> Callable[..., Any]:
 
 
 def _function(
-    system: MechanicalSystem, entries: dict[str, list[Value]], state: tuple[sp.Symbol, ...],
+    system: MechanicalSystem,
+    entries: dict[str, list[Value]],
+    state: tuple[sp.Symbol, ...],
     shapes: Sequence[tuple[int, ...]],
-) -> Callable[..., list[Reals]]:  # fmt: skip
+) -> Callable[..., list[Reals]]:
     """Return a function of a state, parameters, inputs and t for arrays of shapes, M the last."""
     plain, size = system.plain, range(system.n)
     entries["M"] = [plain.entry(i, j) for i in size for j in size]

@@ -46,9 +46,8 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
 
     def stable(x: float) -> bool:
         run = stepper.integrate(
-            [1.0], p0=[0.0], h=x, steps=STEPS, parameters={"m": 1.0, "k": 1.0},
-            on_failure="return",
-        )  # fmt: skip
+            [1.0], p0=[0.0], h=x, steps=STEPS, parameters={"m": 1.0, "k": 1.0}, on_failure="return"
+        )
         return run.steps == STEPS and bool(np.abs(run.q).max() < FAR)
 
     return _edges(stable, largest, width)
@@ -121,9 +120,13 @@ def energy_map(
         count = max(1, round(t_end / h))
         with any_step():
             found = stepper.ensemble(
-                q0, **other, h=t_end / count, steps=count, parameters={parameter: column},
+                q0,
+                **other,
+                h=t_end / count,
+                steps=count,
+                parameters={parameter: column},
                 reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
-            )  # fmt: skip
+            )
         seen = found.reduced
         good = (found.status == 0) & np.isfinite(seen["mean"])
         row = np.full(column.size, np.inf)

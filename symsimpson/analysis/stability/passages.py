@@ -193,10 +193,17 @@ def _apart(stepper: Stepper, system: MechanicalSystem, run: Trajectory, place: i
         warnings.simplefilter("ignore")
         try:
             finer = stepper.integrate(
-                run.q[first], p0=run.p[first], h=run.h / FINER, steps=FINER * (last - first),
-                t0=run.t[first], parameters=free, every=None, progress=False,
-                on_failure="return", inputs=inputs,
-            )  # fmt: skip
+                run.q[first],
+                p0=run.p[first],
+                h=run.h / FINER,
+                steps=FINER * (last - first),
+                t0=run.t[first],
+                parameters=free,
+                every=None,
+                progress=False,
+                on_failure="return",
+                inputs=inputs,
+            )
         except SymsimpsonError:
             return np.inf
     if not finer.success:

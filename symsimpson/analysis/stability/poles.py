@@ -99,11 +99,27 @@ def pole_sweep(
     m, g, l, inertia, spin_inertia = top.parameters.values()
     mass, length, gravity = pendulum.parameters.values()
     cases = [
-        _Case(compile_system(top, scheme), inertia, m * g * l, SPIN * spin_inertia,
-              down=False, speed=8.0, h=0.005, t_end=0.4),
-        _Case(compile_system(pendulum, scheme), mass * length**2, mass * gravity * length, 0.0,
-              down=True, speed=3.0, h=0.02, t_end=1.0),
-    ]  # fmt: skip
+        _Case(
+            compile_system(top, scheme),
+            inertia,
+            m * g * l,
+            SPIN * spin_inertia,
+            down=False,
+            speed=8.0,
+            h=0.005,
+            t_end=0.4,
+        ),
+        _Case(
+            compile_system(pendulum, scheme),
+            mass * length**2,
+            mass * gravity * length,
+            0.0,
+            down=True,
+            speed=3.0,
+            h=0.02,
+            t_end=1.0,
+        ),
+    ]
     return [_pass(case, float(distance), phase) for case in cases for distance in distances]
 
 
@@ -125,10 +141,14 @@ def _pass(case: _Case, distance: float, phase: float) -> PolePass:
     axes = _axis(run.q, case)
     done = len(axes) - 1
     return PolePass(
-        stepper.system, stepper.scheme, distance, run.status,
-        float(np.abs(axes[done] - path[done]).max()), float(np.abs(run.energy_error).max()),
+        stepper.system,
+        stepper.scheme,
+        distance,
+        run.status,
+        float(np.abs(axes[done] - path[done]).max()),
+        float(np.abs(run.energy_error).max()),
         any(issubclass(one.category, ResolutionWarning) for one in told),
-    )  # fmt: skip
+    )
 
 
 def _in_space(case: _Case) -> FirstOrder:

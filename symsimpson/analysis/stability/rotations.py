@@ -56,6 +56,8 @@ def turned(
     turn[coordinate] = far.q[0, coordinate] - plain.q[0, coordinate]
     energy = abs(np.abs(far.energy_error).max() - np.abs(plain.energy_error).max())
     return Turned(
-        angle, float(np.abs(far.q - turn - plain.q).max()),
-        float(np.spacing(abs(angle) + np.abs(plain.q).max())), float(energy),
-    )  # fmt: skip
+        angle,
+        float(np.abs(far.q - turn - plain.q).max()),
+        float(np.spacing(abs(angle) + np.abs(plain.q).max())),
+        float(energy),
+    )

@@ -16,10 +16,26 @@ __all__ = ["library_sources"]
 
 #: The files, in the order in which their functions stand in a module.
 FILES = (
-    "sincos", "path", "clear", "assemble", "solve", "mass", "close", "explicit_steps", "checks",
-    "constraints", "rattle", "stage_iteration", "stage_loops", "collocation", "tangent",
-    "held_tangent", "adjoint", "held_adjoint", "clock",
-)  # fmt: skip
+    "sincos",
+    "path",
+    "clear",
+    "assemble",
+    "solve",
+    "mass",
+    "close",
+    "explicit_steps",
+    "checks",
+    "constraints",
+    "rattle",
+    "stage_iteration",
+    "stage_loops",
+    "collocation",
+    "tangent",
+    "held_tangent",
+    "adjoint",
+    "held_adjoint",
+    "clock",
+)
 
 
 @cache

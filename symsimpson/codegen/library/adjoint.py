@@ -10,60 +10,6 @@ a + sum_i (F_q^T sigma + P_q^T tau), by p0 they are b - w_0, by a parameter
 sum_i (F_a.sigma + P_a.tau). A running cost g adds h b_i g(t_i, q_i, v_i) at each node.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-NODES: int
-UNKNOWNS: int
-PREVIOUS: int
-SOLVED: int
-MOMENTUM: int
-VELOCITY: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_L_QQ: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_F_A: int
-NODE_P_A: int
-NODE_COST: int
-GROWTH: int
-JACOBIAN: int
-ADJOINT: int
-ADJOINT_RIGHT: int
-ADJOINT_START: int
-COST: int
-COST_SLOPE: int
-TANGENT: int
-TANGENT_UNKNOWNS: int
-TANGENT_LOWER: int
-TANGENT_UPPER: int
-TANGENT_STRIDE: int
-TANGENT_OFFSET: int
-VARIED: int
-F_A_FROM: tuple[int, ...]
-F_A_PLACE: tuple[int, ...]
-P_A_FROM: tuple[int, ...]
-P_A_PLACE: tuple[int, ...]
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-COORDINATE: tuple[int, ...]
-ROW_ORDER: tuple[int, ...]
-COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: Any
-BASIS: Any
-BASIS_SLOPE: Any
-
-solve_transposed: Callable[..., Any]
-
 
 @compiled
 def record_step(W, lane):
@@ -141,9 +87,15 @@ def assemble_adjoint(W, h, node, lane):
 def solve_adjoint(W, lane):
     """Solve S^T w = dJ/dX; w takes the place of the right side."""
     solve_transposed(
-        W, JACOBIAN + TANGENT_OFFSET, ADJOINT_RIGHT, TANGENT_UNKNOWNS, TANGENT_LOWER,
-        TANGENT_UPPER, TANGENT_STRIDE, lane,
-    )  # fmt: skip
+        W,
+        JACOBIAN + TANGENT_OFFSET,
+        ADJOINT_RIGHT,
+        TANGENT_UNKNOWNS,
+        TANGENT_LOWER,
+        TANGENT_UPPER,
+        TANGENT_STRIDE,
+        lane,
+    )
 
 
 @compiled

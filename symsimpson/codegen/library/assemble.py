@@ -1,52 +1,5 @@
 """Residual and Jacobian from what the nodes contribute."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-MOMENTUM: int
-INCREMENT: int
-NODE_L_Q: int
-NODE_L_V: int
-NODE_L_QQ: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_F_V: int
-GROWTH: int
-MASS: int
-BLOCKS: int
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-EQUATION_STRIDE: int
-EQUATION_OFFSET: int
-SOLVE_ROW_STEP: int
-SOLVE_PLACE_STEP: int
-SOLVE_STRIDE: int
-SOLVE_OFFSET: int
-COORDINATE: tuple[int, ...]
-SOLVE_COLUMNS: tuple[int, ...]
-TEST_START: Any
-TEST_STIFFNESS: Any
-TEST_FORCE: Any
-TEST_ROWS: Any
-STIFFNESS: Any
-POINTS: Any
-PLACES: Any
-RESIDUAL: int
-JACOBIAN: int
-ROW_ORDER: tuple[int, ...]
-COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: Any
-BASIS: Any
-BASIS_SLOPE: Any
-
 
 @compiled
 def grow_node(W, node, lane):

@@ -1,35 +1,5 @@
 """When a lane's step is solved, and when its solution is in doubt; without branches."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-rounding_of_q: Callable[..., Any]
-
-ACTIVE: int
-CORRECTION_SQUARED: int
-INCREMENT_SQUARED: int
-VELOCITY_JUMP_SQUARED: int
-PREDICTION_ERROR_SQUARED: int
-CYCLIC_JUMP_SQUARED: int
-CYCLIC_MASS_CHANGE: int
-RELATIVE: int
-CONTRACTION: int
-ITERATIONS: int
-LARGEST_SQUARED: int
-IN_DOUBT: int
-INFINITE: float
-NEGLIGIBLE: float
-QUADRATIC: float
-STAGNATION: float
-FAR: float
-UNRESOLVED: float
-LARGE_CHANGE: float
-ROUNDED: float
-DIMENSION: int
-POSITION: int
-MASS_DIAGONAL: int
-
 
 @compiled
 def check_convergence(W, lane):

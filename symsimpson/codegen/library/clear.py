@@ -1,28 +1,5 @@
 """Sums begin with zero."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-MOMENTUM: int
-NODE_L_Q: int
-NODE_L_V: int
-NODE_L_QQ: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_F_V: int
-MASS: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-COORDINATE: tuple[int, ...]
-RESIDUAL: int
-JACOBIAN: int
-ROW_ORDER: tuple[int, ...]
-
 
 @compiled
 def clear_gradient(W, lane):

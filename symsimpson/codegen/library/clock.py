@@ -3,19 +3,6 @@
 TIME holds t and what rounding has taken from it, then both as they were before the step.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-TIME: int
-TIME_END: int
-RATE: int
-PASSED: int
-STATUS: int
-WEIGHTS: Any
-
 
 @compiled
 def keep_time(W, lane):

@@ -1,42 +1,5 @@
 """The end of a step."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-solve_mass: Callable[..., Any]
-
-DIMENSION: int
-DEGREE: int
-UNKNOWNS: int
-POSITION: int
-POSITION_LOW: int
-MOMENTUM: int
-MOMENTUM_LOW: int
-INCREMENT: int
-VELOCITY: int
-NODE_VELOCITY: int
-NODE_L_Q: int
-MASS_DIAGONAL: int
-COORDINATE: tuple[int, ...]
-LAST_START: float
-LAST_SCALE: float
-POWER: int
-WORK: int
-NODE_POWERS: int
-LAST: int
-STIFFNESS: Any
-BASIS: Any
-POINTS: Any
-PLACES: Any
-RESIDUAL: int
-PREDICTION_ERROR_SQUARED: int
-PREDICTED: int
-PREVIOUS: int
-SOLVED: int
-WEIGHTS: Any
-
 
 @compiled
 def accumulate(W, h, node, lane):

@@ -1,14 +1,5 @@
 """Tables of a scheme whose nodes have no closed form, in whole numbers of 10**-DIGITS."""
 
-from collections.abc import Callable
-from typing import Any
-
-real: Callable[[Any], Any]
-array: Callable[[Any], Any]
-
-DIGITS: int
-STRIDE: int
-
 
 def number(units):
     """A number of units of 10**-DIGITS: the nearest there is."""
@@ -58,19 +49,16 @@ def quadrature(kind, nodes):
     if kind == "gauss":
         found = zeros(lambda k, x: legendre_p(k, x)[0], nodes)
         # 2/((1 - x^2) P'^2) with (x^2 - 1) P' = n (x P - P_below)
-        weights = [
-            (one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in found
-        ]  # fmt: skip
+        weights = [(one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in found]
     else:
         # (x^2 - 1) P' where P' is zero
         found = zeros(
-            lambda k, x: legendre_p(k + 1, x)[1] * one - x * legendre_p(k + 1, x)[0],
-            nodes - 2,
+            lambda k, x: legendre_p(k + 1, x)[1] * one - x * legendre_p(k + 1, x)[0], nodes - 2
         )
         found = [-one, *found, one]
         weights = [
             one**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in found
-        ]  # fmt: skip
+        ]
     return [(x + one) // 2 for x in found], weights
 
 

@@ -4,68 +4,6 @@ Coordinates and constraints share one order of places, in which those that meet 
 HELD_PLACE tells that of a coordinate, then of a constraint, CONSTRAINT_AT what stands at a place.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-add_exactly: Callable[..., Any]
-factor_symmetric: Callable[..., Any]
-solve_symmetric: Callable[..., Any]
-solve_held: Callable[..., Any]
-constraint_forces: Callable[..., Any]
-
-DIMENSION: int
-DEGREE: int
-CONSTRAINTS: int
-POSITION: int
-INCREMENT: int
-PREDICTED: int
-MOMENTUM: int
-MOMENTUM_LOW: int
-VELOCITY: int
-MASS_DIAGONAL: int
-MASS_PIVOT: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_L_Q: int
-NODE_L_QV: int
-NODE_L_VV: int
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-COORDINATE: tuple[int, ...]
-MULTIPLIER: int
-CONSTRAINT: int
-CONSTRAINT_FORCE: int
-CONSTRAINT_QQ: int
-CONSTRAINT_WEIGHT: int
-CURVATURE: int
-DEPENDENCE: int
-HELD: int
-HELD_RIGHT: int
-HELD_PIVOT: int
-HELD_CHANGE: int
-HELD_PLACE: tuple[int, ...]
-HELD_PLACES: int
-HELD_SIZE: int
-HELD_BAND: int
-HELD_STRIDE: int
-HELD_OFFSET: int
-HELD_ROW_STEP: int
-HELD_PLACE_STEP: int
-CONSTRAINT_AT: tuple[int, ...]
-RESIDUAL: int
-JACOBIAN: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-EQUATION_STRIDE: int
-EQUATION_OFFSET: int
-SOLVE_STRIDE: int
-SOLVE_OFFSET: int
-ROW_OF_POINT: tuple[int, ...]
-COLUMN_OF_POINT: tuple[int, ...]
-
 
 @compiled
 def control_point(W, point, lane):

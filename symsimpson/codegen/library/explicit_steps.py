@@ -1,28 +1,5 @@
 """Kicks and drifts of an explicit step."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-solve_mass: Callable[..., Any]
-add_exactly: Callable[..., Any]
-
-DIMENSION: int
-POSITION: int
-POSITION_LOW: int
-MOMENTUM: int
-MOMENTUM_LOW: int
-INCREMENT: int
-RESIDUAL: int
-VELOCITY: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_L_Q: int
-COORDINATE: tuple[int, ...]
-KICKS: Any
-DRIFTS: Any
-
 
 @compiled
 def first_kick(W, h, lane):

@@ -8,54 +8,6 @@ K (x, z) = (M b, 0). Before the projection they are x by the momentum, and by q1
 At control points the multipliers u of the rows phi = 0 stand beside w of the others.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-NODES: int
-VARIED: int
-CONSTRAINTS: int
-POSITION: int
-MOMENTUM: int
-PREVIOUS: int
-SOLVED: int
-VELOCITY: int
-NODE_VELOCITY: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_P_A: int
-MULTIPLIER: int
-HELD_CHANGE: int
-CONSTRAINT_QQ: int
-CONSTRAINT_A: int
-CONSTRAINT_QA: int
-RESIDUAL: int
-ADJOINT: int
-ADJOINT_RIGHT: int
-ADJOINT_START: int
-COST_END: int
-COST_SLOPE: int
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-HELD_PLACE: tuple[int, ...]
-HELD_BAND: int
-HELD_STRIDE: int
-HELD_OFFSET: int
-COORDINATE: tuple[int, ...]
-ROW_OF_POINT: tuple[int, ...]
-COLUMN_OF_POINT: tuple[int, ...]
-P_A_FROM: tuple[int, ...]
-P_A_PLACE: tuple[int, ...]
-
-times_dq: Callable[..., Any]
-
 
 @compiled
 def take_end(W, lane):

@@ -8,48 +8,6 @@ are h mu. The end of the step is projected: M v + Phi^T nu = p - a, Phi v = 0, a
 with P = L_v, and what is left of the momentum changes by M dv + P_q dq.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-UNKNOWNS: int
-CONSTRAINTS: int
-MOMENTUM: int
-PREVIOUS: int
-VELOCITY: int
-NODE_VELOCITY: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_P_A: int
-MULTIPLIER: int
-CURVATURE: int
-CONSTRAINT_QQ: int
-CONSTRAINT_A: int
-CONSTRAINT_QA: int
-RESIDUAL: int
-TANGENT: int
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-HELD_PLACE: tuple[int, ...]
-HELD_BAND: int
-HELD_STRIDE: int
-HELD_OFFSET: int
-COORDINATE: tuple[int, ...]
-ROW_OF_POINT: tuple[int, ...]
-COLUMN_OF_POINT: tuple[int, ...]
-P_A_FROM: tuple[int, ...]
-P_A_PLACE: tuple[int, ...]
-
-room_of: Callable[..., Any]
-parameter_of: Callable[..., Any]
-
 
 @compiled
 def times_dq(W, i, dq, lane):

@@ -1,29 +1,5 @@
 """The mass matrix: velocities from momenta and back."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-factor_symmetric: Callable[..., Any]
-solve_symmetric: Callable[..., Any]
-
-DIMENSION: int
-MOMENTUM: int
-VELOCITY: int
-NODE_VELOCITY: int
-NODE_L_V: int
-NODE_L_VV: int
-MASS_DIAGONAL: int
-MASS: int
-ENERGY: int
-KINETIC: int
-MASS_BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-COORDINATE: tuple[int, ...]
-MASS_PIVOT: int
-
 
 @compiled
 def keep_mass(W, lane):

@@ -1,33 +1,5 @@
 """The polynomial path of a step, and where its nodes are."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-UNKNOWNS: int
-POSITION: int
-INCREMENT: int
-VELOCITY: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_TIME: int
-MASS_DIAGONAL: int
-COORDINATE: tuple[int, ...]
-RESIDUAL: int
-VELOCITY_JUMP_SQUARED: int
-PREDICTED: int
-POINTS: Any
-PLACES: Any
-BASIS: Any
-BASIS_SLOPE: Any
-EXTRAPOLATION: Any
-END_SLOPE: Any
-START_SLOPE: Any
-
 
 @compiled
 def path(W, h, node, lane):

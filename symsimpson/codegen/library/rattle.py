@@ -1,47 +1,5 @@
 """Explicit steps that constraints hold: kicks, and drifts that end where phi = 0."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-allow_no_change: Callable[..., Any]
-constraint_forces: Callable[..., Any]
-constraint_values: Callable[..., Any]
-free_velocity: Callable[..., Any]
-take_momentum: Callable[..., Any]
-solve_held: Callable[..., Any]
-momentum_left: Callable[..., Any]
-add_drift: Callable[..., Any]
-check_drift: Callable[..., Any]
-
-DIMENSION: int
-CONSTRAINTS: int
-POSITION: int
-INCREMENT: int
-MOMENTUM: int
-VELOCITY: int
-MULTIPLIER: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-MASS_DIAGONAL: int
-COORDINATE: tuple[int, ...]
-CONSTRAINT: int
-CONSTRAINT_FORCE: int
-CURVATURE: int
-DRIFTS: Any
-RESIDUAL: int
-DRIFT_VELOCITY: int
-NODE_L_VV: int
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-RELATIVE: int
-CORRECTION_SQUARED: int
-INCREMENT_SQUARED: int
-INFINITE: float
-MOST_CORRECTIONS: int
-
 
 @compiled
 def free_velocity(W, lane):

@@ -1,10 +1,5 @@
 """Sine and cosine without branches."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-
 
 @compiled
 def sincos(x):

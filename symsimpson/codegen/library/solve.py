@@ -1,31 +1,5 @@
 """Systems of linear equations, and Newton corrections."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-SOLVE_UNKNOWNS: int
-INCREMENT: int
-MASS_DIAGONAL: int
-BLOCKS: int
-SOLVE_ROW_STEP: int
-SOLVE_PLACE_STEP: int
-SOLVE_STRIDE: int
-SOLVE_OFFSET: int
-SOLVE_LOWER: int
-SOLVE_UPPER: int
-COORDINATE: tuple[int, ...]
-FOLLOWING: tuple[int, ...]
-SOLVE_COLUMNS: tuple[int, ...]
-RESIDUAL: int
-JACOBIAN: int
-EXCHANGE: int
-CORRECTION_SQUARED: int
-INCREMENT_SQUARED: int
-
 
 @compiled
 def factor_symmetric(W, first, count, band, stride, lane):

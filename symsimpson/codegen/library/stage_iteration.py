@@ -1,48 +1,5 @@
 """Iteration over the velocities and forces at the nodes, alike for all systems."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-ACTIVE: int
-CORRECTION_SQUARED: int
-INCREMENT_SQUARED: int
-CYCLIC_JUMP_SQUARED: int
-RELATIVE: int
-CONTRACTION: int
-ITERATIONS: int
-LARGEST_SQUARED: int
-IN_DOUBT: int
-STAGE_STEP: int
-STAGE_RATE: int
-STAGE_PLACE: int
-STAGE_MU: int
-STAGE_TABLE: Any
-STAGE_CORRECTION: int
-STAGE_SIZE: int
-STAGE_EXPECTED: int
-STAGE_COUNT: int
-STAGE_TURN: int
-STAGE_TURNED: int
-MANY: int
-TURN: float
-DIMENSION: int
-DEGREE: int
-NODES: int
-STRIDE: int
-SOLVED: int
-STAGE_V: int
-REACHED_BY_MOVES: Any
-WEIGHTS: Any
-PLACES: Any
-INFINITE: float
-LOST: float
-ROUNDING: float
-STAGNATION: float
-UNRESOLVED: float
-
 
 @compiled
 def stage_constants(W, h, lane):

@@ -1,49 +1,5 @@
 """The iteration over velocities and forces at the nodes, by loops over coordinates."""
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-add_exactly: Callable[..., Any]
-over_nodes: Callable[..., Any]
-solve_symmetric: Callable[..., Any]
-
-DIMENSION: int
-NODES: int
-STRIDE: int
-POSITION: int
-POSITION_LOW: int
-MOMENTUM: int
-MOMENTUM_LOW: int
-PREVIOUS: int
-VELOCITY: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_L_Q: int
-NODE_L_V: int
-NODE_L_VV: int
-MASS_DIAGONAL: int
-MASS_BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-COORDINATE: tuple[int, ...]
-CYCLIC_JUMP_SQUARED: int
-STAGE_V: int
-STAGE_F: int
-STAGE_Q: int
-STAGE_P: int
-STAGE_STEP: int
-STAGE_RATE: int
-STAGE_MU: int
-STAGE_NU: int
-STAGE_AHEAD: int
-STAGE_CORRECTION: int
-STAGE_SIZE: int
-STAGE_EXPECTED: int
-STAGE_COUNT: int
-MANY: float
-
 
 @compiled
 def begin_stages(W, lane):

@@ -5,59 +5,6 @@ behind the other; behind them each has room for the right side of its equations,
 and for dp1 - dp0. The last VARIED of them belong to the parameters and inputs that are varied.
 """
 
-from collections.abc import Callable
-from typing import Any
-
-compiled: Callable[[Any], Any]
-real: Callable[[Any], Any]
-
-DIMENSION: int
-DEGREE: int
-NODES: int
-UNKNOWNS: int
-POSITION: int
-PREVIOUS: int
-INCREMENT: int
-SOLVED: int
-NODE_POSITION: int
-NODE_VELOCITY: int
-NODE_L_QQ: int
-NODE_L_QV: int
-NODE_L_VV: int
-NODE_F_V: int
-NODE_F_A: int
-NODE_P_A: int
-GROWTH: int
-JACOBIAN: int
-EXCHANGE: int
-DERIVATIVE: int
-TANGENT: int
-TANGENTS: int
-TANGENT_UNKNOWNS: int
-TANGENT_LOWER: int
-TANGENT_UPPER: int
-TANGENT_STRIDE: int
-TANGENT_OFFSET: int
-VARIED: int
-F_A_FROM: tuple[int, ...]
-F_A_PLACE: tuple[int, ...]
-P_A_FROM: tuple[int, ...]
-P_A_PLACE: tuple[int, ...]
-BAND: int
-NODE_STRIDE: int
-NODE_OFFSET: int
-EQUATION_ROW_STEP: int
-EQUATION_PLACE_STEP: int
-COORDINATE: tuple[int, ...]
-ROW_ORDER: tuple[int, ...]
-COLUMN_ORDER: tuple[int, ...]
-WEIGHTS: Any
-BASIS: Any
-BASIS_SLOPE: Any
-
-factor_pivoted: Callable[..., Any]
-solve_factored: Callable[..., Any]
-
 
 @compiled
 def grow_slopes(W, node, lane):
@@ -162,18 +109,29 @@ def assemble_variation(W, h, node, variation, lane):
 def factor_equations(W, lane):
     """Factorise the matrix of all unknowns, P S = L U, in its place."""
     factor_pivoted(
-        W, JACOBIAN + TANGENT_OFFSET, TANGENT_UNKNOWNS, TANGENT_LOWER, TANGENT_UPPER,
-        TANGENT_STRIDE, lane,
-    )  # fmt: skip
+        W,
+        JACOBIAN + TANGENT_OFFSET,
+        TANGENT_UNKNOWNS,
+        TANGENT_LOWER,
+        TANGENT_UPPER,
+        TANGENT_STRIDE,
+        lane,
+    )
 
 
 @compiled
 def solve_variation(W, variation, lane):
     """Solve for dX of a variation."""
     solve_factored(
-        W, JACOBIAN + TANGENT_OFFSET, room_of(W, variation, lane), TANGENT_UNKNOWNS,
-        TANGENT_LOWER, TANGENT_UPPER, TANGENT_STRIDE, lane,
-    )  # fmt: skip
+        W,
+        JACOBIAN + TANGENT_OFFSET,
+        room_of(W, variation, lane),
+        TANGENT_UNKNOWNS,
+        TANGENT_LOWER,
+        TANGENT_UPPER,
+        TANGENT_STRIDE,
+        lane,
+    )
 
 
 @compiled

@@ -27,21 +27,51 @@ from symsimpson.runtime.driver.steps import COUNTS, INPUTS, SET, SIGNATURES, TOL
 
 SIGNATURES |= {
     "run_to_end": types.int64(
-        SET, types.int64[::1], types.float64[::1], WORKSPACE, TOLD_ROWS, types.float64[::1],
-        types.float64[::1], types.float64[::1], types.int64, types.int64, types.int64,
-        types.float64, types.float64[:, :, :, ::1], types.float64[:, :, ::1], COUNTS, WORKSPACE,
-        types.float64[::1], INPUTS,
-    ),
-}  # fmt: skip
+        SET,
+        types.int64[::1],
+        types.float64[::1],
+        WORKSPACE,
+        TOLD_ROWS,
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[::1],
+        types.int64,
+        types.int64,
+        types.int64,
+        types.float64,
+        types.float64[:, :, :, ::1],
+        types.float64[:, :, ::1],
+        COUNTS,
+        WORKSPACE,
+        types.float64[::1],
+        INPUTS,
+    )
+}
 #: Fewer stored states are not looked at.
 FEWEST_LOOKED_AT = 16
 
 
 @njit(**DRIVER_OPTIONS)
 def run_to_end(
-    kernels, more, times, W, at, parameters, q, other, most, every, few, limit, states, kept,
-    iterations, end, told, inputs,
-):  # fmt: skip
+    kernels,
+    more,
+    times,
+    W,
+    at,
+    parameters,
+    q,
+    other,
+    most,
+    every,
+    few,
+    limit,
+    states,
+    kept,
+    iterations,
+    end,
+    told,
+    inputs,
+):
     """Begin anew, take steps until the end lies behind one, and then a part of a step to there.
 
     Returns the number of whole steps; -1 where anything is not as it should be, -2 where ``most``
@@ -83,9 +113,25 @@ def run_to_end(
         W[row, 0] = 0.0
     fine, asked = np.zeros(1, dtype=np.bool_), np.full(1, t_end)
     states_at(
-        kernels, energy, h, before, W, at, end[:1], end[1:], np.zeros(1, dtype=np.int64), asked,
-        ends[0], ends[1], told[:1], fine, 1, inputs, near, parameters.reshape(1, -1),
-    )  # fmt: skip
+        kernels,
+        energy,
+        h,
+        before,
+        W,
+        at,
+        end[:1],
+        end[1:],
+        np.zeros(1, dtype=np.int64),
+        asked,
+        ends[0],
+        ends[1],
+        told[:1],
+        fine,
+        1,
+        inputs,
+        near,
+        parameters.reshape(1, -1),
+    )
     for a in range(n):
         end[0, a], end[1, a] = ends[0, 0, a], ends[1, 0, a]
     if not fine[0]:

@@ -12,21 +12,58 @@ from symsimpson.runtime.driver.steps import INPUTS, SIGNATURES, STATES, TOLD_ROW
 
 SIGNATURES |= {
     "carry_back": types.void(
-        types.int64, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64,
-        types.int64, types.int64, STATES, GIVEN, WORKSPACE, types.int64[::1], WORKSPACE, INPUTS,
+        types.int64,
+        types.int64,
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.int64,
+        types.int64,
+        types.int64,
+        STATES,
+        GIVEN,
+        WORKSPACE,
+        types.int64[::1],
+        WORKSPACE,
+        INPUTS,
     ),
     "pull_velocities": types.void(
-        types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS, TIMES, GIVEN,
-        GIVEN, types.int64, types.int64, WORKSPACE, WORKSPACE,
+        types.int64,
+        types.int64,
+        types.int64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        TIMES,
+        GIVEN,
+        GIVEN,
+        types.int64,
+        types.int64,
+        WORKSPACE,
+        WORKSPACE,
     ),
-}  # fmt: skip
+}
 
 
 @njit(**DRIVER_OPTIONS)
 def carry_back(
-    prepare, adjoint, h, t0, W, at, row, slope_row, first, records, jumps, totals, chosen, slopes,
+    prepare,
+    adjoint,
+    h,
+    t0,
+    W,
+    at,
+    row,
+    slope_row,
+    first,
+    records,
+    jumps,
+    totals,
+    chosen,
+    slopes,
     inputs,
-):  # fmt: skip
+):
     """Carry derivatives by the state, from ``row`` of the workspace on, back over steps.
 
     The last of the ``records`` are those of the steps from number ``first`` on. ``jumps`` are

@@ -31,11 +31,18 @@ SIGNATURES |= {
     "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
     "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
     "begin_anew": types.void(
-        SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.float64[::1],
-        types.float64[::1], types.float64[::1],
+        SET,
+        types.int64,
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[::1],
     ),
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
-}  # fmt: skip
+}
 
 
 @njit(**DRIVER_OPTIONS)

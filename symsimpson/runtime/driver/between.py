@@ -34,16 +34,44 @@ MOST_PARTS = 200
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
 SIGNATURES |= {
     "states_at": types.void(
-        SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE, types.float64[::1],
-        types.boolean[::1], types.int64, INPUTS, types.float64, GIVEN,
+        SET,
+        types.int64,
+        types.float64,
+        TIMES,
+        WORKSPACE,
+        TOLD_ROWS,
+        GIVEN,
+        GIVEN,
+        types.int64[::1],
+        types.float64[::1],
+        WORKSPACE,
+        WORKSPACE,
+        types.float64[::1],
+        types.boolean[::1],
+        types.int64,
+        INPUTS,
+        types.float64,
+        GIVEN,
     ),
     "between": types.void(
-        SET, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64[::1], types.int64[::1], types.float64[::1], WORKSPACE, WORKSPACE,
-        types.boolean[::1], types.int64, INPUTS, INPUTS,
+        SET,
+        types.float64,
+        TIMES,
+        WORKSPACE,
+        TOLD_ROWS,
+        GIVEN,
+        GIVEN,
+        types.int64[::1],
+        types.int64[::1],
+        types.float64[::1],
+        WORKSPACE,
+        WORKSPACE,
+        types.boolean[::1],
+        types.int64,
+        INPUTS,
+        INPUTS,
     ),
-}  # fmt: skip
+}
 
 
 @njit(**DRIVER_OPTIONS)
@@ -92,7 +120,7 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
 @njit(**DRIVER_OPTIONS)
 def between(
     kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine, every, inputs, rests
-):  # fmt: skip
+):
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; where that and the whole
@@ -111,9 +139,17 @@ def between(
         now = t[stored] + h * done
         if whole[i] > done and well:
             well = take(
-                kernels, h, now, W, at, whole[i] - done, q_out[last], p_out[last], inputs,
+                kernels,
+                h,
+                now,
+                W,
+                at,
+                whole[i] - done,
+                q_out[last],
+                p_out[last],
+                inputs,
                 stored * every + done,
-            )  # fmt: skip
+            )
             done = whole[i]
             now = t[stored] + h * done
         for a in range(n):
@@ -160,9 +196,25 @@ def part_of_step(kernels, energy, h, now, ahead, asked, W, at, q, p, inputs, nea
 
 @njit(**DRIVER_OPTIONS)
 def states_at(
-    kernels, energy, h, t, W, at, q, p, start, asked, q_out, p_out, part, fine, every, inputs, near,
+    kernels,
+    energy,
+    h,
+    t,
+    W,
+    at,
+    q,
+    p,
+    start,
+    asked,
+    q_out,
+    p_out,
+    part,
+    fine,
+    every,
+    inputs,
+    near,
     parameters,
-):  # fmt: skip
+):
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from

@@ -22,11 +22,26 @@ from symsimpson.runtime.driver.steps import (
 
 SIGNATURES |= {
     "run_briefly": types.int64(
-        SET, types.int64, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS,
-        types.float64[::1], types.float64[::1], types.float64[::1], types.int64, types.int64,
-        types.int64, types.float64, types.float64[:, :, :, ::1], COUNTS, WORKSPACE, INPUTS,
-    ),
-}  # fmt: skip
+        SET,
+        types.int64,
+        types.int64,
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.float64[::1],
+        types.float64[::1],
+        types.float64[::1],
+        types.int64,
+        types.int64,
+        types.int64,
+        types.float64,
+        types.float64[:, :, :, ::1],
+        COUNTS,
+        WORKSPACE,
+        INPUTS,
+    )
+}
 
 #: Whether steps are solved by iteration; this text is compiled for those that are not, too.
 ITERATED = True
@@ -35,9 +50,25 @@ take_all = take_steps if ITERATED else take_explicit_steps
 
 @njit(**DRIVER_OPTIONS)
 def run_briefly(
-    kernels, legendre, energy, h, t0, W, at, parameters, q, other, steps, every, few, limit,
-    states, iterations, end, inputs,
-):  # fmt: skip
+    kernels,
+    legendre,
+    energy,
+    h,
+    t0,
+    W,
+    at,
+    parameters,
+    q,
+    other,
+    steps,
+    every,
+    few,
+    limit,
+    states,
+    iterations,
+    end,
+    inputs,
+):
     """Begin anew, take all steps, and return how many iterations they took, or -1.
 
     It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
@@ -51,9 +82,20 @@ def run_briefly(
         states[1, 0, a, 0] = W[at[MOMENTUM] + a, 0]
     progress, nothing = np.zeros(3, dtype=np.int64), np.empty((1, 0, 1))
     take_all(
-        kernels, h, t0, W, at, progress, steps, every, states[0], states[1], nothing, iterations,
+        kernels,
+        h,
+        t0,
+        W,
+        at,
+        progress,
+        steps,
+        every,
+        states[0],
+        states[1],
+        nothing,
+        iterations,
         inputs,
-    )  # fmt: skip
+    )
     over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
     if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):
         return -1

@@ -25,9 +25,18 @@ __all__ = ["driver", "driver_text", "signatures"]
 
 #: The modules that are compiled as one text, in this order.
 PARTS = (
-    "solving", "steps", "begin", "recovery", "explicit", "brief", "ensembles", "between", "work",
-    "backward", "arriving",
-)  # fmt: skip
+    "solving",
+    "steps",
+    "begin",
+    "recovery",
+    "explicit",
+    "brief",
+    "ensembles",
+    "between",
+    "work",
+    "backward",
+    "arriving",
+)
 #: Functions that are compiled in one go, because they share others, and a run that has called one
 #: may call all of them: those of any run, and those of steps that are solved by iteration.
 TOGETHER = (

@@ -52,13 +52,35 @@ LEAST, LARGEST, MEAN, FIRST, LYAPUNOV, MEGNO, SALI = 0, 1, 2, 3, 4, 5, 6
 MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
 SIGNATURES |= {
     "advance_blocks": types.void(
-        SET, types.int64[::1], types.float64, types.float64, WORKSPACE, TOLD_ROWS,
-        types.int64[::1], types.int64, types.int64, types.int64, types.int64,
-        MEMBERS, MEMBERS, MEMBERS, STORED, STORED, STORED, types.int64[:, ::1],
-        STORED, STORED, types.int64[:, ::1], types.int64[::1], MEMBERS, types.float64[::1],
-        INPUTS, MEMBERS, STORED,
-    ),
-}  # fmt: skip
+        SET,
+        types.int64[::1],
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.int64[::1],
+        types.int64,
+        types.int64,
+        types.int64,
+        types.int64,
+        MEMBERS,
+        MEMBERS,
+        MEMBERS,
+        STORED,
+        STORED,
+        STORED,
+        types.int64[:, ::1],
+        STORED,
+        STORED,
+        types.int64[:, ::1],
+        types.int64[::1],
+        MEMBERS,
+        types.float64[::1],
+        INPUTS,
+        MEMBERS,
+        STORED,
+    )
+}
 
 
 @njit(**DRIVER_OPTIONS)
@@ -177,9 +199,21 @@ def tell_of_variations(W, at, h, kinds, seen, block):
 
 @njit(**DRIVER_OPTIONS)
 def finish_block(
-    W, at, block, step, every, buffer_q, buffer_p, kept, counted, q_out, p_out, codes_out, lost,
+    W,
+    at,
+    block,
+    step,
+    every,
+    buffer_q,
+    buffer_p,
+    kept,
+    counted,
+    q_out,
+    p_out,
+    codes_out,
+    lost,
     kept_out,
-):  # fmt: skip
+):
     """Store what the lanes of a block have come to."""
     n = at[DIMENSION]
     for lane in range(LANES):
@@ -208,10 +242,34 @@ def finish_block(
 
 @njit(**DRIVER_OPTIONS)
 def advance_blocks(
-    kernels, more, h, t0, W, at, cursor, last, budget, steps, every, q0, other0, parameters,
-    buffer_q, buffer_p, kept, counted, q_out, p_out, codes_out, lost, seen, kinds, inputs, columns,
+    kernels,
+    more,
+    h,
+    t0,
+    W,
+    at,
+    cursor,
+    last,
+    budget,
+    steps,
+    every,
+    q0,
+    other0,
+    parameters,
+    buffer_q,
+    buffer_p,
+    kept,
+    counted,
+    q_out,
+    p_out,
+    codes_out,
+    lost,
+    seen,
+    kinds,
+    inputs,
+    columns,
     kept_out,
-):  # fmt: skip
+):
     """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
 
     The stored states of a block under way stay in the buffers, and what is kept beside them.
@@ -257,17 +315,54 @@ def advance_blocks(
             until = min(steps, step + 1 if watched or timed else step + budget)
             if kernels[MODE] == EXPLICIT:
                 take_explicit_steps(
-                    kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p, kept,
-                    counted, own,
-                )  # fmt: skip
+                    kernels,
+                    h,
+                    t0,
+                    W,
+                    at,
+                    progress,
+                    until,
+                    every,
+                    buffer_q,
+                    buffer_p,
+                    kept,
+                    counted,
+                    own,
+                )
             else:
-                take_steps(kernels, h, t0, W, at, progress, until, every, buffer_q, buffer_p,
-                    kept, counted, own)  # fmt: skip
+                take_steps(
+                    kernels,
+                    h,
+                    t0,
+                    W,
+                    at,
+                    progress,
+                    until,
+                    every,
+                    buffer_q,
+                    buffer_p,
+                    kept,
+                    counted,
+                    own,
+                )
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is taken and not yet counted: take_steps does that first
-                    take_steps(kernels, h, t0, W, at, progress, progress[0] + 1, every,
-                        buffer_q, buffer_p, kept, counted, own)  # fmt: skip
+                    take_steps(
+                        kernels,
+                        h,
+                        t0,
+                        W,
+                        at,
+                        progress,
+                        progress[0] + 1,
+                        every,
+                        buffer_q,
+                        buffer_p,
+                        kept,
+                        counted,
+                        own,
+                    )
             if timed:
                 look_at_time(W, at, lost[LANES:])
             alive = False
@@ -278,11 +373,26 @@ def advance_blocks(
                     lost[lane] = max(progress[0] - 1, 0)
             budget -= progress[0] - step
             if watched and alive:
-                observe(more, h, t0 + h * progress[0], W, at, kinds, seen, block, members,
-                        progress[0])  # fmt: skip
+                observe(
+                    more, h, t0 + h * progress[0], W, at, kinds, seen, block, members, progress[0]
+                )
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
             tell_of_variations(W, at, h, kinds, seen, block)
-            finish_block(W, at, block, progress[0], every, buffer_q, buffer_p, kept, counted,
-                         q_out, p_out, codes_out, lost, kept_out)  # fmt: skip
+            finish_block(
+                W,
+                at,
+                block,
+                progress[0],
+                every,
+                buffer_q,
+                buffer_p,
+                kept,
+                counted,
+                q_out,
+                p_out,
+                codes_out,
+                lost,
+                kept_out,
+            )
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

@@ -41,19 +41,47 @@ from symsimpson.runtime.driver.steps import (
 
 SIGNATURES |= {
     "take_explicit_steps": types.void(
-        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1], types.int64,
-        types.int64, STATES, STATES, STATES, COUNTS, INPUTS,
+        SET,
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.int64[::1],
+        types.int64,
+        types.int64,
+        STATES,
+        STATES,
+        STATES,
+        COUNTS,
+        INPUTS,
     ),
     "evaluate": types.void(
-        types.int64, types.int64, types.int64, types.float64, WORKSPACE, TOLD_ROWS,
-        types.float64[::1], types.float64[:, :], types.float64[:, :], types.int64, WORKSPACE,
+        types.int64,
+        types.int64,
+        types.int64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.float64[::1],
+        types.float64[:, :],
+        types.float64[:, :],
+        types.int64,
+        WORKSPACE,
         INPUTS,
     ),
     "steady": types.boolean(
-        types.int64, types.float64, WORKSPACE, TOLD_ROWS, STATES, STATES, types.int64, types.int64,
-        types.float64, types.int64,
+        types.int64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        STATES,
+        STATES,
+        types.int64,
+        types.int64,
+        types.float64,
+        types.int64,
     ),
-}  # fmt: skip
+}
 #: Steps that a kernel takes in one call.
 AT_ONCE = 1 << 62
 
@@ -69,9 +97,8 @@ def finite(W, first, last, lane):
 
 @njit(**DRIVER_OPTIONS)
 def take_explicit_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out,
-    inputs,
-):  # fmt: skip
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out, inputs
+):
     """Take steps that need no iteration, all up to the next state to store in one call.
 
     Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that

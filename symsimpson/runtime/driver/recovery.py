@@ -51,10 +51,8 @@ from symsimpson.runtime.driver.steps import (
 )
 
 SIGNATURES |= {
-    "recover": types.void(
-        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64,
-    ),
-}  # fmt: skip
+    "recover": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64)
+}
 #: A step is looked at by taking so many more, and the same way in so many finer ones each; their
 #: ends may be so far apart, squared, in units of the largest increments.
 MORE, FINER, APART = 3, 16, 0.25

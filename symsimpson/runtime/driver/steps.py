@@ -71,10 +71,21 @@ INPUTS = types.Array(types.float64, 4, "A", readonly=True)
 SIGNATURES = {
     "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
     "take_steps": types.void(
-        SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS, types.int64[::1],
-        types.int64, types.int64, STATES, STATES, STATES, COUNTS, INPUTS,
+        SET,
+        types.float64,
+        types.float64,
+        WORKSPACE,
+        TOLD_ROWS,
+        types.int64[::1],
+        types.int64,
+        types.int64,
+        STATES,
+        STATES,
+        STATES,
+        COUNTS,
+        INPUTS,
     ),
-}  # fmt: skip
+}
 
 
 @njit(**DRIVER_OPTIONS)
@@ -217,9 +228,8 @@ def watch(kernels, h, t, W, at):
 
 @njit(**DRIVER_OPTIONS)
 def take_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out,
-    inputs,
-):  # fmt: skip
+    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out, inputs
+):
     """Take steps until ``stop``, an event, or no lane is left.
 
     ``progress`` is (step, event, before), the last the steps that were taken before all of these.

@@ -23,14 +23,33 @@ from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, 
 
 SIGNATURES |= {
     "add_up_work": types.int64(
-        SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN,
-        types.int64, types.int64, WORKSPACE, INPUTS,
+        SET,
+        types.int64,
+        types.float64,
+        TIMES,
+        WORKSPACE,
+        TOLD_ROWS,
+        GIVEN,
+        GIVEN,
+        types.int64,
+        types.int64,
+        WORKSPACE,
+        INPUTS,
     ),
     "step_costs": types.int64(
-        SET, types.int64, types.float64, TIMES, WORKSPACE, TOLD_ROWS, GIVEN, GIVEN, types.int64,
-        types.float64[::1], INPUTS,
+        SET,
+        types.int64,
+        types.float64,
+        TIMES,
+        WORKSPACE,
+        TOLD_ROWS,
+        GIVEN,
+        GIVEN,
+        types.int64,
+        types.float64[::1],
+        INPUTS,
     ),
-}  # fmt: skip
+}
 #: Another solution of a step ends elsewhere by more than so much of the way, beside rounding.
 SAME_WAY, ROUNDED = 1e-3, 1e-9
 

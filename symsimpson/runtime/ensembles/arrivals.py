@@ -30,9 +30,14 @@ def take_last_parts(stepper: Stepper, task: Task, results: Results) -> None:
         return
     states = tuple(np.ascontiguousarray(x[arrived, 0]) for x in (results.q, results.p))
     part, q, p, fine = states_at(
-        stepper, task.parameters[arrived], task.h, (results.kept[arrived, 0, 0], *states),
-        np.arange(arrived.size), np.full(arrived.size, task.t_end), 1,
-    )  # fmt: skip
+        stepper,
+        task.parameters[arrived],
+        task.h,
+        (results.kept[arrived, 0, 0], *states),
+        np.arange(arrived.size),
+        np.full(arrived.size, task.t_end),
+        1,
+    )
     results.q[arrived, 0], results.p[arrived, 0] = q, p
     results.kept[arrived, 0, 0], results.part[arrived] = task.t_end, part
     results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED

@@ -147,11 +147,34 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
         while cursor[0] < last and not queue.stopped:
             before, start = cursor[0], time.perf_counter()
             advance_blocks(
-                step, more, task.h, task.t0, W, told, cursor, last, budget,
-                task.steps, task.every, task.q0, task.other0, task.parameters, buffer_q, buffer_p,
-                buffer_kept, counted, results.q, results.p, results.codes, lost, results.seen,
-                kinds, task.inputs, columns, results.kept,
-            )  # fmt: skip
+                step,
+                more,
+                task.h,
+                task.t0,
+                W,
+                told,
+                cursor,
+                last,
+                budget,
+                task.steps,
+                task.every,
+                task.q0,
+                task.other0,
+                task.parameters,
+                buffer_q,
+                buffer_p,
+                buffer_kept,
+                counted,
+                results.q,
+                results.p,
+                results.codes,
+                lost,
+                results.seen,
+                kinds,
+                task.inputs,
+                columns,
+                results.kept,
+            )
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
             done(int(cursor[0] - before))

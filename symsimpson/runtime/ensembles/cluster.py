@@ -145,10 +145,20 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         columns = [group[names[name]][members] for name in stepper.parameters]
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
     task = Task(
-        q0, other0, asked["given"], parameters, asked["h"], asked["t0"],
-        asked["steps"], asked["every"], NO_INPUTS, reductions, threads=1, progress=False,
+        q0,
+        other0,
+        asked["given"],
+        parameters,
+        asked["h"],
+        asked["t0"],
+        asked["steps"],
+        asked["every"],
+        NO_INPUTS,
+        reductions,
+        threads=1,
+        progress=False,
         lanes=lanes_for(stepper._module.header),
-    )  # fmt: skip
+    )
     found, _ = run_blocks(stepper, task, lambda done: None)
     write_chunk(path, group, members, found)
     return len(found)

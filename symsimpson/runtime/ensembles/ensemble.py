@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.evaluator import evaluate_members
+from symsimpson.runtime.evaluating import evaluate_members
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States, with_units
@@ -30,8 +30,18 @@ Floats = NDArray[np.float64]
 
 #: Names that a dataset has for itself.
 RESERVED = (
-    "q", "p", "q0", "v0", "p0", "status", "steps", "newton_iterations", "member", "time", "coord",
-)  # fmt: skip
+    "q",
+    "p",
+    "q0",
+    "v0",
+    "p0",
+    "status",
+    "steps",
+    "newton_iterations",
+    "member",
+    "time",
+    "coord",
+)
 
 
 def spread(members: int, most: int) -> NDArray[np.int64]:
@@ -297,10 +307,13 @@ class Ensemble(Quantities, Differentiated):
         """Where the numbers come from."""
         stepper = self._stepper
         return {
-            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
-            "digest": stepper._module.header.digest, "outcome": self.message,
+            "system": stepper.system,
+            "scheme": stepper.scheme,
+            "order": stepper.order,
+            "digest": stepper._module.header.digest,
+            "outcome": self.message,
             "t_end": float(np.nanmax(self.t)),
-        }  # fmt: skip
+        }
 
     def __len__(self) -> int:
         return self.status.size

@@ -13,7 +13,7 @@ from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, S
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, spread
 from symsimpson.runtime.ensembles.task import Task
-from symsimpson.runtime.evaluator import evaluate, evaluate_members, velocities_by
+from symsimpson.runtime.evaluating import evaluate, evaluate_members, velocities_by
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.resolution import FEWEST, LAST_LIMIT
 from symsimpson.support.calling import warn
@@ -46,9 +46,15 @@ def look_at_steps(stepper: Stepper, task: Task) -> None:
         v = other
         if not task.velocities:
             v = evaluate(
-                stepper, velocities_by(stepper._module.header), "VELOCITY", stepper.n,
-                np.full(1, task.t0), q[None], other[None], values,
-            )[0]  # fmt: skip
+                stepper,
+                velocities_by(stepper._module.header),
+                "VELOCITY",
+                stepper.n,
+                np.full(1, task.t0),
+                q[None],
+                other[None],
+                values,
+            )[0]
         inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
@@ -81,9 +87,11 @@ def look_at_ends(stepper: Stepper, task: Task, found: Ensemble) -> None:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             stepper.integrate(
-                **task.of_member(member, stepper), every=1 if task.steps <= WHOLE else None,
-                progress=False, on_failure="return",
-            )  # fmt: skip
+                **task.of_member(member, stepper),
+                every=1 if task.steps <= WHOLE else None,
+                progress=False,
+                on_failure="return",
+            )
         for warning in told:
             if issubclass(warning.category, ResolutionWarning):
                 warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)

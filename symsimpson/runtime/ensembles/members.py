@@ -105,10 +105,23 @@ def read_task(
         values[:, k] = columns[name]
     q, other = allowed(stepper, q, other, second, values, t0)
     return Task(
-        q, other, second, values, h, t0, count, stride, driving, reductions, workers, progress,
-        lanes, retimed, tangents=None if tangents is None else _columns(stepper, tangents),
+        q,
+        other,
+        second,
+        values,
+        h,
+        t0,
+        count,
+        stride,
+        driving,
+        reductions,
+        workers,
+        progress,
+        lanes,
+        retimed,
+        tangents=None if tangents is None else _columns(stepper, tangents),
         t_end=end,
-    )  # fmt: skip
+    )
 
 
 def _columns(stepper: Stepper, tangents: Any) -> NDArray[np.float64]:
@@ -170,11 +183,7 @@ def _parameters(
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(
-                names,
-                stepper._module.header.signs,
-                stepper._defaults,
-                {key: extreme},
-                FLOAT64,
+                names, stepper._module.header.signs, stepper._defaults, {key: extreme}, FLOAT64
             )
         found[names.shown[names.found(key)]] = column
     if stepper._names.idle:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.runtime.ensembles.task import Results, Task
-from symsimpson.runtime.evaluator import evaluate_members, watching
+from symsimpson.runtime.evaluating import evaluate_members, watching
 from symsimpson.runtime.kernels.observed import reduce_values
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.chaos import find_chaos
@@ -53,9 +53,11 @@ def run_singly(stepper: Stepper, task: Task, results: Results) -> bool:
                 warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
                 warnings.simplefilter("ignore", ConstraintWarning)
                 run = stepper.integrate(
-                    **task.of_member(member, stepper), every=every, on_failure="return",
+                    **task.of_member(member, stepper),
+                    every=every,
+                    on_failure="return",
                     **_carrying(stepper, task),
-                )  # fmt: skip
+                )
         except InputError:
             for array in (results.q, results.p, results.kept, results.seen):
                 array[member] = np.nan
@@ -103,9 +105,12 @@ def _carrying(stepper: Stepper, task: Task) -> dict[str, Any]:
 def _of_variations(stepper: Stepper, task: Task, member: Any, values: list[float]) -> list[float]:
     """Return what reductions of a member come to, with those of its variations."""
     own = replace(
-        task, q0=task.q0[member], other0=task.other0[member], parameters=task.parameters[member],
+        task,
+        q0=task.q0[member],
+        other0=task.other0[member],
+        parameters=task.parameters[member],
         inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
-    )  # fmt: skip
+    )
     chaos = find_chaos(stepper, own, PAIR, RENEWAL, progress=False)
     told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
     pairs = zip(task.reductions, values, strict=True)
@@ -130,9 +135,15 @@ def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool
     """Return at whose stored states all constraints are independent; warn of those nearly not."""
     count = len(stepper._module.header.constraints)
     pivots = evaluate_members(
-        stepper, "multipliers", "HELD_PIVOT", count, task.times, results.q, results.p,
+        stepper,
+        "multipliers",
+        "HELD_PIVOT",
+        count,
+        task.times,
+        results.q,
+        results.p,
         task.parameters,
-    )  # fmt: skip
+    )
     with np.errstate(invalid="ignore"):  # of members that failed
         independence = independence_of(pivots)
     folded = (independence < SINGULAR).any(axis=1)

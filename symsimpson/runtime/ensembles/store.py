@@ -109,9 +109,16 @@ class Store:
             )
             watched = {name: group[stored][:] for name, stored in reduced.items()}
         return ensemble_of(
-            stepper, task, q=group["q"], p=group["p"], status=status, steps=steps,
-            newton_iterations=iterations, reduced=watched, store=self.path,
-        )  # fmt: skip
+            stepper,
+            task,
+            q=group["q"],
+            p=group["p"],
+            status=status,
+            steps=steps,
+            newton_iterations=iterations,
+            reduced=watched,
+            store=self.path,
+        )
 
 
 def members_of(chunk: int, size: int, members: int) -> slice:
@@ -141,9 +148,11 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
         try:
             group = zarr.open_group(place, mode="r")
         except FileNotFoundError:
-            if "://" not in place and os.path.exists(place) and (
-                os.path.isfile(place) or os.listdir(place)
-            ):  # fmt: skip
+            if (
+                "://" not in place
+                and os.path.exists(place)
+                and (os.path.isfile(place) or os.listdir(place))
+            ):
                 raise _other(place, "holds something that is no ensemble") from None
             return _create(place, stepper, task, asked)
         found: dict[str, Any] = dict(group.attrs)
@@ -168,11 +177,13 @@ def _asked(stepper: Stepper, task: Task) -> dict[str, Any]:
     """Say what is to be computed, such that what is equal here has equal results."""
     return {
         "module": digest(stepper.source),
-        **task.said(), "given": task.given, "members": task.members,
+        **task.said(),
+        "given": task.given,
+        "members": task.members,
         "reduce": json.dumps([[r.name, r.kind, r.expression] for r in task.reductions]),
         "initial states": hashlib.sha256(task.q0.tobytes() + task.other0.tobytes()).hexdigest(),
         "parameters": hashlib.sha256(task.parameters.tobytes()).hexdigest(),
-    }  # fmt: skip
+    }
 
 
 def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> Store:
@@ -197,10 +208,14 @@ def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> 
         if variable.dims[0] == "member":
             shape, chunks = (task.members, *shape[1:]), (min(chunk, task.members), *chunks[1:])
         array = group.create_array(
-            name, shape=shape, chunks=chunks, dtype=str if text else variable.dtype,
-            dimension_names=variable.dims, compressors=[ZstdCodec(level=0, checksum=True)],
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=str if text else variable.dtype,
+            dimension_names=variable.dims,
+            compressors=[ZstdCodec(level=0, checksum=True)],
             fill_value="" if text else int(Status.INTERRUPTED) if integers else np.nan,
-        )  # fmt: skip
+        )
         if name in given or variable.dims[0] != "member":
             array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
     group.attrs.update({"source": stepper.source, "asked": asked})

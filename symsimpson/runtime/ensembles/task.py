@@ -50,10 +50,14 @@ class Task(RunSpec):
         values = dict(zip(names, self.parameters[member], strict=True))
         length = {"steps": self.steps} if self.t_end is None else {"t_end": self.t_end}
         return {
-            "q0": self.q0[member], self.given: self.other0[member], "h": self.h, "t0": self.t0,
+            "q0": self.q0[member],
+            self.given: self.other0[member],
+            "h": self.h,
+            "t0": self.t0,
             "parameters": {name: values[name] for name in names if name not in header.from_start},
-            "inputs": self.inputs_of(member), **length,
-        }  # fmt: skip
+            "inputs": self.inputs_of(member),
+            **length,
+        }
 
     def carried(self, n: int) -> int:
         """Return how many numbers of variations are stored beside a state, or 1 for its time."""
@@ -74,11 +78,12 @@ class Task(RunSpec):
     def part(self, members: slice | NDArray[np.int64]) -> Task:
         """Return the task of some of the members."""
         return replace(
-            self, q0=np.ascontiguousarray(self.q0[members]),
+            self,
+            q0=np.ascontiguousarray(self.q0[members]),
             other0=np.ascontiguousarray(self.other0[members]),
             parameters=np.ascontiguousarray(self.parameters[members]),
             inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
-        )  # fmt: skip
+        )
 
 
 def lanes_for(header: Header) -> int:
@@ -121,9 +126,13 @@ class Results:
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
         reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
         found = {
-            "q": q, "p": p, "status": status, "steps": steps, "newton_iterations": iterations,
+            "q": q,
+            "p": p,
+            "status": status,
+            "steps": steps,
+            "newton_iterations": iterations,
             "reduced": reduced,
-        }  # fmt: skip
+        }
         kept = self.kept if task.every else self.kept[:, 0]
         if task.tangents is not None:
             found["_tangents"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
@@ -143,8 +152,10 @@ def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
         found["t"] = task.times
     return Ensemble(
         parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
-        initial={"q0": task.q0, task.given: task.other0}, _stepper=stepper, **found,
-    )  # fmt: skip
+        initial={"q0": task.q0, task.given: task.other0},
+        _stepper=stepper,
+        **found,
+    )
 
 
 def available_threads() -> int:

@@ -107,10 +107,15 @@ def _without_cache(folder: Path, why: str) -> None:
 def _machine() -> str:
     """Name everything besides its text that compiled code depends on."""
     parts = (
-        sys.version, numba.__version__, llvmlite.__version__, np.__version__,
-        llvm.get_process_triple(), llvm.get_host_cpu_name(),
-        str(llvm.get_host_cpu_features().flatten()), *_settings(),
-    )  # fmt: skip
+        sys.version,
+        numba.__version__,
+        llvmlite.__version__,
+        np.__version__,
+        llvm.get_process_triple(),
+        llvm.get_host_cpu_name(),
+        str(llvm.get_host_cpu_features().flatten()),
+        *_settings(),
+    )
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
@@ -118,9 +123,10 @@ def _settings() -> list[str]:
     """Return what the environment tells numba and LLVM, in which code may differ."""
     idle = {f"NUMBA_{name}" for name in _IDLE}
     return sorted(
-        f"{name}={value}" for name, value in os.environ.items()
+        f"{name}={value}"
+        for name, value in os.environ.items()
         if name.startswith("NUMBA_") and name not in idle
-    )  # fmt: skip
+    )
 
 
 def compiled(

@@ -128,14 +128,19 @@ class Header:
         """The numbers of the layout that the driver must know, in its order."""
         more = {
             "STATE_END": self.layout["INCREMENT"] + self.layout["UNKNOWNS"],
-            "DIMENSION": self.n, "MEASURED": self.degree * self.n,
+            "DIMENSION": self.n,
+            "MEASURED": self.degree * self.n,
             "ROWS": self.rows,
             "STEPS_A_CALL": 1 << 62 if self.autonomous and not self.inputs else 1,
-        }  # fmt: skip
+        }
         none = {
-            "INPUT": 0, "INPUT_STRIDE": 0, "TANGENT": self.rows, "KEPT": self.rows, "RENEWED": 0,
+            "INPUT": 0,
+            "INPUT_STRIDE": 0,
+            "TANGENT": self.rows,
+            "KEPT": self.rows,
+            "RENEWED": 0,
             "RENEWAL": 1,
-        }  # fmt: skip
+        }
         if self.retimed:  # the time is stored beside states
             more["KEPT"] = self.layout["TIME"]
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
@@ -256,17 +261,32 @@ def read_header(text: str, where: str) -> Header:
         **constants,
     }
     names = {
-        "system": "SYSTEM", "scheme": "SCHEME", "digest": "DIGEST", "order": "ORDER",
-        "degree": "DEGREE", "newton_unknowns": "NEWTON_UNKNOWNS",
-        "coordinates": "COORDINATES", "parameters": "PARAMETERS",
-        "defaults": "DEFAULTS", "signs": "SIGNS", "invariants": "INVARIANTS",
-        "real_everywhere": "REAL_EVERYWHERE", "rows": "ROWS",
-        "row_order": "ROW_ORDER", "column_order": "COLUMN_ORDER",
-        "coordinate_order": "COORDINATE", "forces": "FORCES", "autonomous": "AUTONOMOUS",
-        "inputs": "INPUTS", "input_places": "INPUT_PLACES", "conformal": "CONFORMAL",
-        "constraints": "HELD_BY", "held_places": "HELD_PLACE",
-        "varied_by": "VARIED_BY", "retimed": "RETIMED",
-    }  # fmt: skip
+        "system": "SYSTEM",
+        "scheme": "SCHEME",
+        "digest": "DIGEST",
+        "order": "ORDER",
+        "degree": "DEGREE",
+        "newton_unknowns": "NEWTON_UNKNOWNS",
+        "coordinates": "COORDINATES",
+        "parameters": "PARAMETERS",
+        "defaults": "DEFAULTS",
+        "signs": "SIGNS",
+        "invariants": "INVARIANTS",
+        "real_everywhere": "REAL_EVERYWHERE",
+        "rows": "ROWS",
+        "row_order": "ROW_ORDER",
+        "column_order": "COLUMN_ORDER",
+        "coordinate_order": "COORDINATE",
+        "forces": "FORCES",
+        "autonomous": "AUTONOMOUS",
+        "inputs": "INPUTS",
+        "input_places": "INPUT_PLACES",
+        "conformal": "CONFORMAL",
+        "constraints": "HELD_BY",
+        "held_places": "HELD_PLACE",
+        "varied_by": "VARIED_BY",
+        "retimed": "RETIMED",
+    }
     blocks = {
         name: value
         for name, value in constants.items()

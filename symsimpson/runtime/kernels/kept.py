@@ -20,9 +20,12 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonEr
 
 
 def kept(
-    kind: str, question: str, read: Callable[[Any], Answer], make: Callable[[], Answer],
+    kind: str,
+    question: str,
+    read: Callable[[Any], Answer],
+    make: Callable[[], Answer],
     write: Callable[[Answer], Any],
-) -> Answer:  # fmt: skip
+) -> Answer:
     """Return the answer that was kept for the same question, or make it and keep it.
 
     Parameters

@@ -17,13 +17,32 @@ __all__ = ["Reader"]
 
 #: Functions, and how many arguments they take at least and at most.
 _FUNCTIONS = dict.fromkeys(
-    ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "exp", "log", "sqrt",
-     "abs"), (1, 1),
-) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}  # fmt: skip
+    (
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "log",
+        "sqrt",
+        "abs",
+    ),
+    (1, 1),
+) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
 _SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
 _SIGNS: dict[type[ast.AST], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**", ast.Mod: "%",
-}  # fmt: skip
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "**",
+    ast.Mod: "%",
+}
 #: What the text of an expression is made of, beside names.
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")

@@ -49,9 +49,12 @@ def _content(made: Derivation) -> dict[str, Any] | None:
     if sum(made.seconds.values()) <= BRIEF:
         return None
     return {
-        "text": made.text, "sha256": _digest(made.text), "operations": made.operations,
-        "unrolled": made.unrolled, "stages": [*made.seconds],
-    }  # fmt: skip
+        "text": made.text,
+        "sha256": _digest(made.text),
+        "operations": made.operations,
+        "unrolled": made.unrolled,
+        "stages": [*made.seconds],
+    }
 
 
 def _digest(text: str) -> str:

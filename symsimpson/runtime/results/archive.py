@@ -48,8 +48,10 @@ def _dataset(run: Trajectory) -> Any:
         about = {"long_name": "inputs of steps, at their nodes"}
         found["inputs"] = (("step", "node", "input"), run._inputs[0], about)
     found.attrs |= {
-        "every": run.every or 0, "parameter_values": run._values.tolist(), "sha256": _digest(run),
-    }  # fmt: skip
+        "every": run.every or 0,
+        "parameter_values": run._values.tolist(),
+        "sha256": _digest(run),
+    }
     if run._tangents is not None:
         about = {"long_name": "variations of the state, then of what is varied"}
         found["variations"] = (("time", "state", "variation"), run._tangents, about)
@@ -161,8 +163,13 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
         tau = np.asarray(found["tau"], dtype=np.float64)
         stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
-    wanted = ((stored,), (stored, stepper.n), (stored, stepper.n), (stored,),
-              (len(stepper.parameters),))  # fmt: skip
+    wanted = (
+        (stored,),
+        (stored, stepper.n),
+        (stored, stepper.n),
+        (stored,),
+        (len(stepper.parameters),),
+    )
     if shapes != wanted or not np.isfinite(h) or h == 0:
         raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
     whole = steps // every + 1 if every > 0 else 0
@@ -189,8 +196,19 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
-        status=Status[str(about["status"])], message=str(about["message"]), _stepper=stepper,
-        _values=values, _inputs=inputs, _tau=tau if retimed else None, _tangents=ways,
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=h,
+        steps=steps,
+        every=every or None,
+        status=Status[str(about["status"])],
+        message=str(about["message"]),
+        _stepper=stepper,
+        _values=values,
+        _inputs=inputs,
+        _tau=tau if retimed else None,
+        _tangents=ways,
         _varied_by=varied,
-    )  # fmt: skip
+    )

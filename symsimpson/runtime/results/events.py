@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import watching
+from symsimpson.runtime.evaluating import watching
 from symsimpson.runtime.kernels.observed import Observed, read_expression
 from symsimpson.runtime.results.interpolate import DenseOutput
 from symsimpson.runtime.results.states import States
@@ -128,9 +128,16 @@ def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) 
     for a in wanted[0].wrapped:
         q[:, a] -= TURN * np.floor(q[:, a] / TURN + 0.5)
     return Events(
-        t=t, q=q, p=p, direction=direction.astype(np.int64), expression=wanted[0].expression,
-        status=run.status, message=run.message, _stepper=run._stepper, _values=run._values,
-    )  # fmt: skip
+        t=t,
+        q=q,
+        p=p,
+        direction=direction.astype(np.int64),
+        expression=wanted[0].expression,
+        status=run.status,
+        message=run.message,
+        _stepper=run._stepper,
+        _values=run._values,
+    )
 
 
 def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
@@ -203,9 +210,11 @@ def _with_end(run: Trajectory, dense: DenseOutput) -> tuple[Floats, Floats, Floa
 
 
 def chandrupatla(
-    function: Callable[[NDArray[np.int64], Floats], Floats], span: Floats, first: Floats,
+    function: Callable[[NDArray[np.int64], Floats], Floats],
+    span: Floats,
+    first: Floats,
     last: Floats,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Find a zero in each of many intervals from 0 to ``span``, with the values at their ends.
 
     Inverse quadratic interpolation where that can be trusted, else bisection (T. R. Chandrupatla,

@@ -35,17 +35,19 @@ def stepper(one: Stepper) -> str:
     lines = one.source.count("\n")
     return box(
         f"Stepper of {one.system}",
-        facts([
-            ("scheme", f"{one.scheme}, order {one.order}"),
-            ("coordinates", ", ".join(one.coordinates)),
-            ("parameters", values or "none"),
-            ("invariants", ", ".join(one.invariants) or "none declared"),
-            ("a step", solved),
-            ("Newton unknowns", unknowns or "none"),
-            ("module", f"{lines} lines; print(stepper.source) shows them"),
-            ("compiled code", one._module.kernels.location),
-        ]),
-    )  # fmt: skip
+        facts(
+            [
+                ("scheme", f"{one.scheme}, order {one.order}"),
+                ("coordinates", ", ".join(one.coordinates)),
+                ("parameters", values or "none"),
+                ("invariants", ", ".join(one.invariants) or "none declared"),
+                ("a step", solved),
+                ("Newton unknowns", unknowns or "none"),
+                ("module", f"{lines} lines; print(stepper.source) shows them"),
+                ("compiled code", one._module.kernels.location),
+            ]
+        ),
+    )
 
 
 def states(some: States) -> str:
@@ -59,8 +61,10 @@ def events(found: Events) -> str:
     if found.status is not Status.SUCCESS:
         rows.append(("the run", verdict(found.message, False)))
     if len(found) > 1:
-        rows += [(f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
-                 for q in found._stepper.coordinates[:DRAWN]]  # fmt: skip
+        rows += [
+            (f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
+            for q in found._stepper.coordinates[:DRAWN]
+        ]
     return box(repr(found), facts(rows))
 
 

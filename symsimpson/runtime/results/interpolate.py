@@ -62,8 +62,10 @@ class DenseOutput:
         self._run = run
         numbers = run._stepper._module.numbers
         with numbers.working():  # float64 as it is, without a copy
-            whole = [np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
-                     for x in (run.t, run.q, run.p, run._inputs)]  # fmt: skip
+            whole = [
+                np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
+                for x in (run.t, run.q, run.p, run._inputs)
+            ]
         self._t, self._q, self._p, self._inputs = whole
         self._retimed = run._stepper._module.header.retimed
         self._end = run.t[-1] if self._retimed else run.t[0] + run.h * run.steps
@@ -112,9 +114,12 @@ class DenseOutput:
             raise ConvergenceError(
                 f"{run._stepper.system}: part of a step, to t = {rough[worst]:g}, could not be "
                 f"taken. {Status(int(codes[worst])).message}",
-                trajectory=run, step=int(start[worst]), time=float(rough[worst]), residual=np.nan,
+                trajectory=run,
+                step=int(start[worst]),
+                time=float(rough[worst]),
+                residual=np.nan,
                 status=Status(int(codes[worst])),
-            )  # fmt: skip
+            )
         return (q, p) if times.ndim else (q[0], p[0])
 
     def after(
@@ -149,10 +154,23 @@ class DenseOutput:
                 q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
                 well = np.zeros(some.size, dtype=np.bool_)
                 between(
-                    kernels.set(kernels.fallbacks[0]), step.item(), t, W, header.told, q, p,
-                    start[some], whole[some], rest[some], q_out, p_out, well, run.every or 1,
-                    self._inputs, rests[:, some],
-                )  # fmt: skip
+                    kernels.set(kernels.fallbacks[0]),
+                    step.item(),
+                    t,
+                    W,
+                    header.told,
+                    q,
+                    p,
+                    start[some],
+                    whole[some],
+                    rest[some],
+                    q_out,
+                    p_out,
+                    well,
+                    run.every or 1,
+                    self._inputs,
+                    rests[:, some],
+                )
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
             codes = np.zeros(len(order), dtype=np.int64)
             for i in np.flatnonzero(~fine):
@@ -197,9 +215,7 @@ class DenseOutput:
             return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 
-    def _run_on(
-        self, t: Any, state: Any, h: Any, steps: int, inputs: Reals
-    ) -> tuple[Any, Status]:  # fmt: skip
+    def _run_on(self, t: Any, state: Any, h: Any, steps: int, inputs: Reals) -> tuple[Any, Status]:
         stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
         values, h = numbers.read(self._run._values), numbers.read(h).item()
         one = Run(stepper._module, values, h, t, 0, 1, inputs=inputs)

@@ -24,5 +24,9 @@ class Outcome:
 
     def _outcome(self) -> dict[str, Any]:
         """Return it for files."""
-        return {"h": float(self.h), "steps": self.steps, "status": self.status.name,
-                "message": self.message}  # fmt: skip
+        return {
+            "h": float(self.h),
+            "steps": self.steps,
+            "status": self.status.name,
+            "message": self.message,
+        }

@@ -18,9 +18,19 @@ __all__ = ["Part"]
 
 #: What a run has a row of for each state, or a mapping of such rows.
 ROWS = (
-    "tau", "newton_iterations", "tangent", "sensitivity", "work", "power", "energy_balance",
-    "energy_error", "shadow_energy", "multipliers", "constraint_error", "constraint_forces",
-)  # fmt: skip
+    "tau",
+    "newton_iterations",
+    "tangent",
+    "sensitivity",
+    "work",
+    "power",
+    "energy_balance",
+    "energy_error",
+    "shadow_energy",
+    "multipliers",
+    "constraint_error",
+    "constraint_forces",
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -71,6 +81,11 @@ def part_of(run: Trajectory, places: NDArray[np.int64], key: Any) -> Part:
     """Return some of the states at these places of a run."""
     some = np.atleast_1d(places[key])
     return Part(
-        t=run.t[some], q=run.q[some], p=run.p[some], _stepper=run._stepper, _values=run._values,
-        _run=run, _places=some,
-    )  # fmt: skip
+        t=run.t[some],
+        q=run.q[some],
+        p=run.p[some],
+        _stepper=run._stepper,
+        _values=run._values,
+        _run=run,
+        _places=some,
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
-from symsimpson.runtime.evaluator import velocities_by
+from symsimpson.runtime.evaluating import velocities_by
 from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.support.names import did_you_mean, spelled
 

@@ -15,7 +15,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import Evaluator, evaluate
+from symsimpson.runtime.evaluating import evaluate
+from symsimpson.runtime.evaluator import Evaluator
 from symsimpson.runtime.runs.run import workspace
 from symsimpson.runtime.runs.variations import varied_stepper
 from symsimpson.support.derivation import LAGRANGIAN
@@ -84,9 +85,18 @@ def _discrete_actions(stepper: Evaluator, run: Energies) -> Reals:
     W = workspace(header, numbers, numbers.read(run._values))
     t, q, p = (np.ascontiguousarray(numbers.read(x)) for x in (run.t, run.q, run.p))
     reached = numbers.driver("step_costs")(
-        kernels.set("newton"), kernels.address("step_cost"), float(run.h), t, W, header.told, q, p,
-        header.layout["COST"], out, numbers.read(run._inputs),
-    )  # fmt: skip
+        kernels.set("newton"),
+        kernels.address("step_cost"),
+        float(run.h),
+        t,
+        W,
+        header.told,
+        q,
+        p,
+        header.layout["COST"],
+        out,
+        numbers.read(run._inputs),
+    )
     if reached < len(run):
         raise InputError(
             f"{stepper.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
@@ -126,8 +136,11 @@ def _accelerations(q: Reals, v: Reals, h: Any) -> Reals:
 def _hermite(degree: int) -> list[Polynomial]:
     """Return the polynomials for value, slope (and second derivative) at 0, then at 1."""
     count = (degree + 1) // 2
-    rows = np.array([
-        [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]
-        for place in (0, 1) for m in range(count)
-    ])  # fmt: skip
+    rows = np.array(
+        [
+            [Polynomial.basis(k).deriv(m)(place) for k in range(degree + 1)]
+            for place in (0, 1)
+            for m in range(count)
+        ]
+    )
     return [Polynomial(column) for column in np.linalg.inv(rows).T]

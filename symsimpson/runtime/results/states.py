@@ -122,9 +122,12 @@ class States(Quantities):
                 raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
             some = [number]
         return States(
-            t=self.t[some], q=self.q[some], p=self.p[some], _stepper=self._stepper,
+            t=self.t[some],
+            q=self.q[some],
+            p=self.p[some],
+            _stepper=self._stepper,
             _values=self._values,
-        )  # fmt: skip
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
@@ -276,17 +279,23 @@ class States(Quantities):
         """Where the numbers come from."""
         stepper = self._stepper
         return {
-            "system": stepper.system, "scheme": stepper.scheme, "order": stepper.order,
+            "system": stepper.system,
+            "scheme": stepper.scheme,
+            "order": stepper.order,
             "digest": stepper._module.header.digest,
-            **{f"parameter {stored(name, own)}": float(value) for (name, value), own
-               in zip(self.parameters.items(), stepper._names.parameters.own, strict=True)},
-        }  # fmt: skip
+            **{
+                f"parameter {stored(name, own)}": float(value)
+                for (name, value), own in zip(
+                    self.parameters.items(), stepper._names.parameters.own, strict=True
+                )
+            },
+        }
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         return self.t, self.q, self._values
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
-        from symsimpson.runtime.evaluator import evaluate
+        from symsimpson.runtime.evaluating import evaluate
 
         states = self.t, self.q, self.p
         return evaluate(self._stepper, kernel, block, count, *states, self._values)

@@ -26,9 +26,12 @@ TABLES = (".npz", ".csv", ".parquet")
 KINDS = (".nc", ".zarr", *TABLES)
 #: What a kind needs beside the package.
 NEEDS = {
-    ".nc": ("xarray", "netCDF4"), ".zarr": ("xarray", "zarr"), ".npz": (), ".csv": (),
+    ".nc": ("xarray", "netCDF4"),
+    ".zarr": ("xarray", "zarr"),
+    ".npz": (),
+    ".csv": (),
     ".parquet": ("pandas", "pyarrow"),
-}  # fmt: skip
+}
 
 
 def check_kind(place: Path) -> str:
@@ -64,9 +67,11 @@ def columns(some: Quantities) -> dict[str, NDArray[Any]]:
 
 
 def dataframe(
-    table: Mapping[str, NDArray[Any]], index: str, about: dict[str, Any],
+    table: Mapping[str, NDArray[Any]],
+    index: str,
+    about: dict[str, Any],
     units: Mapping[str, str] | None = None,
-) -> Any:  # fmt: skip
+) -> Any:
     """Return columns as a ``pandas.DataFrame``, which has their units among its ``attrs``."""
     pandas = library("pandas", "to_pandas", "data")
     frame = pandas.DataFrame(dict(table)).set_index(index)
@@ -75,10 +80,15 @@ def dataframe(
 
 
 def write(
-    path: str | os.PathLike[str], what: str, arrays: Callable[[], Mapping[str, Any]],
-    table: Callable[[], Mapping[str, Any]], dataset: Callable[[], Any], *,
-    trajectory: Trajectory | None = None, consolidated: bool | None = False,
-) -> None:  # fmt: skip
+    path: str | os.PathLike[str],
+    what: str,
+    arrays: Callable[[], Mapping[str, Any]],
+    table: Callable[[], Mapping[str, Any]],
+    dataset: Callable[[], Any],
+    *,
+    trajectory: Trajectory | None = None,
+    consolidated: bool | None = False,
+) -> None:
     """Write a result into a file of the kind that its ending says.
 
     Parameters

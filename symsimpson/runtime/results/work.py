@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import evaluate
+from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.runs.driving import at_places, since
 from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
 
@@ -36,9 +36,16 @@ def _powers_at(run: Energies, *, arriving: bool = False) -> Reals:
     With the inputs of the step that begins at a state, or of the one that arrives there.
     """
     return evaluate(
-        run._stepper, "power", "POWER", run._stepper._module.header.powers, run.t, run.q, run.p,
-        run._values, _at_states(run, arriving),
-    )  # fmt: skip
+        run._stepper,
+        "power",
+        "POWER",
+        run._stepper._module.header.powers,
+        run.t,
+        run.q,
+        run.p,
+        run._values,
+        _at_states(run, arriving),
+    )
 
 
 def _at_states(run: Energies, arriving: bool) -> Reals:
@@ -138,9 +145,19 @@ def _added_up(run: Energies, count: int) -> Reals:
         name = sets[number]
         work = kernels.address("work", any_angle=name == "robust")
         reached: int = numbers.driver("add_up_work")(
-            kernels.set(name), work, h.item(), t[some], W, header.told, q[some], p[some],
-            every, row, out[some], since(inputs, done * every),
-        )  # fmt: skip
+            kernels.set(name),
+            work,
+            h.item(),
+            t[some],
+            W,
+            header.told,
+            q[some],
+            p[some],
+            every,
+            row,
+            out[some],
+            since(inputs, done * every),
+        )
         if reached > 1:
             done, number = done + reached - 1, int(done + reached < last)
         else:

@@ -70,8 +70,13 @@ class Collected:
             if run.every and run.alive:
                 q, p, iterations, kept = (x[:-1] for x in run.stored())
                 counted = np.add.reduceat(iterations, np.arange(0, len(iterations), self._stride))
-                self._parts.append((*(x[:: self._stride].copy() for x in (q, p)), counted,
-                                    kept[:: self._stride].copy()))  # fmt: skip
+                self._parts.append(
+                    (
+                        *(x[:: self._stride].copy() for x in (q, p)),
+                        counted,
+                        kept[:: self._stride].copy(),
+                    )
+                )
                 run.forget()
                 if len(self._parts) % LOOKS == 0:  # is there room to join them?
                     np.empty(int(JOINING * sum(x.nbytes for part in self._parts for x in part)))
@@ -84,9 +89,7 @@ class Collected:
         return q, p, iterations, kept
 
 
-def last_part(
-    stepper: Evaluator, run: Run, t_end: Any
-) -> tuple[Any, Reals, Reals, Status]:  # fmt: skip
+def last_part(stepper: Evaluator, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
     """Take the part of a step from where a run has arrived to its end.
 
     Returns
@@ -99,16 +102,26 @@ def last_part(
     q, p = run.end()
     start = np.zeros(1, dtype=np.int64)
     part, q, p, fine = states_at(
-        stepper, run.parameters, run.h, (run.rows("TIME", 1).copy(), q, p), start,
-        np.full(1, t_end), 1,
-    )  # fmt: skip
+        stepper,
+        run.parameters,
+        run.h,
+        (run.rows("TIME", 1).copy(), q, p),
+        start,
+        np.full(1, t_end),
+        1,
+    )
     return part[0], q, p, Status.SUCCESS if fine[0] else Status.NOT_CONVERGED
 
 
 def states_at(
-    stepper: Evaluator, values: Reals, h: Any, states: tuple[Reals, Reals, Reals],
-    start: NDArray[np.int64], asked: Reals, every: int,
-) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:  # fmt: skip
+    stepper: Evaluator,
+    values: Reals,
+    h: Any,
+    states: tuple[Reals, Reals, Reals],
+    start: NDArray[np.int64],
+    asked: Reals,
+    every: int,
+) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:
     """Find states at times behind some of the stored ones, t, q and p.
 
     ``values`` are parameters, a row of them for each state or one for all.
@@ -122,8 +135,10 @@ def states_at(
         Whether its steps could be taken as usual.
     """
     numbers, header, kernels = (
-        stepper._module.numbers, stepper._module.header, stepper._module.kernels,
-    )  # fmt: skip
+        stepper._module.numbers,
+        stepper._module.header,
+        stepper._module.kernels,
+    )
     many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)
     part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
     fine = np.zeros(many, dtype=np.bool_)
@@ -134,18 +149,29 @@ def states_at(
         q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
         part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
         numbers.driver("states_at")(
-            kernels.set(name, "clock"), kernels.address("energy"), h, states[0],
-            workspace(header, numbers, rows[0]), header.told, *states[1:], start[some], asked[some],
-            q_out, p_out, part_out, well, every, NO_INPUTS, near,
+            kernels.set(name, "clock"),
+            kernels.address("energy"),
+            h,
+            states[0],
+            workspace(header, numbers, rows[0]),
+            header.told,
+            *states[1:],
+            start[some],
+            asked[some],
+            q_out,
+            p_out,
+            part_out,
+            well,
+            every,
+            NO_INPUTS,
+            near,
             rows if len(rows) == 1 else rows[some],
-        )  # fmt: skip
+        )
         part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
     return part, q, p, fine
 
 
-def with_end(
-    states: tuple[Reals, ...], end: tuple[Any, ...], every: bool
-) -> tuple[Reals, ...]:  # fmt: skip
+def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:
     """Return times, tau, positions, momenta and iterations with the end of the run behind them.
 
     It takes the place of the state before it where that alone is kept.
@@ -157,9 +183,12 @@ def with_end(
     if t_end == t[-1]:
         return states
     return (
-        np.append(t, t_end), np.append(tau, tau_end), np.vstack([q, q_end]),
-        np.vstack([p, p_end]), np.append(iterations, 0),
-    )  # fmt: skip
+        np.append(t, t_end),
+        np.append(tau, tau_end),
+        np.vstack([q, q_end]),
+        np.vstack([p, p_end]),
+        np.append(iterations, 0),
+    )
 
 
 def resolution(numbers: Numbers) -> float:

@@ -78,9 +78,12 @@ class Backward:
 
 
 def differentiate_back(
-    stepper: Evaluator, spec: RunSpec, objective: Objective, inputs: Sequence[int],
+    stepper: Evaluator,
+    spec: RunSpec,
+    objective: Objective,
+    inputs: Sequence[int],
     progress: bool | None,
-) -> Backward:  # fmt: skip
+) -> Backward:
     """Run, and carry the derivatives of the cost back to the start.
 
     Parameters
@@ -192,10 +195,21 @@ class _Back:
         slopes = numbers.zeros((count, len(self._chosen)))
         jumps = self._jumps(first, q, p)
         numbers.driver("carry_back")(
-            *self._kernels, spec.h, spec.t0, self._W, header.told, header.layout["ADJOINT"],
-            header.layout["COST_SLOPE"], first, records, jumps, self._totals,
-            self._chosen, slopes, spec.inputs,
-        )  # fmt: skip
+            *self._kernels,
+            spec.h,
+            spec.t0,
+            self._W,
+            header.told,
+            header.layout["ADJOINT"],
+            header.layout["COST_SLOPE"],
+            first,
+            records,
+            jumps,
+            self._totals,
+            self._chosen,
+            slopes,
+            spec.inputs,
+        )
         by_node = slopes.reshape(count, len(self._chosen) // self._nodes, self._nodes)
         held = self._by_step.shape[2] < self._nodes
         self._by_step[first : first + count] = (

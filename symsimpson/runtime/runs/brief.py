@@ -91,16 +91,36 @@ class Prepared:
         """Take steps, and return how many iterations they took; -1 if not all is well."""
         h, t0, steps = times
         found: int = self.run_briefly(
-            self.kernels, self.legendre if asked.velocity else 0, self.energy, h, t0, self.W,
-            self.told, asked.values, asked.q, asked.other, steps, every, few, LIMIT, *stored, end,
+            self.kernels,
+            self.legendre if asked.velocity else 0,
+            self.energy,
+            h,
+            t0,
+            self.W,
+            self.told,
+            asked.values,
+            asked.q,
+            asked.other,
+            steps,
+            every,
+            few,
+            LIMIT,
+            *stored,
+            end,
             NO_INPUTS,
-        )  # fmt: skip
+        )
         return found
 
     def arrive(
-        self, asked: Asked, times: tuple[float, float, float], every: int, few: int,
-        stored: Stored, end: Floats, told: Floats,
-    ) -> int:  # fmt: skip
+        self,
+        asked: Asked,
+        times: tuple[float, float, float],
+        every: int,
+        few: int,
+        stored: Stored,
+        end: Floats,
+        told: Floats,
+    ) -> int:
         """Take steps to an end, and return how many; less than 0 if not all is well.
 
         ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
@@ -108,10 +128,25 @@ class Prepared:
         """
         more = np.array([self.legendre if asked.velocity else 0, self.energy, self.retime])
         found: int = self.run_to_end(
-            self.kernels, more, np.array([*times, resolution(FLOAT64)]), self.W, self.told,
-            asked.values, asked.q, asked.other, self.most, every, few, LIMIT, stored[0], self.kept,
-            stored[1], end, told, NO_INPUTS,
-        )  # fmt: skip
+            self.kernels,
+            more,
+            np.array([*times, resolution(FLOAT64)]),
+            self.W,
+            self.told,
+            asked.values,
+            asked.q,
+            asked.other,
+            self.most,
+            every,
+            few,
+            LIMIT,
+            stored[0],
+            self.kept,
+            stored[1],
+            end,
+            told,
+            NO_INPUTS,
+        )
         return found
 
 
@@ -164,9 +199,12 @@ def read_asked(
 
 
 def brief_run(
-    stepper: Evaluator, given: tuple[Any, Any, Any], times: tuple[Any, Any, Any, Any],
-    parameters: Any, every: Any,
-) -> Trajectory | None:  # fmt: skip
+    stepper: Evaluator,
+    given: tuple[Any, Any, Any],
+    times: tuple[Any, Any, Any, Any],
+    parameters: Any,
+    every: Any,
+) -> Trajectory | None:
     """Run, and return what it has come to; None if it is not short, or something came up.
 
     Parameters
@@ -176,8 +214,9 @@ def brief_run(
         As for :func:`symsimpson.runtime.runs.spec.read_run`.
     """
     asked, retimed = (
-        read_asked(stepper, given, times[0], parameters, every), stepper._module.header.retimed
-    )  # fmt: skip
+        read_asked(stepper, given, times[0], parameters, every),
+        stepper._module.header.retimed,
+    )
     if asked is None or (retimed and times[1] is None):
         return None
     prepared = stepper._prepared
@@ -213,10 +252,20 @@ def _of_steps(
         t, iterations = np.array([t0 + h * steps]), np.array([count])
         Q, P = end[:1], end[1:2]
     return Trajectory(
-        t=t, q=Q, p=P, newton_iterations=iterations, h=h, steps=steps, every=every or None,
-        status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=asked.values,
-        _inputs=NO_INPUTS, _tangents=None,
-    )  # fmt: skip
+        t=t,
+        q=Q,
+        p=P,
+        newton_iterations=iterations,
+        h=h,
+        steps=steps,
+        every=every or None,
+        status=Status.SUCCESS,
+        message=DONE,
+        _stepper=stepper,
+        _values=asked.values,
+        _inputs=NO_INPUTS,
+        _tangents=None,
+    )
 
 
 def _regular(stepper: Evaluator, asked: Asked, end: Floats) -> bool:
@@ -253,12 +302,21 @@ def _to_end(
         far = int(t_end != before[-1])  # 0: the last stored state is that of the end
         tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
         t = np.append(before, t[:far])
-        q, p = (
-            np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p))
-        )  # fmt: skip
+        q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
         iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=h, steps=steps, every=every or None,
-        status=Status.SUCCESS, message=DONE, _stepper=stepper, _values=asked.values,
-        _inputs=NO_INPUTS, _tangents=None, _tau=tau,
-    )  # fmt: skip
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=h,
+        steps=steps,
+        every=every or None,
+        status=Status.SUCCESS,
+        message=DONE,
+        _stepper=stepper,
+        _values=asked.values,
+        _inputs=NO_INPUTS,
+        _tangents=None,
+        _tau=tau,
+    )

@@ -49,9 +49,15 @@ def _allowed(stepper: Evaluator, spec: RunSpec, columns: Floats) -> Floats:
     back = replace(spec, h=-spec.h, steps=1, every=0)
     before = integrate(stepper, back, None, None, False, "raise")
     there = replace(
-        spec, q0=before.q[0], other0=before.p[0], given="p0", t0=spec.t0 - spec.h, steps=1, every=0,
+        spec,
+        q0=before.q[0],
+        other0=before.p[0],
+        given="p0",
+        t0=spec.t0 - spec.h,
+        steps=1,
+        every=0,
         tangents=columns,
-    )  # fmt: skip
+    )
     moved = integrate(stepper, there, None, None, False, "raise")._tangents
     assert moved is not None
     found, _ = np.linalg.qr(moved[0])
@@ -82,8 +88,9 @@ def find_chaos(
             f"the run has {spec.steps} steps, and variations are made orthonormal after {stride}.\n"
             "Run longer, or pass a smaller every=."
         )
-    run = new_run(stepper, spec, stride, spec.steps // stride + 1,
-                  kept=kept_growth(stepper, count, stride))  # fmt: skip
+    run = new_run(
+        stepper, spec, stride, spec.steps // stride + 1, kept=kept_growth(stepper, count, stride)
+    )
     begin_run(stepper, run, spec)
     run.rows("TANGENTS", 1)[:] = count
     run.begin_growth(_allowed(stepper, spec, directions(2 * stepper.n, count)))

@@ -51,11 +51,13 @@ def buffered(every: int, stored: int, n: int) -> int:
 def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
     """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
-        "source": stepper.source, "parameters": spec.parameters.tolist(), **spec.said(),
+        "source": stepper.source,
+        "parameters": spec.parameters.tolist(),
+        **spec.said(),
         "q0": run.rows("POSITION", stepper.n).tolist(),
         "p0": run.rows("MOMENTUM", stepper.n).tolist(),
         **({"kept": run.kept.shape[1]} if run.kept.shape[1] else {}),
-    }  # fmt: skip
+    }
 
 
 @dataclass(frozen=True)
@@ -177,11 +179,13 @@ class Checkpoint:
         run = self._run
         body = json.dumps(
             {
-                "asked": self._asked, "position": run.position(), "stored": self._rows,
+                "asked": self._asked,
+                "position": run.position(),
+                "stored": self._rows,
                 "states": self._digest.hexdigest(),
                 "workspace": base64.b64encode(run.W.astype("<f8").tobytes()).decode(),
             }
-        )  # fmt: skip
+        )
         new = self._beside("new")
         with open(new, "w", encoding="utf-8") as file:
             file.write(f"{MAGIC} {VERSION} {digest(body)}\n{body}")

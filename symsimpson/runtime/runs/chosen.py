@@ -28,9 +28,8 @@ Reals = NDArray[Any]
 
 
 def chosen_run(
-    stepper: Stepper, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None,
-    on_failure: str,
-) -> Sampled | Saved:  # fmt: skip
+    stepper: Stepper, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None, on_failure: str
+) -> Sampled | Saved:
     """Run, and keep the states at these times, or these quantities, or these there.
 
     Raises

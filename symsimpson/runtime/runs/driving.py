@@ -152,7 +152,7 @@ def given_inputs(stepper: Evaluator, given: Any) -> dict[str, Any]:
 
 def _one(
     stepper: Evaluator, name: str, given: Any, h: Any, steps: int, members: int | None
-) -> Reals:  # fmt: skip
+) -> Reals:
     """Read the values of one input, shape (K, N, s) or with ones in their places."""
     numbers, nodes = stepper._module.numbers, len(stepper._module.header.input_places)
     held = isinstance(given, Samples)
@@ -164,11 +164,14 @@ def _one(
     if members == 1 and array.ndim > 1 and shape != (steps, nodes) and shape[1] == steps:
         many = len(array)
     fitting: dict[tuple[int, ...], tuple[int, ...]] = {
-        (): (1, 1, 1), (steps,): (1, steps, 1), (steps, 1): (1, steps, 1),
-        (many, steps): (many, steps, 1), (many, steps, 1): (many, steps, 1),
+        (): (1, 1, 1),
+        (steps,): (1, steps, 1),
+        (steps, 1): (1, steps, 1),
+        (many, steps): (many, steps, 1),
+        (many, steps, 1): (many, steps, 1),
         **({} if held else {(steps, nodes): (1, steps, nodes)}),
         **({} if held else {(many, steps, nodes): (many, steps, nodes)}),
-    }  # fmt: skip
+    }
     if members == steps == nodes and shape == (steps, nodes):
         raise InputError(
             f"input {name} has shape {shape}, which may be (members, steps) or (steps, nodes).\n"

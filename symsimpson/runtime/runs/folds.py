@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning
-from symsimpson.runtime.evaluator import evaluate_in
+from symsimpson.runtime.evaluating import evaluate_in
 from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -70,9 +70,13 @@ def look_at_folds(
     if singular.size:
         bad = int(singular[0])
         rows = evaluate_in(
-            run.W, stepper, "multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"],
+            run.W,
+            stepper,
+            "multipliers",
+            "CONSTRAINT_QQ",
+            header.layout["HELD_SIZE"],
             *(x[bad : bad + 1] for x in (t, q, p)),
-        )[0]  # fmt: skip
+        )[0]
         which = dependent(names, slopes_of(header, rows).astype(np.float64))
         message = (
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
@@ -83,9 +87,7 @@ def look_at_folds(
             for name in ("t", "q", "p", "newton_iterations"):
                 about[name] = about[name][:bad]
             about["steps"] = (bad - 1) * run.every
-        return Trajectory(
-            **about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message}
-        )  # fmt: skip
+        return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
     near = np.flatnonzero(close(independence))
     if run.every > 1 or not near.size:  # of states that are far apart nothing can be said
         return trajectory
@@ -97,6 +99,4 @@ def look_at_folds(
         "smaller h, or lengths at which the linkage does not fold."
     )
     warn(message, ConstraintWarning)
-    return Trajectory(
-        **trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"}
-    )  # fmt: skip
+    return Trajectory(**trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"})

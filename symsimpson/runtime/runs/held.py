@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
-from symsimpson.runtime.evaluator import evaluate, evaluate_members
+from symsimpson.runtime.evaluating import evaluate, evaluate_members
 from symsimpson.runtime.kernels.header import slopes_of
 
 if TYPE_CHECKING:
@@ -27,9 +27,14 @@ MOST = 12
 
 
 def allowed(
-    stepper: Evaluator, q: Reals, other: Reals, given: str, values: Reals, t: Any,
+    stepper: Evaluator,
+    q: Reals,
+    other: Reals,
+    given: str,
+    values: Reals,
+    t: Any,
     missed: float = MISSED,
-) -> tuple[Reals, Reals]:  # fmt: skip
+) -> tuple[Reals, Reals]:
     """Return starts that satisfy the constraints to rounding, from some that nearly do.
 
     Parameters
@@ -126,9 +131,15 @@ def dependent(names: Sequence[str], slopes: Reals) -> str:
 
 
 def _off(
-    stepper: Evaluator, q: Reals, other: Reals, given: str, values: Reals, off: Reals,
-    what: str, rate: str,
-) -> InputError:  # fmt: skip
+    stepper: Evaluator,
+    q: Reals,
+    other: Reals,
+    given: str,
+    values: Reals,
+    off: Reals,
+    what: str,
+    rate: str,
+) -> InputError:
     """Say which constraint is missed by how much, and what would satisfy them."""
     worst = np.nan_to_num(off, nan=np.inf)
     member, c = np.unravel_index(int(np.argmax(worst)), off.shape)

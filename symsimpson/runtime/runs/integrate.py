@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import (
-    ConvergenceError,
-    InputError,
-    Interrupted,
-    StorageError,
-)
-from symsimpson.runtime.inputs import (
-    read_count,
-    read_failure,
-    refused_start,
-)
+from symsimpson.errors import ConvergenceError, InputError, Interrupted, StorageError
+from symsimpson.runtime.inputs import read_count, read_failure, refused_start
 from symsimpson.runtime.kernels.numbers import NOTHING
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -71,9 +62,7 @@ def integrate(
     count = spec.steps
     with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
-        stride = spec.every or (
-            sampling_stride(stepper, count) if spec.t_end is None else STRIDE
-        )  # fmt: skip
+        stride = spec.every or (sampling_stride(stepper, count) if spec.t_end is None else STRIDE)
         header = stepper._module.header
         free = checkpoint is None and spec.t_end is None and spec.tangents is None
         if spec.every and free and header.real_everywhere and not header.constraints:
@@ -123,10 +112,7 @@ def integrate(
 
 
 def _checkpoint(
-    path: str | os.PathLike[str],
-    every: int | None,
-    what: dict[str, Any],
-    run: Run,
+    path: str | os.PathLike[str], every: int | None, what: dict[str, Any], run: Run
 ) -> Checkpoint:
     if run.W.dtype != np.float64:
         raise InputError(
@@ -138,9 +124,13 @@ def _checkpoint(
 
 
 def new_run(
-    stepper: Evaluator, spec: RunSpec, stride: int, stored: int, inputs: Reals | None = None,
+    stepper: Evaluator,
+    spec: RunSpec,
+    stride: int,
+    stored: int,
+    inputs: Reals | None = None,
     kept: Kept = NOTHING_KEPT,
-) -> Run:  # fmt: skip
+) -> Run:
     """Make a run that has room for so many states, and for what is kept beside them.
 
     Raises
@@ -153,9 +143,16 @@ def new_run(
         kept = kept_variations(header, spec.tangents.shape[1] + len(header.varied_by or ()))
     try:
         return Run(
-            stepper._module, spec.parameters, spec.h, spec.t0, stride, stored,
-            stepper._module.kernels.fallbacks, spec.inputs if inputs is None else inputs, kept,
-        )  # fmt: skip
+            stepper._module,
+            spec.parameters,
+            spec.h,
+            spec.t0,
+            stride,
+            stored,
+            stepper._module.kernels.fallbacks,
+            spec.inputs if inputs is None else inputs,
+            kept,
+        )
     except (MemoryError, ValueError):
         raise InputError(
             f"{stored} stored states of {2 * stepper.n} numbers do not fit into memory.\n"
@@ -176,9 +173,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
     pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
     if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
-        run.begin(
-            q, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end
-        )  # fmt: skip
+        run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
         values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
@@ -186,9 +181,7 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
         where = f"q0={q.tolist()} with the parameters {named}"
         zero = [name for name, value in named.items() if value == 0]
         finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_beside(run, spec)
-        raise refused_start(
-            stepper.system, where, pivot, finite, zero=zero if everywhere else None
-        )  # fmt: skip
+        raise refused_start(stepper.system, where, pivot, finite, zero=zero if everywhere else None)
     if run.header.retimed and not run.parameters[-1] > 0:
         raise InputError(
             f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
@@ -266,12 +259,21 @@ def trajectory_of(
     result = stepper._module.numbers.result
     t, q, p, values = result(t), result(q), result(p), result(run.parameters)
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=iterations, h=stepper._module.numbers.single(run.h),
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=stepper._module.numbers.single(run.h),
         steps=done,
-        every=every or None, status=status, message=message,
-        _stepper=stepper, _values=values, _inputs=result(spec.inputs), _tangents=tangents,
+        every=every or None,
+        status=status,
+        message=message,
+        _stepper=stepper,
+        _values=values,
+        _inputs=result(spec.inputs),
+        _tangents=tangents,
         _tau=result(tau) if run.header.retimed else None,
-    )  # fmt: skip
+    )
 
 
 def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Reals | None:

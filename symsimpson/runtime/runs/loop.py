@@ -88,7 +88,7 @@ class ControlLoop:
             if not run.alive:
                 ended = trajectory_of(
                     stepper, run, before + 1, run.status, self._spec, run.stored(), 0
-                )  # fmt: skip
+                )
                 raise_failure(run, ended, ended)
 
     @property
@@ -116,7 +116,7 @@ class ControlLoop:
     @property
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
-        from symsimpson.runtime.evaluator import evaluate, velocities_by
+        from symsimpson.runtime.evaluating import evaluate, velocities_by
 
         stepper, run = self._stepper, self._run
         numbers = stepper._module.numbers

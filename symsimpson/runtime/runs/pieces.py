@@ -33,9 +33,8 @@ Taken = tuple[Any, ...]
 
 
 def by_pieces(
-    stepper: Stepper, spec: RunSpec, take: Callable[[Trajectory, int], Taken],
-    progress: bool | None,
-) -> tuple[Run, Trajectory, list[Taken]]:  # fmt: skip
+    stepper: Stepper, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
+) -> tuple[Run, Trajectory, list[Taken]]:
     """Run, and keep what is taken of each piece.
 
     Returns
@@ -79,9 +78,7 @@ def by_pieces(
     return run, last, found
 
 
-def _piece(
-    stepper: Stepper, run: Run, spec: RunSpec, end: Trajectory | None = None
-) -> Trajectory:  # fmt: skip
+def _piece(stepper: Stepper, run: Run, spec: RunSpec, end: Trajectory | None = None) -> Trajectory:
     """Return the states that a run has stored, or the last one and the end."""
     kept = run.step - run.first + 1
     tau = np.arange(run.first, run.step + 1) * run.h
@@ -92,7 +89,17 @@ def _piece(
         columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
     t, tau, q, p = columns
     return Trajectory(
-        t=t, q=q, p=p, newton_iterations=run.iterations[:kept, 0], h=run.h, steps=len(t) - 1,
-        every=1, status=Status.SUCCESS, message="", _stepper=stepper, _values=run.parameters,
-        _inputs=since(spec.inputs, run.first), _tau=tau if run.header.retimed else None,
-    )  # fmt: skip
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=run.iterations[:kept, 0],
+        h=run.h,
+        steps=len(t) - 1,
+        every=1,
+        status=Status.SUCCESS,
+        message="",
+        _stepper=stepper,
+        _values=run.parameters,
+        _inputs=since(spec.inputs, run.first),
+        _tau=tau if run.header.retimed else None,
+    )

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.evaluator import Evaluator, evaluate, evaluate_in
+from symsimpson.runtime.evaluating import evaluate, evaluate_in
+from symsimpson.runtime.evaluator import Evaluator
 from symsimpson.runtime.results.work import parts_of_work, rough_parts
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ class Sampled:
 
 def energies_at(
     stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals, places: Places
-) -> Sampled:  # fmt: skip
+) -> Sampled:
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
     states = t, q[places], p[places]
@@ -219,7 +220,7 @@ def count_looked_at(stepper: Evaluator, last: int) -> int:
 
 def look_at_energy(
     stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
-) -> Sampled | None:  # fmt: skip
+) -> Sampled | None:
     """Evaluate the energy at stored states q, p of a run that is over, and came to a trajectory.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
@@ -257,9 +258,15 @@ def _explained(
     every = np.arange(whole) * run.every
     result, t = stepper._module.numbers.result, run.t0 + run.h * every
     states = replace(
-        trajectory, t=result(t), q=result(q[:whole]), p=result(p[:whole]), every=run.every,
-        steps=int(every[-1]), newton_iterations=np.zeros(whole, dtype=np.int64), _tangents=None,
-    )  # fmt: skip
+        trajectory,
+        t=result(t),
+        q=result(q[:whole]),
+        p=result(p[:whole]),
+        every=run.every,
+        steps=int(every[-1]),
+        newton_iterations=np.zeros(whole, dtype=np.int64),
+        _tangents=None,
+    )
     seen = seen.at(seen.places < whole)
     parts = rough_parts(states)
     if "work" in header.functions and states.steps <= AGAIN:

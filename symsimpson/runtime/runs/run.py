@@ -119,15 +119,22 @@ class Run:
         #: What is kept beside them.
         self.kept = numbers.zeros((stored, kept.rows, 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
+        self._stores = self.q, self.p, self.kept, self.iterations
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
         self._interrupted = False
         self._set, self._set_until = 0, -1
 
     def begin(
-        self, q: NDArray[Any], other: NDArray[Any], *, velocity: bool, any_angle: bool = False,
-        t_end: Any = None, onward: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        q: NDArray[Any],
+        other: NDArray[Any],
+        *,
+        velocity: bool,
+        any_angle: bool = False,
+        t_end: Any = None,
+        onward: bool = False,
+    ) -> None:
         """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed.
 
         A retimed run ends before ``t_end``; where it is ``onward`` from another, it has the E0 and
@@ -136,10 +143,8 @@ class Run:
         if any_angle:
             self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
-        self._begin_anew(
-            self._kernels(), legendre, self.h, self.t0, self.W, self.told, self._parameters, q,
-            other,
-        )  # fmt: skip
+        into = self.W, self.told, self._parameters
+        self._begin_anew(self._kernels(), legendre, self.h, self.t0, *into, q, other)
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
@@ -204,7 +209,7 @@ class Run:
     def stored(self) -> Stored:
         """Return q, p and iterations of the states that were stored, and what is kept beside."""
         kept = self._progress.item(0) // self.every + 1 if self.every else 0
-        q, p, iterations, rows = (x[:kept] for x in (self.q, self.p, self.iterations, self.kept))
+        q, p, rows, iterations = (x[:kept] for x in self._stores)
         return q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0]
 
     @property
@@ -343,9 +348,17 @@ class Run:
         self._progress[2] = self.first
         while True:
             self._take_steps(
-                kernels, self.h, t0, W, at, self._progress, stop, self.every,
-                self.q, self.p, self.kept, self.iterations, self._inputs,
-            )  # fmt: skip
+                kernels,
+                self.h,
+                t0,
+                W,
+                at,
+                self._progress,
+                stop,
+                self.every,
+                *self._stores,
+                self._inputs,
+            )
             event = self._progress.item(1)
             if event == 0:
                 if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
@@ -369,7 +382,7 @@ class Run:
         if kept:
             self.first += kept * self.every
             self._progress[0] -= kept * self.every
-            for stored in (self.q, self.p, self.kept, self.iterations):
+            for stored in self._stores:
                 stored[0] = stored[kept]
         return kept
 

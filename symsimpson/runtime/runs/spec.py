@@ -122,7 +122,15 @@ def read_run(
         second = read_vector(given, other, names, numbers)
         q, second = (x[0] for x in allowed(stepper, q[None], second[None], given, values[None], t0))
         return RunSpec(
-            q, second, given, values, h, t0, steps, stride,
+            q,
+            second,
+            given,
+            values,
+            h,
+            t0,
+            steps,
+            stride,
             read_driving(stepper, inputs, h, steps),
-            tangents=None if tangents is None else read_tangents(stepper, tangents), t_end=end,
-        )  # fmt: skip
+            tangents=None if tangents is None else read_tangents(stepper, tangents),
+            t_end=end,
+        )

@@ -29,9 +29,14 @@ Reals = NDArray[Any]
 
 
 def timed_run(
-    stepper: Evaluator, spec: RunSpec, names: tuple[str, ...], progress: bool | None,
-    on_failure: str, *, fixed_steps: bool = False,
-) -> Trajectory:  # fmt: skip
+    stepper: Evaluator,
+    spec: RunSpec,
+    names: tuple[str, ...],
+    progress: bool | None,
+    on_failure: str,
+    *,
+    fixed_steps: bool = False,
+) -> Trajectory:
     """Run, and differentiate the stored states at the times that they have.
 
     Parameters
@@ -105,9 +110,7 @@ class _Derivatives:
         states = np.concatenate([whole.q, whole.p], axis=1)
         first = 0 if run.every else len(states) - 1
         rates = self._rates(whole)
-        found = [
-            self._held(ways[k], rates[k], start) for k in range(first, len(states))
-        ]  # fmt: skip
+        found = [self._held(ways[k], rates[k], start) for k in range(first, len(states))]
         part = run.tau[-1] - h * run.steps
         if len(found) < len(run) or (run.every is None and part != 0):
             rest = run.steps % every
@@ -129,9 +132,16 @@ class _Derivatives:
     def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
         m = self.n + 1
         return self.moving.integrate(  # type: ignore[attr-defined]
-            z[:m], p0=z[m:], h=h, steps=steps, every=every, parameters=self.values,
-            tangents=columns, sensitivities=self.moving._module.header.varied_by, progress=False,
-        )  # fmt: skip
+            z[:m],
+            p0=z[m:],
+            h=h,
+            steps=steps,
+            every=every,
+            parameters=self.values,
+            tangents=columns,
+            sensitivities=self.moving._module.header.varied_by,
+            progress=False,
+        )
 
     def _onward(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
         """Return the state after some steps from another, and how it follows from that."""

@@ -18,13 +18,7 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.header import Header
     from symsimpson.runtime.runs.run import Run
 
-__all__ = [
-    "begin_variations",
-    "kept_variations",
-    "read_tangents",
-    "read_varied",
-    "varied_stepper",
-]
+__all__ = ["begin_variations", "kept_variations", "read_tangents", "read_varied", "varied_stepper"]
 
 Reals = NDArray[Any]
 
@@ -66,9 +60,7 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def varied_stepper(
-    stepper: Evaluator, names: tuple[str, ...], running: Any = None
-) -> Evaluator:  # fmt: skip
+def varied_stepper(stepper: Evaluator, names: tuple[str, ...], running: Any = None) -> Evaluator:
     """Return a stepper whose module differentiates its steps by these parameters and inputs.
 
     A ``running`` cost is integrated by it, too.

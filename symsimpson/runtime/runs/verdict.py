@@ -22,17 +22,18 @@ __all__ = ["looked_at"]
 
 #: Failures that a singular point of the coordinates explains, where the run has come to one.
 AT_POLES = (
-    Status.NOT_CONVERGED, Status.DIVERGED, Status.STEP_TOO_LARGE, Status.SINGULAR_JACOBIAN,
+    Status.NOT_CONVERGED,
+    Status.DIVERGED,
+    Status.STEP_TOO_LARGE,
+    Status.SINGULAR_JACOBIAN,
     Status.NOT_FINITE,
-)  # fmt: skip
+)
 
 #: So many runs may show that a motion goes where there are singular points.
 TRIES = 3
 
 
-def looked_at(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored
-) -> Trajectory:  # fmt: skip
+def looked_at(stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
     """Look at the states of a run: all that it stored, or some that were kept for this.
 
     Where the energy is no number, the run ended before; where the motion was not resolved, it is
@@ -64,9 +65,12 @@ def looked_at(
 
 
 def _unresolved(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, kept: NDArray[Any],
+    stepper: Evaluator,
+    run: Run,
+    trajectory: Trajectory,
+    kept: NDArray[Any],
     energies: Sampled | None,
-) -> str:  # fmt: skip
+) -> str:
     """Return what was not resolved, in words, or nothing."""
     tools, system, h = stepper._module.tools, stepper._module.declared, float(run.h)
     plain = run.W.dtype == np.float64 and not run.header.retimed

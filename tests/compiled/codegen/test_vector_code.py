@@ -34,9 +34,15 @@ def test_eight_lanes_are_packed(scheme):
 
 @pytest.mark.parametrize(
     ("name", "scheme", "least"),
-    sweep([("double_pendulum", "gauss16", 150), ("double_pendulum", "gauss8", 150),
-           ("lagrange_top", "gauss16", 120), ("henon_heiles", "gauss12", 40)]),
-)  # fmt: skip
+    sweep(
+        [
+            ("double_pendulum", "gauss16", 150),
+            ("double_pendulum", "gauss8", 150),
+            ("lagrange_top", "gauss16", 120),
+            ("henon_heiles", "gauss12", 40),
+        ]
+    ),
+)
 def test_nodes_of_one_trajectory_are_packed(name, scheme, least):
     """All loops over nodes, although the last one is short: compilers like to unroll it."""
     text = source(ss.systems.CATALOGUE[name](), scheme)
@@ -64,9 +70,21 @@ def test_lanes_do_not_know_of_each_other():
         stored = np.empty((1, 2, 8))
         driver("begin", 8)(addresses, 0, 0.02, 0.0, W, at)
         progress = np.zeros(3, dtype=np.int64)
-        driver("take_steps", 8)(addresses, 0.02, 0.0, W, at, progress, 200, 0, stored,
-                      stored.copy(), stored[:, :0], np.zeros((1, 8), dtype=np.int64),
-                      NO_INPUTS)  # fmt: skip
+        driver("take_steps", 8)(
+            addresses,
+            0.02,
+            0.0,
+            W,
+            at,
+            progress,
+            200,
+            0,
+            stored,
+            stored.copy(),
+            stored[:, :0],
+            np.zeros((1, 8), dtype=np.int64),
+            NO_INPUTS,
+        )
         assert progress.tolist() == [200, 0, 0]
         return W[module.POSITION : module.POSITION + 4]
 

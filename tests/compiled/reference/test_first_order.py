@@ -59,12 +59,21 @@ def test_rk4_stores_what_is_asked_for():
 @pytest.mark.slow
 def test_truth_of_the_double_pendulum():
     """Against 21 digits of an independent Taylor integrator with 240 bits."""
-    start = ["0.78539816339744830961566084581987572104929234984378",
-             "1.047197551196597746154214461093167628065723133125", 0, 0]  # fmt: skip
-    found = truth(canonical(ss.systems.double_pendulum()), start, [10], digits=24,
-                  parameters=PENDULUM)  # fmt: skip
-    known = ("-0.248608400375483644278", "-0.613578116238233122889", "-0.628776077055703596207",
-             "-0.470978102906563815312")  # fmt: skip
+    start = [
+        "0.78539816339744830961566084581987572104929234984378",
+        "1.047197551196597746154214461093167628065723133125",
+        0,
+        0,
+    ]
+    found = truth(
+        canonical(ss.systems.double_pendulum()), start, [10], digits=24, parameters=PENDULUM
+    )
+    known = (
+        "-0.248608400375483644278",
+        "-0.613578116238233122889",
+        "-0.628776077055703596207",
+        "-0.470978102906563815312",
+    )
     with mp.workdps(30):
         errors = [abs(x - mp.mpf(y)) for x, y in zip(found.y[0], known, strict=True)]
     assert max(errors) < 1e-19
@@ -90,7 +99,7 @@ def test_truth_of_the_top_is_the_exact_motion():
             digits=30,
         )
         start = [0, mp.pi / 6, 0]
-        equations = reduced_top(2 * mp.pi * mp.sqrt(3), 4 * mp.pi, A=4 * mp.pi**2)  # fmt: skip
+        equations = reduced_top(2 * mp.pi * mp.sqrt(3), 4 * mp.pi, A=4 * mp.pi**2)
     found = truth(equations, start, [1], digits=24)
     q, p = top.state(1)
     for value, known in zip(found.y[0], (q[0], q[1], p[1]), strict=True):

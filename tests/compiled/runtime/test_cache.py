@@ -39,8 +39,9 @@ print(json.dumps([run.q[-1, 0], compiled]))
 def start(folder, factor=1, default=1.0):
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", CODE, json.dumps([factor, default])],
-        stdout=subprocess.PIPE, env=os.environ | {"SYMSIMPSON_CACHE_DIR": str(folder)},
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        env=os.environ | {"SYMSIMPSON_CACHE_DIR": str(folder)},
+    )
 
 
 def finish(process):
@@ -102,9 +103,16 @@ def damage(path, how):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "how"),
-    sweep([("*/**/*.nbc", "cut"), ("*/**/*.nbi", "flip"), ("*/digests.json", "empty"),
-           ("*/*.py", "remove"), ("*/**/*.nbc", "flip")]),
-)  # fmt: skip
+    sweep(
+        [
+            ("*/**/*.nbc", "cut"),
+            ("*/**/*.nbi", "flip"),
+            ("*/digests.json", "empty"),
+            ("*/*.py", "remove"),
+            ("*/**/*.nbc", "flip"),
+        ]
+    ),
+)
 def test_damage_is_mended(warm, pattern, how):
     folder, value = warm
     step = [path for path in folder.glob(pattern) if "newton_" in str(path)]
@@ -149,8 +157,12 @@ def test_every_damage_is_seen(warm):
     folder, _ = warm
     random = np.random.default_rng(11)
     whole = [entry for entry in sorted(folder.iterdir()) if _intact(entry)]
-    files = [path for entry in whole for path in sorted(entry.rglob("*"))
-             if path.is_file() and path.suffix != ".pyc"]  # fmt: skip
+    files = [
+        path
+        for entry in whole
+        for path in sorted(entry.rglob("*"))
+        if path.is_file() and path.suffix != ".pyc"
+    ]
     for trial in range(200):
         path = files[int(random.integers(len(files)))]
         entry, data = folder / path.relative_to(folder).parts[0], path.read_bytes()

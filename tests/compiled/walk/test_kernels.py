@@ -48,8 +48,15 @@ def workspace(module, lanes, system):
     for block in ("INCREMENT", "PREDICTED", "STAGE_V", "SOLVED"):  # a short step
         if hasattr(module, block):
             W[getattr(module, block) :][: module.UNKNOWNS] *= 1e-3
-    given = {"ACTIVE": 1, "COUNT": 1, "STATUS": 0, "TANGENTS": 2, "STAGE_COUNT": 3,
-             "STAGE_EXPECTED": 2, "STAGE_TURNED": 1e9}  # fmt: skip
+    given = {
+        "ACTIVE": 1,
+        "COUNT": 1,
+        "STATUS": 0,
+        "TANGENTS": 2,
+        "STAGE_COUNT": 3,
+        "STAGE_EXPECTED": 2,
+        "STAGE_TURNED": 1e9,
+    }
     for block, value in given.items():
         if hasattr(module, block):
             W[getattr(module, block)] = value
@@ -117,8 +124,19 @@ def test_all_systems(system, scheme):
     check(EVERY[system](), scheme)
 
 
-@pytest.mark.parametrize("system", sweep(["double_pendulum", "cartesian_pendulum", "n_pendulum",
-                                          "fermi_pasta_ulam", "four_bar", "water"]))  # fmt: skip
+@pytest.mark.parametrize(
+    "system",
+    sweep(
+        [
+            "double_pendulum",
+            "cartesian_pendulum",
+            "n_pendulum",
+            "fermi_pasta_ulam",
+            "four_bar",
+            "water",
+        ]
+    ),
+)
 def test_derivatives_of_steps(system):
     one = EVERY[system]()
     check(one, derive(one, read_scheme("simpson"), read_exploit("all"), ()).text)

@@ -175,9 +175,7 @@ def function(x, y, n, flag):
 
 def test_functions_of_arrays():
     """Rooms of their own, rows and parts of arrays, loops that are left, results of two numbers."""
-    signature = types.int64(
-        types.float64[::1], types.float64[:, :], types.int64, types.boolean
-    )  # fmt: skip
+    signature = types.int64(types.float64[::1], types.float64[:, :], types.int64, types.boolean)
     names = {}
     exec(stub("function", 4), names)
     names["walk_function"] = walking_function(

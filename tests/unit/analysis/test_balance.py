@@ -16,9 +16,13 @@ def kepler():
     swirl = w / R2 * sp.cos(ss.time)
     drag = {x: -c * SPEED * x.diff() - swirl * y, y: -c * SPEED * y.diff() + swirl * x}
     return ss.MechanicalSystem(
-        "kepler_with_drag", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(R2), parameters={c: 0.001, w: 0.002}, forces={"drag": drag},
-    )  # fmt: skip
+        "kepler_with_drag",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(R2),
+        parameters={c: 0.001, w: 0.002},
+        forces={"drag": drag},
+    )
 
 
 @pytest.mark.slow
@@ -47,8 +51,12 @@ def test_other_forces_would_be_seen(monkeypatch):
 @pytest.mark.slow
 def test_where_l_depends_on_the_time_nothing_is_asked():
     system = ss.MechanicalSystem(
-        "in_time", coordinates=(x,), kinetic=(2 + sp.sin(ss.time)) * x.diff() ** 2 / 2,
-        potential=0 * x, parameters={c: 0.1}, forces={x: -c * x.diff() ** 3},
-    )  # fmt: skip
+        "in_time",
+        coordinates=(x,),
+        kinetic=(2 + sp.sin(ss.time)) * x.diff() ** 2 / 2,
+        potential=0 * x,
+        parameters={c: 0.1},
+        forces={x: -c * x.diff() ** 3},
+    )
     certificate = ss.compile(system).certify([0.3], v0=[0.5], h=0.1)
     assert certificate["momenta"].exempt

@@ -30,12 +30,18 @@ PENDULUM = ss.systems.double_pendulum()
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([
-        ("harmonic_oscillator", "midpoint"), ("lagrange_top", "midpoint"),
-        ("lagrange_top", "simpson"), ("henon_heiles", "gauss4"), ("kepler", "lobatto6"),
-        ("n_pendulum", "midpoint"), ("double_pendulum", "gauss16"),
-    ]),
-)  # fmt: skip
+    sweep(
+        [
+            ("harmonic_oscillator", "midpoint"),
+            ("lagrange_top", "midpoint"),
+            ("lagrange_top", "simpson"),
+            ("henon_heiles", "gauss4"),
+            ("kepler", "lobatto6"),
+            ("n_pendulum", "midpoint"),
+            ("double_pendulum", "gauss16"),
+        ]
+    ),
+)
 def test_what_is_right_passes(name, scheme):
     certificate = ss.compile(ss.systems.CATALOGUE[name](), scheme).certify()
     assert certificate.passed, certificate
@@ -46,12 +52,16 @@ def test_what_is_right_passes(name, scheme):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate", "scheme"),
-    sweep([
-        ("kepler_plane", "encounters", "simpson"), ("kepler_plane", "encounters", "gauss16"),
-        ("kepler_plane", "encounters", "kahan_li8"), ("double_pendulum", "kinetic", "simpson"),
-        ("figure_eight", "encounters", "gauss4"),
-    ]),
-)  # fmt: skip
+    sweep(
+        [
+            ("kepler_plane", "encounters", "simpson"),
+            ("kepler_plane", "encounters", "gauss16"),
+            ("kepler_plane", "encounters", "kahan_li8"),
+            ("double_pendulum", "kinetic", "simpson"),
+            ("figure_eight", "encounters", "gauss4"),
+        ]
+    ),
+)
 def test_a_retimed_system_is_certified_in_its_own_time(name, rate, scheme):
     certificate = ss.compile(ss.systems.EVERY[name]().retimed(rate), scheme).certify()
     assert certificate.passed, certificate
@@ -80,9 +90,12 @@ def test_a_system_without_a_state_of_reference():
     x, y = ss.coordinates("x y")
     m, k = sp.symbols("m k", positive=True)
     system = ss.MechanicalSystem(
-        "spring", coordinates=(x, y), kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=k * (sp.sqrt(x**2 + y**2) - 1) ** 2 / 2, parameters={m: 2.0, k: 10.0},
-    )  # fmt: skip
+        "spring",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=k * (sp.sqrt(x**2 + y**2) - 1) ** 2 / 2,
+        parameters={m: 2.0, k: 10.0},
+    )
     stepper = ss.compile(system)
     certificate = stepper.certify()
     assert certificate.passed, certificate
@@ -106,10 +119,12 @@ def test_free_bodies_pass(mass):
     q = ss.coordinates("x1 y1 x2 y2")
     v = [c.diff() for c in q]
     system = ss.MechanicalSystem(
-        "free_bodies", coordinates=q, parameters={},
+        "free_bodies",
+        coordinates=q,
+        parameters={},
         kinetic=(v[0] ** 2 + v[1] ** 2 + mass * (v[2] ** 2 + v[3] ** 2)) / 2,
         potential=((q[0] - q[2]) ** 2 + (q[1] - q[3]) ** 2) ** 2,
-    )  # fmt: skip
+    )
     certificate = ss.compile(system).certify(h=0.125)
     assert certificate.passed, certificate
     assert certificate["momenta"].what.count(",") == 3
@@ -186,7 +201,7 @@ BAD = {
     "a sign in the Jacobian": (lambda: built(Flipped), {"Jacobian", "Newton", "iterations"}),
     "one iteration": (once, {"rounding"}),
     "a rounded table": (rounded_table, {"order"}),
-}  # fmt: skip
+}
 
 
 def failed(certificate):
@@ -257,9 +272,10 @@ def test_it_is_written_and_read(tmp_path):
     path = certificate.save(tmp_path / "pendulum.json")
     content = json.loads(path.read_text())
     assert content["passed"]
-    assert content["module"] == hashlib.sha256(
-        source(ss.systems.pendulum(), "simpson").encode()
-    ).hexdigest()  # fmt: skip
+    assert (
+        content["module"]
+        == hashlib.sha256(source(ss.systems.pendulum(), "simpson").encode()).hexdigest()
+    )
     assert [row["name"] for row in content["checks"]] == [c.name for c in certificate.checks]
     with pytest.raises(ss.StorageError, match="cannot be written"):
         certificate.save(tmp_path / "no" / "folder")
@@ -267,9 +283,15 @@ def test_it_is_written_and_read(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "momenta"),
-    sweep([("lagrange_top", ["p_phi", "p_psi"]), ("double_pendulum", []),
-           ("spherical_pendulum", ["p_phi"]), ("cart_pole", ["p_x"])]),
-)  # fmt: skip
+    sweep(
+        [
+            ("lagrange_top", ["p_phi", "p_psi"]),
+            ("double_pendulum", []),
+            ("spherical_pendulum", ["p_phi"]),
+            ("cart_pole", ["p_x"]),
+        ]
+    ),
+)
 def test_linear_symmetries(name, momenta):
     system = ss.systems.CATALOGUE[name]()
     stepper = ss.compile(system)
@@ -284,13 +306,21 @@ def test_rotations_of_many_coordinates_are_found():
     x, y, z = ss.coordinates("x y z")
     m = sp.Symbol("m", positive=True)
     system = ss.MechanicalSystem(
-        "free", coordinates=(x, y, z), parameters={m: 1.5}, potential=sp.S.Zero,
+        "free",
+        coordinates=(x, y, z),
+        parameters={m: 1.5},
+        potential=sp.S.Zero,
         kinetic=m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
-    )  # fmt: skip
+    )
     stepper = ss.compile(system)
     found = linear_symmetries(
         Precise(stepper, {"m": 1.5}, DIGITS), np.array([0.3, 0.4, 0.5, 1.0, -1.0, 0.2])
     )
     assert {symmetry.name for symmetry in found} == {
-        "p_x", "p_y", "p_z", "p_x*y - p_y*x", "p_x*z - p_z*x", "p_y*z - p_z*y",
-    }  # fmt: skip
+        "p_x",
+        "p_y",
+        "p_z",
+        "p_x*y - p_y*x",
+        "p_x*z - p_z*x",
+        "p_y*z - p_z*y",
+    }

@@ -46,11 +46,9 @@ def test_no_more_work_than_needed(error, scheme, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ss.StabilityWarning)
         runs = [
-            choice.stepper.integrate(
-                **STATE, h=10 / n, steps=n, every=None, on_failure="return"
-            )
+            choice.stepper.integrate(**STATE, h=10 / n, steps=n, every=None, on_failure="return")
             for n in (steps, few)
-        ]  # fmt: skip
+        ]
     work, less = (run.newton_iterations.sum() + run.steps for run in runs)
     assert not runs[1].success or np.abs(runs[1].q[0] - TRUTH).max() > error / 4 or less > work
 
@@ -80,9 +78,15 @@ def test_the_fastest_oscillation_bounds_the_step():
     assert largest_stable("midpoint") == largest_stable("gauss16") == np.inf
     stiff = ss.systems.elastic_pendulum()
     choice = ss.choose(
-        stiff, [1.0, 0.3], v0=[0, 0], t_end=1, error=0.5, on="energy", parameters={"k": 1e4},
+        stiff,
+        [1.0, 0.3],
+        v0=[0, 0],
+        t_end=1,
+        error=0.5,
+        on="energy",
+        parameters={"k": 1e4},
         schemes=["simpson"],
-    )  # fmt: skip
+    )
     assert choice.h * 100 <= 8**0.5
     assert "Linear stability" in choice.reason
 
@@ -177,8 +181,12 @@ def test_a_wide_ellipse_is_not():
     choice = ss.choose(comet, [1.05, 0.0], v0=[0.0, 0.9513], t_end=60.0, error=1e-6)
     assert choice.stepper.system == "kepler_plane"
     given = ss.choose(
-        comet.retimed("encounters"), [1.05, 0.0], v0=[0.0, 0.9513], t_end=60.0, error=1e-6,
+        comet.retimed("encounters"),
+        [1.05, 0.0],
+        v0=[0.0, 0.9513],
+        t_end=60.0,
+        error=1e-6,
         schemes=["gauss8"],
-    )  # fmt: skip
+    )
     assert given.stepper.system == "kepler_plane_retimed"
     assert "fixed" not in given.reason

@@ -17,9 +17,13 @@ R = sp.sqrt(x**2 + y**2 + z**2)
 def system(V, parameters=None, **more):
     kinetic = sum(q.diff() ** 2 for q in (x, y, z)) / 2
     return ss.MechanicalSystem(
-        "kinked", coordinates=(x, y, z), kinetic=kinetic,
-        potential=V, parameters=parameters or {}, **more,
-    )  # fmt: skip
+        "kinked",
+        coordinates=(x, y, z),
+        kinetic=kinetic,
+        potential=V,
+        parameters=parameters or {},
+        **more,
+    )
 
 
 #: A straight path past the origin at 1e-6, at t = 1.05, in steps of 0.1.

@@ -10,8 +10,11 @@ import symsimpson as ss
 
 SYMBOLS = M, m, l, g, c, d = sp.symbols("M m l g c d")
 VALUES = dict(zip(SYMBOLS, (2.0, 1.0, 0.5, 9.81, 0.3, 0.02), strict=True))
-STEPS = [(scheme, h) for h in (0.005, 0.02, 0.01, 0.002, 0.001)
-         for scheme in ("gauss8", "simpson", "midpoint")]  # fmt: skip
+STEPS = [
+    (scheme, h)
+    for h in (0.005, 0.02, 0.01, 0.002, 0.001)
+    for scheme in ("gauss8", "simpson", "midpoint")
+]
 
 
 def with_angles():
@@ -31,10 +34,14 @@ def held():
 def declared(name, s, arm, coordinates, turning, constraints=()):
     v = arm.diff(ss.time) + sp.Matrix([s.diff(), 0, 0])
     return ss.MechanicalSystem(
-        name, coordinates=(s, *coordinates), parameters=VALUES, constraints=constraints,
-        kinetic=M * s.diff() ** 2 / 2 + m * v.dot(v) / 2, potential=m * g * arm[2],
+        name,
+        coordinates=(s, *coordinates),
+        parameters=VALUES,
+        constraints=constraints,
+        kinetic=M * s.diff() ** 2 / 2 + m * v.dot(v) / 2,
+        potential=m * g * arm[2],
         dissipation=c * s.diff() ** 2 / 2 + d * turning / 2,
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")

@@ -73,11 +73,15 @@ def test_momenta_are_watched_over_many_steps():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scheme", "edges"),
-    sweep([
-        ("simpson", np.array([2 * 2**0.5, 2 * 3**0.5, 2 * 6**0.5])), ("midpoint", np.array([])),
-        ("lobatto6", np.array([3.1127, 10**0.5, 30**0.5])), ("gauss4", np.array([])),
-    ]),
-)  # fmt: skip
+    sweep(
+        [
+            ("simpson", np.array([2 * 2**0.5, 2 * 3**0.5, 2 * 6**0.5])),
+            ("midpoint", np.array([])),
+            ("lobatto6", np.array([3.1127, 10**0.5, 30**0.5])),
+            ("gauss4", np.array([])),
+        ]
+    ),
+)
 def test_limits_of_the_linear_oscillator(scheme, edges):
     found, theory = linear_limits(scheme), theory_limits(scheme)
     assert len(found) == len(theory) == len(edges)
@@ -128,8 +132,9 @@ def test_a_pole_unresolved_is_an_error_with_all_states_before():
     assert error.status is ss.Status.COORDINATE_SINGULARITY
     assert np.abs(error.trajectory.energy_error).max() < 0.01
     assert len(error.trajectory) == error.step + 1
-    many = stepper.ensemble([[0.5, 0.0], [1.0, 0.0]], v0=[[-3.0, 0.1], [0.0, 2.0]], h=0.02,
-                            steps=100)  # fmt: skip
+    many = stepper.ensemble(
+        [[0.5, 0.0], [1.0, 0.0]], v0=[[-3.0, 0.1], [0.0, 2.0]], h=0.02, steps=100
+    )
     assert many.status.tolist() == [ss.Status.COORDINATE_SINGULARITY, ss.Status.SUCCESS]
     fine = stepper.integrate(**given | {"h": 1e-4, "steps": 5000})
     assert fine.status is ss.Status.SUCCESS

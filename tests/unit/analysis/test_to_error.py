@@ -49,8 +49,14 @@ def test_another_question_is_another_choice(choices, other):
 def test_files_are_not_trusted(choices, tmp_path):
     run = ss.integrate(PENDULUM, [1.0], **ASKED)
     (kept,) = (tmp_path / "choices").iterdir()
-    for text in ("", "{}", "[]", kept.read_text().replace('"h": ', '"h": -'), '{"h": "x"}',
-                 kept.read_text().replace("simpson", "../simpson")):  # fmt: skip
+    for text in (
+        "",
+        "{}",
+        "[]",
+        kept.read_text().replace('"h": ', '"h": -'),
+        '{"h": "x"}',
+        kept.read_text().replace("simpson", "../simpson"),
+    ):
         kept.write_text(text)
         before = len(choices)
         assert (ss.integrate(PENDULUM, [1.0], **ASKED).q == run.q).all()

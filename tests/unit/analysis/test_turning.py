@@ -11,9 +11,12 @@ from symsimpson.analysis.stability.turning import fastest_turn
 
 BODY = ss.RigidBody("b", inertia=(1, 2, 3))
 SYSTEM = ss.MechanicalSystem(
-    "body", coordinates=BODY.coordinates, kinetic=BODY.kinetic, potential=0,
+    "body",
+    coordinates=BODY.coordinates,
+    kinetic=BODY.kinetic,
+    potential=0,
     constraints=BODY.constraints,
-)  # fmt: skip
+)
 
 
 def test_rates_are_those_of_the_body():
@@ -39,10 +42,12 @@ def test_oscillations_are_those_that_constraints_allow():
     """A stiff spring along a rod is none; what gravity makes of a pendulum is left."""
     x, y = ss.coordinates("x y")
     rod = ss.MechanicalSystem(
-        "rod", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
         potential=1e6 * (sp.sqrt(x**2 + y**2) - 1) ** 2 + 9.81 * y,
         constraints=[x**2 + y**2 - 1],
-    )  # fmt: skip
+    )
     assert largest_frequency(rod, [0.0, -1.0], []) == pytest.approx(9.81**0.5, rel=1e-12)
     assert largest_frequency(rod, [0.0, 1.0], []) == 0
     with pytest.warns(ss.StabilityWarning, match=r"omega=3\.13(.|\n)*h below 0\.90"):

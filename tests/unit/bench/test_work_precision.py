@@ -65,9 +65,13 @@ def test_our_schemes_take_part(problem):
 @pytest.fixture(scope="module")
 def record():
     return ss.work_precision(
-        ss.systems.pendulum(), ["midpoint", "simpson"], ["runge-kutta"], errors=[1e-3, 1e-7],
-        t_end=2.0, repeats=2,
-    )  # fmt: skip
+        ss.systems.pendulum(),
+        ["midpoint", "simpson"],
+        ["runge-kutta"],
+        errors=[1e-3, 1e-7],
+        t_end=2.0,
+        repeats=2,
+    )
 
 
 @pytest.mark.slow
@@ -78,10 +82,12 @@ def test_a_record(record, tmp_path):
         assert coarse.error <= 1e-3
         assert 0 < coarse.best <= coarse.median
         work = [
-            min((p.evaluations for p in record.points if p.name == name and p.error <= level),
-                default=np.inf)
+            min(
+                (p.evaluations for p in record.points if p.name == name and p.error <= level),
+                default=np.inf,
+            )
             for level in (1e-3, 1e-7)
-        ]  # fmt: skip
+        ]
         assert work[0] < work[1]
     assert record.fastest("simpson", 1e-7).evaluations > 0
     assert record.fastest("simpson", 1e-300) is None
@@ -152,8 +158,20 @@ def test_the_figure(record):
 @pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     out, figure = str(tmp_path / "r.json"), str(tmp_path / "r.png")
-    given = ["bench", "pendulum", "--schemes", "simpson", "--peers", "runge-kutta", "--t-end", "1",
-             "--errors", "1e-5", "--repeats", "1"]  # fmt: skip
+    given = [
+        "bench",
+        "pendulum",
+        "--schemes",
+        "simpson",
+        "--peers",
+        "runge-kutta",
+        "--t-end",
+        "1",
+        "--errors",
+        "1e-5",
+        "--repeats",
+        "1",
+    ]
     assert main([*given, "--out", out, "--plot", figure]) == 0
     assert main([*given, "--against", out]) == 0
     text = capsys.readouterr().out

@@ -20,10 +20,13 @@ def driven(friction=True):
     turn = w * (x * y.diff() - y * x.diff()) if friction else 0
     kinetic = x.diff() ** 2 / 2 + x.diff() * y.diff() / 4 + y.diff() ** 2
     return ss.MechanicalSystem.from_lagrangian(
-        "driven_oscillators", kinetic + turn - k * (x**2 + x * y + y**2) / 2, coordinates=(x, y),
+        "driven_oscillators",
+        kinetic + turn - k * (x**2 + x * y + y**2) / 2,
+        coordinates=(x, y),
         forces=forces | ({"turn": {x: -c * y, y: c * x}} if friction else {}),
-        dissipation=lost if friction else None, parameters=VALUES,
-    )  # fmt: skip
+        dissipation=lost if friction else None,
+        parameters=VALUES,
+    )
 
 
 SCHEMES = ["simpson", "gauss4", "midpoint", "lobatto6", "gauss6", "gauss8", "radau3"]
@@ -59,9 +62,10 @@ def test_rounded_factors_do_not_add_up():
     """The residual of the path takes out what they do wrong, which is the same in all steps."""
     ends = [
         ss.compile(driven(friction=False), "gauss4", exploit=e)
-        .integrate([1, 0], [0, 0.4], h=0.05, steps=400_000, every=None).q
+        .integrate([1, 0], [0, 0.4], h=0.05, steps=400_000, every=None)
+        .q
         for e in ("all", ())
-    ]  # fmt: skip
+    ]
     assert np.abs(ends[0] - ends[1]).max() < 2e-13
 
 
@@ -70,10 +74,14 @@ def test_other_coordinates_are_iterated_beside():
     """A pendulum that nothing couples to a driven oscillator with an input."""
     u = sp.Symbol("u")
     system = ss.MechanicalSystem(
-        "both", coordinates=(x, z), kinetic=x.diff() ** 2 / 2 + z.diff() ** 2 / 2,
-        potential=k * x**2 / 2 - sp.cos(z), forces={"push": {x: u - c * x.diff()}, "drag": {
-            z: -c * z.diff() ** 3}}, inputs=(u,), parameters={c: 0.1, k: 2.0},
-    )  # fmt: skip
+        "both",
+        coordinates=(x, z),
+        kinetic=x.diff() ** 2 / 2 + z.diff() ** 2 / 2,
+        potential=k * x**2 / 2 - sp.cos(z),
+        forces={"push": {x: u - c * x.diff()}, "drag": {z: -c * z.diff() ** 3}},
+        inputs=(u,),
+        parameters={c: 0.1, k: 2.0},
+    )
     assert [s.affine for s in system.structure.subsystems] == [True, False]
     runs = [
         ss.compile(system, "simpson", exploit=e).integrate(
@@ -91,9 +99,13 @@ def test_other_coordinates_are_iterated_beside():
 @pytest.mark.slow
 def test_friction_in_proportion_to_momenta_is_solved_at_once():
     system = ss.MechanicalSystem(
-        "damped", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=k * x**2 / 2,
-        dissipation=c * x.diff() ** 2 / 2, parameters={c: 0.1, k: 2.0},
-    )  # fmt: skip
+        "damped",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=k * x**2 / 2,
+        dissipation=c * x.diff() ** 2 / 2,
+        parameters={c: 0.1, k: 2.0},
+    )
     steppers = [ss.compile(system, exploit=e) for e in ("all", "conformal")]
     assert [s._module.header.newton_unknowns for s in steppers] == [0, 2]
     assert all(s._module.header.conformal for s in steppers)
@@ -114,7 +126,9 @@ def test_friction_in_proportion_to_momenta_is_solved_at_once():
 )
 def test_what_is_not_affine(what, changes):
     given = {
-        "kinetic": x.diff() ** 2 / 2, "potential": k * x**2 / 2, "forces": {x: a * sp.cos(w * t)},
-    } | changes  # fmt: skip
+        "kinetic": x.diff() ** 2 / 2,
+        "potential": k * x**2 / 2,
+        "forces": {x: a * sp.cos(w * t)},
+    } | changes
     system = ss.MechanicalSystem("other", coordinates=(x,), parameters=VALUES, **given)
     assert not system.structure.subsystems[0].affine, what

@@ -39,11 +39,13 @@ def test_few_products_and_other_coefficients_are_written_out():
     a, b = sp.symbols("a b", positive=True)
     strengths = [a * b, (a + b) ** 3, *(2 * a for _ in z[2:])]
     system = ss.MechanicalSystem(
-        "few", coordinates=z, kinetic=sum(x.diff() ** 2 / 2 for x in z),
+        "few",
+        coordinates=z,
+        kinetic=sum(x.diff() ** 2 / 2 for x in z),
         potential=sum(c * x**4 for c, x in zip(strengths, z, strict=True))
         + sum(x * y for x, y in pairwise(z)),
         parameters={a: 1.5, b: 2.5},
-    )  # fmt: skip
+    )
     text = source(system, "blanes_moan6")
     assert "FAMILY_1" in text
     assert "PRODUCTS_" not in text

@@ -29,11 +29,18 @@ def forced_system(seed):
     forces = {}
     for a in pick.sample(q, pick.randint(1, len(q))):
         x, u = pick.choice(q), pick.choice(v)
-        forces[a] = sp.Rational(pick.randint(1, 9), 10) * pick.choice([
-            -u, -u**3 / 3, sp.cos(2 * ss.time) * x, k * u * sp.sin(x),
-            sp.exp(-ss.time) / (2 + x**2),
-            -u * sp.sqrt(1 + sum(w**2 for w in v)), sp.tanh(u) * sp.cos(x), u * pick.choice(v),
-        ])  # fmt: skip
+        forces[a] = sp.Rational(pick.randint(1, 9), 10) * pick.choice(
+            [
+                -u,
+                -(u**3) / 3,
+                sp.cos(2 * ss.time) * x,
+                k * u * sp.sin(x),
+                sp.exp(-ss.time) / (2 + x**2),
+                -u * sp.sqrt(1 + sum(w**2 for w in v)),
+                sp.tanh(u) * sp.cos(x),
+                u * pick.choice(v),
+            ]
+        )
     loss = sum((k * w**2 / 5 for w in v[::2]), sp.S.Zero) if seed % 2 else None
     fields = {f.name: getattr(system, f.name) for f in dataclasses.fields(system) if f.init}
     return ss.MechanicalSystem(**fields | {"forces": forces, "dissipation": loss})
@@ -63,8 +70,9 @@ def test_equations_agree_with_the_oracle(start):
         n = system.n
         q, slope = random_state(seed, n)
         p = [0.3] * n
-        increments = np.array([[H * s * (k + 1) / d + (k % 2) * 0.01 for s in slope]
-                               for k in range(d)])  # fmt: skip
+        increments = np.array(
+            [[H * s * (k + 1) / d + (k % 2) * 0.01 for s in slope] for k in range(d)]
+        )
         module = bind_float(source(system, scheme))
         W = new_workspace(module, q, p, system.parameters.values())
         W[block(module, "INCREMENT", d * n), 0] = increments.ravel()

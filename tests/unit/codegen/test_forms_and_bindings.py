@@ -66,8 +66,10 @@ def test_loops_and_straight_lines_agree(system, scheme, members, exploit, monkey
 
 @pytest.mark.parametrize("case", sweep(GOLDEN[:6]), ids=lambda case: case["name"])
 def test_first_step_in_many_digits(case):
-    system = {"double_pendulum": ss.systems.double_pendulum,
-              "lagrange_top": ss.systems.lagrange_top}[case["system"]]()  # fmt: skip
+    system = {
+        "double_pendulum": ss.systems.double_pendulum,
+        "lagrange_top": ss.systems.lagrange_top,
+    }[case["system"]]()
     with mp.workdps(64):
         module = bind_mpmath(source(system, case["scheme"]))
         parameters = [mp.mpf(case["params"][str(a)]) for a in system.parameters]
@@ -106,9 +108,13 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
     kinetic = sum((2 + i + sp.cos(a)) * u**2 for i, (a, u) in enumerate(zip(x, v, strict=True)))
     kinetic += sum(sp.cos(x[i] - x[j]) * v[i] * v[j] / 4 for i in range(5) for j in range(i))
     system = ss.MechanicalSystem(
-        "coupled", coordinates=x, kinetic=kinetic / 2, potential=sum(a**4 for a in x),
-        gyroscopic=sum((i + sp.sin(x[i - 1])) * u for i, u in enumerate(v)), parameters={},
-    )  # fmt: skip
+        "coupled",
+        coordinates=x,
+        kinetic=kinetic / 2,
+        potential=sum(a**4 for a in x),
+        gyroscopic=sum((i + sp.sin(x[i - 1])) * u for i, u in enumerate(v)),
+        parameters={},
+    )
     limited(monkeypatch, UNROLLED_UNKNOWNS=0)
     equations = discretise(system, ss.SIMPSON, ())
     module = bind_float(emit(equations, kernels.lower(equations)))
@@ -129,10 +135,13 @@ def swinging_chain():
     kinetic = sum((2 + sp.cos(a)) * u**2 for a, u in zip(x, v, strict=True))
     kinetic += sum(sp.cos(x[i] - x[j]) * v[i] * v[j] for i, j in pairs)
     return ss.MechanicalSystem(
-        "swinging_chain", coordinates=x, kinetic=kinetic / 2,
+        "swinging_chain",
+        coordinates=x,
+        kinetic=kinetic / 2,
         potential=sum((x[i] - x[j]) ** 4 / 4 for i, j in pairs) + sum(a**4 for a in x),
-        gyroscopic=sum(sp.sin(x[i]) * v[j] / 3 for i, j in pairs), parameters={},
-    )  # fmt: skip
+        gyroscopic=sum(sp.sin(x[i]) * v[j] / 3 for i, j in pairs),
+        parameters={},
+    )
 
 
 def test_bands_find_the_velocity_of_a_momentum(monkeypatch):
@@ -273,15 +282,29 @@ def test_what_is_in_doubt(measures, doubt):
 
 @pytest.mark.parametrize(
     ("correction", "increment", "verdict"),
-    [(0, 0, 0), (0, 1, 0), ("1e-40", 1, 0), ("1e-2", 1, 1), (1, 0, 1), (0, "inf", -3),
-     ("inf", 1, -3), ("nan", 1, -3), (1, "nan", -3)],
-)  # fmt: skip
+    [
+        (0, 0, 0),
+        (0, 1, 0),
+        ("1e-40", 1, 0),
+        ("1e-2", 1, 1),
+        (1, 0, 1),
+        (0, "inf", -3),
+        ("inf", 1, -3),
+        ("nan", 1, -3),
+        (1, "nan", -3),
+    ],
+)
 def test_when_an_iteration_is_done(correction, increment, verdict):
     """By the second correction: that of a body at rest is none of nothing."""
     module = bind_mpmath(source(ss.systems.pendulum()), checking=True)
     W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
-    given = {"CORRECTION_SQUARED": correction, "INCREMENT_SQUARED": increment, "ACTIVE": 1,
-             "RELATIVE": "1e-4", "CONTRACTION": 1}  # fmt: skip
+    given = {
+        "CORRECTION_SQUARED": correction,
+        "INCREMENT_SQUARED": increment,
+        "ACTIVE": 1,
+        "RELATIVE": "1e-4",
+        "CONTRACTION": 1,
+    }
     for name, value in given.items():
         W[getattr(module, name), 0] = mp.mpf(value)
     module.check_convergence(W, 0)

@@ -16,9 +16,13 @@ def model(**more):
     u, v, w = (one.diff() for one in q)
     a = sp.Symbol("a", positive=True)
     return ss.MechanicalSystem(
-        "tied", coordinates=q, kinetic=(u**2 + 2 * v**2 + w**2) / 2 + a * (u + v) * w / 3,
-        potential=(x**2 + x * y + y**4) / 2 + sp.sin(x), parameters={a: 0.5}, **more,
-    )  # fmt: skip
+        "tied",
+        coordinates=q,
+        kinetic=(u**2 + 2 * v**2 + w**2) / 2 + a * (u + v) * w / 3,
+        potential=(x**2 + x * y + y**4) / 2 + sp.sin(x),
+        parameters={a: 0.5},
+        **more,
+    )
 
 
 def variants():

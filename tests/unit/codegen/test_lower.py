@@ -53,10 +53,13 @@ def test_dampers_between_all_masses_are_compiled_at_once(n):
     c = sp.Symbol("c", positive=True)
     pairs = [(i, j) for i in range(n) for j in range(i)]
     system = ss.MechanicalSystem(
-        f"damped_{n}", coordinates=q, kinetic=sum(x.diff() ** 2 for x in q) / 2,
-        potential=sum((i + 1) * x**2 for i, x in enumerate(q)) / 2, parameters={c: 0.4},
+        f"damped_{n}",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum((i + 1) * x**2 for i, x in enumerate(q)) / 2,
+        parameters={c: 0.4},
         dissipation=sum(c * (q[i].diff() - q[j].diff()) ** 2 for i, j in pairs) / 2,
-    )  # fmt: skip
+    )
     run = ss.compile(system, "simpson").integrate(
         [1.0, *[0.0] * (n - 1)], v0=[0.0] * n, h=0.01, t_end=1.0
     )
@@ -78,9 +81,12 @@ def test_a_sine_that_something_is_divided_by_keeps_its_digits():
     x, y = ss.coordinates("x y")
     g = sp.Symbol("g", positive=True)
     system = ss.MechanicalSystem(
-        "close", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=g / sp.sin(x - y) ** 2 + sp.cos(x) + sp.cos(y), parameters={g: 1.0},
-    )  # fmt: skip
+        "close",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=g / sp.sin(x - y) ** 2 + sp.cos(x) + sp.cos(y),
+        parameters={g: 1.0},
+    )
     assert "sincos(angle" in source(system, ss.SIMPSON)
 
 
@@ -91,9 +97,12 @@ def test_signs_taken_out_of_angles_are_not_lost(function):
     for inner in (sp.sin(y), sp.cos(y), sp.exp(y)):
         for angle in (x - inner, inner - x):
             system = ss.MechanicalSystem(
-                "signs", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-                potential=function(angle), parameters={},
-            )  # fmt: skip
+                "signs",
+                coordinates=(x, y),
+                kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+                potential=function(angle),
+                parameters={},
+            )
             module = bind_float(source(system, "midpoint"))
             W = new_workspace(module, [0.3, 0.8], [0.0, 0.0], [])
             module.prepare(0.1, 0.0, W)
@@ -113,9 +122,12 @@ def test_numbers_beyond_64_bits(number, scheme):
 
     def swung(factor, parameters):
         system = ss.MechanicalSystem(
-            "large", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=factor * x**4,
+            "large",
+            coordinates=(x,),
+            kinetic=x.diff() ** 2 / 2,
+            potential=factor * x**4,
             parameters=parameters,
-        )  # fmt: skip
+        )
         h = 0.1 / float(number) ** 0.5
         return ss.compile(system, scheme).integrate([0.3], v0=[0.0], h=h, steps=5).q
 
@@ -125,24 +137,34 @@ def test_numbers_beyond_64_bits(number, scheme):
 def test_numbers_with_long_denominators():
     (x,) = ss.coordinates("x")
     tiny = ss.MechanicalSystem(
-        "tiny", coordinates=(x,), kinetic=x.diff() ** 2 / 2,
-        potential=sp.Rational(0.1) ** 30 * x**2, parameters={},
-    )  # fmt: skip
+        "tiny",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=sp.Rational(0.1) ** 30 * x**2,
+        parameters={},
+    )
     assert ss.compile(tiny).energy([[3.0]], [[0.0]])[0] == pytest.approx(9e-30, rel=1e-15)
 
 
 @pytest.mark.parametrize(
     ("constant", "value"),
-    [(sp.EulerGamma, mpmath.euler), (sp.Catalan, mpmath.catalan), (sp.GoldenRatio, mpmath.phi),
-     (sp.TribonacciConstant, "1.8392867552141611325518525646532866004241787460975")],
-)  # fmt: skip
+    [
+        (sp.EulerGamma, mpmath.euler),
+        (sp.Catalan, mpmath.catalan),
+        (sp.GoldenRatio, mpmath.phi),
+        (sp.TribonacciConstant, "1.8392867552141611325518525646532866004241787460975"),
+    ],
+)
 def test_constants_of_sympy_have_all_digits(constant, value):
     (x,) = ss.coordinates("x")
     system = ss.MechanicalSystem(
         "constant", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=constant * x**4 / 4
     )
-    for digits, options in ((15, {}), (40, {"precision": 40}),
-                            (40, {"precision": 40, "arithmetic": "arb"})):  # fmt: skip
+    for digits, options in (
+        (15, {}),
+        (40, {"precision": 40}),
+        (40, {"precision": 40, "arithmetic": "arb"}),
+    ):
         energy = ss.compile(system, "midpoint", **options).energy([[2]], [[0]])[0]
         with mpmath.workdps(45):
             exact = 4 * mpmath.mpf(value)

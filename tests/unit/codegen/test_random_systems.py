@@ -29,8 +29,10 @@ def check_equations(seed):
     system = random_system(seed)
     n = system.n
     q, slope = random_state(seed, n)
-    nodes = [[x + H * s * (k + 1) / d + (k % 2) * 0.01 for x, s in zip(q, slope, strict=True)]
-             for k in range(d)]  # fmt: skip
+    nodes = [
+        [x + H * s * (k + 1) / d + (k % 2) * 0.01 for x, s in zip(q, slope, strict=True)]
+        for k in range(d)
+    ]
     parameters = list(system.parameters.values())
     p = [0.3] * n
     module = bind_float(source(system, scheme))
@@ -56,8 +58,12 @@ def check_equations(seed):
                 assert abs(residual[row, a] - truth) < 4e-14 * scale, (seed, k, a)
         columns = [(c, m, b) for c, m in enumerate(module.COLUMN_ORDER) for b in range(n)]
         size = np.abs(jacobian).max()
-        pairs = [(r, k, a, c, m, b) for r, k in enumerate(module.ROW_ORDER) for a in range(n)
-                 for c, m, b in columns]  # fmt: skip
+        pairs = [
+            (r, k, a, c, m, b)
+            for r, k in enumerate(module.ROW_ORDER)
+            for a in range(n)
+            for c, m, b in columns
+        ]
         # every fifth entry keeps the time of 300 systems small; which ones changes with the seed
         for r, k, a, c, m, b in pairs[seed % 5 :: 5]:
             truth = second(k, a, m, b)
@@ -78,9 +84,16 @@ def test_newton_solves_the_equations(start):
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([("lagrange_top", "simpson"), ("kepler", "simpson"), ("kepler", "midpoint"),
-           ("lagrange_top", "lobatto6"), ("rigid_body", "simpson")]),
-)  # fmt: skip
+    sweep(
+        [
+            ("lagrange_top", "simpson"),
+            ("kepler", "simpson"),
+            ("kepler", "midpoint"),
+            ("lagrange_top", "lobatto6"),
+            ("rigid_body", "simpson"),
+        ]
+    ),
+)
 def test_cyclic_coordinates_follow_where_rows_are_pivoted(name, scheme):
     """A correction of the reduced equations is that of all equations, once cyclic rows hold."""
     system = ss.systems.CATALOGUE[name]()

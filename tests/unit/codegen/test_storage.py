@@ -4,8 +4,11 @@ import pytest
 
 from symsimpson.codegen.storage import Storage
 
-STORAGES = [Storage.dense(5), Storage(tuple(range(9)), 1, banded=True),
-            Storage((3, 1, 4, 0, 2, 5, 8, 7, 6, 9, 11, 10), 2, banded=True)]  # fmt: skip
+STORAGES = [
+    Storage.dense(5),
+    Storage(tuple(range(9)), 1, banded=True),
+    Storage((3, 1, 4, 0, 2, 5, 8, 7, 6, 9, 11, 10), 2, banded=True),
+]
 NAMES = ["dense", "band 1", "band 2"]
 
 

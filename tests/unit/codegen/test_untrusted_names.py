@@ -17,16 +17,77 @@ from symsimpson.module.binding import bind_float
 from symsimpson.module.interface import BLOCKS
 
 HOSTILE = [
-    '__import__("os").system("touch CANARY")', "x\nimport os", "x; import os", 'a"b', "a'b",
-    '"""', "'''", "a\\", "\\n", "x y", "1x", "", " ", "x-y", "x.y", "f()", "θ", "ﬁ", "\u0430", "µ",
-    "lambda", "import", "None", "match", "print", "exec", "__class__", "__builtins__", "_x",
-    "a" * 500, "x\x00", "x\r", "\u202ex", "{x}", "%s", "#x", "x#", "@x",
-]  # fmt: skip
+    '__import__("os").system("touch CANARY")',
+    "x\nimport os",
+    "x; import os",
+    'a"b',
+    "a'b",
+    '"""',
+    "'''",
+    "a\\",
+    "\\n",
+    "x y",
+    "1x",
+    "",
+    " ",
+    "x-y",
+    "x.y",
+    "f()",
+    "θ",
+    "ﬁ",
+    "\u0430",
+    "µ",
+    "lambda",
+    "import",
+    "None",
+    "match",
+    "print",
+    "exec",
+    "__class__",
+    "__builtins__",
+    "_x",
+    "a" * 500,
+    "x\x00",
+    "x\r",
+    "\u202ex",
+    "{x}",
+    "%s",
+    "#x",
+    "x#",
+    "@x",
+]
 CLASHING = [
-    "h", "t", "W", "lane", "node", "real", "sincos", "carray", "math", "POSITION", "LANES", "ROWS",
-    "c", "c_2", "s", "x_0", "lu_1_0", "p_q1", "v_q1", "M_q1_q1", "inv_det_0", "q1_X1", "active",
-    "sin_q1", "C_1_6", "newton", "DEFAULTS", "sqrt", "metric_q1", "deficit",
-]  # fmt: skip
+    "h",
+    "t",
+    "W",
+    "lane",
+    "node",
+    "real",
+    "sincos",
+    "carray",
+    "math",
+    "POSITION",
+    "LANES",
+    "ROWS",
+    "c",
+    "c_2",
+    "s",
+    "x_0",
+    "lu_1_0",
+    "p_q1",
+    "v_q1",
+    "M_q1_q1",
+    "inv_det_0",
+    "q1_X1",
+    "active",
+    "sin_q1",
+    "C_1_6",
+    "newton",
+    "DEFAULTS",
+    "sqrt",
+    "metric_q1",
+    "deficit",
+]
 
 
 def pendulum(first="q1", mass="m"):
@@ -36,10 +97,12 @@ def pendulum(first="q1", mass="m"):
     m, l = sp.Symbol(mass, positive=True), sp.Symbol("length", positive=True)
     v, w = q.diff(t), other.diff(t)
     return ss.MechanicalSystem(
-        "named", coordinates=(q, other),
+        "named",
+        coordinates=(q, other),
         kinetic=m * l**2 * (v**2 + w**2 / 3 + v * w * sp.cos(q - other) / 2) / 2,
-        potential=-m * sp.cos(q) * sp.sqrt(2 + other**2), parameters={m: 1.5, l: 0.7},
-    )  # fmt: skip
+        potential=-m * sp.cos(q) * sp.sqrt(2 + other**2),
+        parameters={m: 1.5, l: 0.7},
+    )
 
 
 def motion(system):
@@ -84,9 +147,12 @@ def test_rows_of_the_workspace_are_no_names():
     (x,) = ss.coordinates("x")
     rows = sp.symbols(tuple(BLOCKS))
     system = ss.MechanicalSystem(
-        "rows", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=sp.Add(*rows) * x**2,
+        "rows",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=sp.Add(*rows) * x**2,
         parameters=dict.fromkeys(rows, 1.0),
-    )  # fmt: skip
+    )
     names = NameTable(system)
     assert len(set(names.parameters)) == len(BLOCKS)
     assert not set(names.parameters) & set(BLOCKS)

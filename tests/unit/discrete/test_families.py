@@ -14,10 +14,14 @@ from symsimpson.mechanics.structure import _whole
 
 
 def lagrangian(plain):
-    quadratic = sum(
-        plain.mass[i, j] * plain.v[i] * plain.v[j]
-        for i in range(len(plain.v)) for j in range(len(plain.v))
-    ) / 2  # fmt: skip
+    quadratic = (
+        sum(
+            plain.mass[i, j] * plain.v[i] * plain.v[j]
+            for i in range(len(plain.v))
+            for j in range(len(plain.v))
+        )
+        / 2
+    )
     linear = sum(a * v for a, v in zip(plain.gyroscopic, plain.v, strict=True))
     return quadratic + linear - plain.potential
 
@@ -52,19 +56,25 @@ def test_families_add_up_to_the_lagrangian(make, most):
     assert len(found) <= most
     gap = total(found, plain) - lagrangian(plain)
     symbols = sorted(gap.free_symbols, key=str)
-    assert sp.expand(gap) == 0 or abs(
-        gap.evalf(40, subs={s: sp.Rational(k + 3, 7) for k, s in enumerate(symbols)}, maxn=400)
-    ) < 1e-30  # fmt: skip
+    assert (
+        sp.expand(gap) == 0
+        or abs(
+            gap.evalf(40, subs={s: sp.Rational(k + 3, 7) for k, s in enumerate(symbols)}, maxn=400)
+        )
+        < 1e-30
+    )
 
 
 def test_terms_of_other_signs_and_orders_are_one_family():
     x = ss.coordinates("x0:6")
     v = [c.diff() for c in x]
     chain = ss.MechanicalSystem(
-        "chain", coordinates=x, parameters={},
+        "chain",
+        coordinates=x,
+        parameters={},
         kinetic=sum((3 + i) * u**2 for i, u in enumerate(v)) / 2,
         potential=sum(sp.cos((2 + i) * (x[i] - x[i + 1])) * (5 - i) for i in range(5)),
-    )  # fmt: skip
+    )
     found = families(chain.structure.plain)
     assert sorted(len(family.coordinates) for family in found) == [5, 6]
 
@@ -74,9 +84,12 @@ def ring(constant, n=5):
     a, K = ss.coordinates(f"a0:{n}"), sp.Symbol("K", positive=True)
     potential = K * sum(constant - sp.cos(a[i] - a[(i + 1) % n]) for i in range(n))
     return ss.MechanicalSystem(
-        "ring", coordinates=a, kinetic=sum(x.diff() ** 2 for x in a) / 2, potential=potential,
+        "ring",
+        coordinates=a,
+        kinetic=sum(x.diff() ** 2 for x in a) / 2,
+        potential=potential,
         parameters={K: 1.5},
-    )  # fmt: skip
+    )
 
 
 def test_what_contains_no_coordinate_is_a_family_of_its_own():
@@ -127,9 +140,12 @@ def test_what_is_shared_in_a_term_is_written_once(monkeypatch):
         product = sp.sin(product) * sp.cos(product)
         summed = sp.sin(summed) / 2 + sp.cos(summed) / 3
     system = ss.MechanicalSystem(
-        "diamonds", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=product + y**2 + summed * y, parameters={},
-    )  # fmt: skip
+        "diamonds",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=product + y**2 + summed * y,
+        parameters={},
+    )
     visits, write = [], made._Reader._new_node
     monkeypatch.setattr(
         made._Reader, "_new_node", lambda *given: visits.append(given) or write(*given)
@@ -142,9 +158,12 @@ def test_what_is_shared_in_a_term_is_written_once(monkeypatch):
 def test_sums_of_shared_sums_are_not_split_without_end():
     x, y = ss.coordinates("x y")
     plain = ss.MechanicalSystem(
-        "sums", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=y**2,
+        "sums",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=y**2,
         parameters={},
-    ).plain  # fmt: skip
+    ).plain
     graph, (first, second) = plain.graph, plain.numbers(plain.q)
     value, moving = graph.power((1, first), 2), frozenset((first, second))
     for k in range(200):  # s_k = s_(k-1) + (s_(k-1) + sin(y + k))
@@ -157,9 +176,12 @@ def test_sums_of_shared_sums_are_not_split_without_end():
 def test_angles_of_shared_sums_are_whole_or_not():
     x, y = ss.coordinates("x y")
     graph = ss.MechanicalSystem(
-        "angles", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=y**2,
+        "angles",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=y**2,
         parameters={},
-    ).plain.graph  # fmt: skip
+    ).plain.graph
     first, second = graph.symbol("q_0")[1], graph.symbol("q_1")[1]
     value = (1, first)
     for k in range(200):

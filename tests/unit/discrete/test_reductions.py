@@ -7,7 +7,8 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.discrete.equations import discretise
 from symsimpson.discrete.factors import factorise
-from symsimpson.discrete.reductions import annihilating, reduce, shear_factors
+from symsimpson.discrete.reductions import reduce
+from symsimpson.discrete.rows import annihilating, shear_factors
 from symsimpson.schemes.named import read_scheme
 
 SCHEMES = ["simpson", "midpoint", "gauss4", "lobatto6", "lobatto2", "lobatto_3_3"]
@@ -112,8 +113,11 @@ def test_every_coordinate_is_in_one_part(exploit):
 def test_what_is_not_to_be_decoupled_is_one_part(exploit, count):
     x, y = ss.coordinates("x y")
     system = ss.MechanicalSystem(
-        "two", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=x**4 + sp.cos(y), parameters={},
-    )  # fmt: skip
+        "two",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**4 + sp.cos(y),
+        parameters={},
+    )
     parts = discretise(system, ss.SIMPSON, exploit).parts
     assert [len(part.coordinates) for part in parts] == [2 // count] * count

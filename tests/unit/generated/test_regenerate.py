@@ -6,18 +6,17 @@ import os
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 import sympy
 from support.cases import sweep
+from support.places import GENERATED
 from support.workspace import begin, state, take_step
 
 import symsimpson as ss
 from symsimpson.cli.commands import SCHEMES
-from symsimpson.module.binding import bind_float
 from symsimpson.codegen.pipeline import source
-from support.places import GENERATED
+from symsimpson.module.binding import bind_float
 
 SYSTEMS = {make().name: make for make in ss.systems.CATALOGUE.values()}
 PINNED = "1.14.0"
@@ -75,10 +74,13 @@ def test_same_bytes_for_every_hash_seed():
         print(hashlib.sha256("".join(made).encode()).hexdigest())
     """)
     running = [
-        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE,
-                         env=os.environ | {"PYTHONHASHSEED": str(seed)})
+        subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONHASHSEED": str(seed)},
+        )
         for seed in range(3)
-    ]  # fmt: skip
+    ]
     digests = {process.communicate()[0] for process in running}
     assert all(process.returncode == 0 for process in running)
     assert len(digests) == 1
@@ -119,8 +121,11 @@ print(json.dumps([*W[m.POSITION : m.POSITION + n, 0], *W[m.MOMENTUM : m.MOMENTUM
 def test_a_module_runs_without_sympy_and_symsimpson():
     path = GENERATED / "double_pendulum__simpson.py"
     arguments = json.dumps([[0.7, -0.4], [0.0, 0.1], 0.02, 100])
-    done = subprocess.run([sys.executable, "-W", "error", "-c", ALONE, str(path), arguments],
-                          capture_output=True, check=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", ALONE, str(path), arguments],
+        capture_output=True,
+        check=True,
+    )
     run = ss.load(path).integrate([0.7, -0.4], p0=[0.0, 0.1], h=0.02, steps=100)
     assert json.loads(done.stdout) == pytest.approx([*run.q[-1], *run.p[-1]], abs=1e-14)
 
@@ -145,8 +150,10 @@ def test_generate_load_and_compile_agree(tmp_path):
     assert path.name == "elastic_pendulum__midpoint.py"
     before = path.stat().st_mtime_ns
     assert ss.generate(system, "midpoint", tmp_path).stat().st_mtime_ns == before
-    runs = [stepper.integrate(**system.reference_state, h=0.01, steps=100)
-            for stepper in (ss.load(path), ss.compile(system, "midpoint"))]  # fmt: skip
+    runs = [
+        stepper.integrate(**system.reference_state, h=0.01, steps=100)
+        for stepper in (ss.load(path), ss.compile(system, "midpoint"))
+    ]
     assert (runs[0].q == runs[1].q).all()
     kepler = ss.systems.kepler()
     general = ss.generate(kepler, "midpoint", tmp_path, exploit=()).read_text()

@@ -135,8 +135,12 @@ def test_the_square_of_lennard_and_jones_takes_few_powers():
     every = slopes + [derivatives(slope, known[s][1]) for slope in slopes for s in r]
     program = Program.of(graph, dict(enumerate(every)), lambda n: int(n > 0 and n != known[a][1]))
     share(program)
-    divisions = [p for n in program.order() for p in [program.lines[n]] if p.kind == "product"
-                 and any(e < 0 for _, e in p.parts)]  # fmt: skip
+    divisions = [
+        p
+        for n in program.order()
+        for p in [program.lines[n]]
+        if p.kind == "product" and any(e < 0 for _, e in p.parts)
+    ]
     assert len(divisions) == 1
     assert program.operations() < 60
 

@@ -10,7 +10,7 @@ from sympy.physics.mechanics import (
     RigidBody,
     dynamicsymbols,
     inertia,
-)  # fmt: skip
+)
 
 import symsimpson as ss
 
@@ -79,9 +79,12 @@ def test_bodies_of_sympy_come_in():
     body = ss.RigidBody("b", inertia=(1, 1.5, 0.8))
     start = body.state(angles=(0.3, 0.7, 1.1), angular_velocity=(0.4, -0.8, 1.2))
     own = ss.MechanicalSystem(
-        "own_body", coordinates=body.coordinates, kinetic=body.kinetic, potential=0,
+        "own_body",
+        coordinates=body.coordinates,
+        kinetic=body.kinetic,
+        potential=0,
         constraints=body.constraints,
-    )  # fmt: skip
+    )
     runs = [ss.compile(s).integrate(*start, h=0.01, steps=50) for s in (system, own)]
     assert np.abs(runs[0].q - runs[1].q).max() < 1e-8  # J0 enters the errors of a step
 
@@ -92,10 +95,13 @@ def test_a_free_body_falls():
     body = ss.RigidBody("b", inertia=sp.Matrix([[2, 1, 0], [1, 2, 0], [0, 0, 3]]), mass=m)
     assert len(body.coordinates) == 7
     system = ss.MechanicalSystem(
-        "falling", coordinates=body.coordinates, kinetic=body.kinetic,
-        potential=m * g * body.position[2], constraints=body.constraints,
+        "falling",
+        coordinates=body.coordinates,
+        kinetic=body.kinetic,
+        potential=m * g * body.position[2],
+        constraints=body.constraints,
         parameters={m: 2.0, g: 10.0},
-    )  # fmt: skip
+    )
     q, v = body.state(angular_velocity=(1, 0.1, 0), position=(0, 0, 5), velocity=(1, 0, 0))
     run = ss.compile(system).integrate(q, v, h=0.01, t_end=1.0)
     assert np.abs(run.q[-1, 4:] - [1.0, 0.0, 0.0]).max() < 1e-12

@@ -14,10 +14,12 @@ ROD = (x**2 + y**2 + z**2 - l**2) / 2
 
 def pendulum(constraints=(ROD,), **changes):
     given = {
-        "coordinates": (x, y, z), "potential": m * g * z,
+        "coordinates": (x, y, z),
+        "potential": m * g * z,
         "kinetic": m * (x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
-        "parameters": {m: 1.3, l: 1.0, g: 9.81}, "constraints": constraints,
-    }  # fmt: skip
+        "parameters": {m: 1.3, l: 1.0, g: 9.81},
+        "constraints": constraints,
+    }
     return ss.MechanicalSystem("held", **given | changes)
 
 
@@ -75,9 +77,12 @@ def test_names_that_two_quantities_would_share():
     (q,) = ss.coordinates("lambda_rod")
     with pytest.raises(ss.ModelError, match="lambda_rod"):
         ss.MechanicalSystem(
-            "twice", coordinates=(q, x), kinetic=q.diff() ** 2 + x.diff() ** 2, potential=0,
+            "twice",
+            coordinates=(q, x),
+            kinetic=q.diff() ** 2 + x.diff() ** 2,
+            potential=0,
             constraints={"rod": q - x},
-        )  # fmt: skip
+        )
 
 
 def test_constraints_stand_in_the_structure():
@@ -122,10 +127,15 @@ def test_a_state_where_the_nearest_is_not_found():
     turned = [sp.Add(*angles[: k + 1]) for k in range(3)]
     sides = list(zip((1.0, 2.2, 1.6), turned, strict=True))
     loop = ss.MechanicalSystem(
-        "loop", coordinates=angles, kinetic=sum(angle.diff() ** 2 for angle in turned),
-        potential=0, constraints=[sum(l * sp.cos(angle) for l, angle in sides) - 2.5,
-                                  sum(l * sp.sin(angle) for l, angle in sides)],
-    )  # fmt: skip
+        "loop",
+        coordinates=angles,
+        kinetic=sum(angle.diff() ** 2 for angle in turned),
+        potential=0,
+        constraints=[
+            sum(l * sp.cos(angle) for l, angle in sides) - 2.5,
+            sum(l * sp.sin(angle) for l, angle in sides),
+        ],
+    )
     q, v = loop.consistent([1.2, -0.9, -1.6], [0.5, 0.0, 0.0])
     ends = np.cumsum([l * np.exp(1j * s) for l, s in zip((1.0, 2.2, 1.6), np.cumsum(q))])  # noqa: B905
     assert abs(ends[-1] - 2.5) < 1e-15

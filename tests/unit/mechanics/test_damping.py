@@ -14,9 +14,13 @@ flat = m * (x.diff() ** 2 + y.diff() ** 2) / 2
 
 def found(kinetic, **more):
     system = ss.MechanicalSystem(
-        "damped", coordinates=(x, y), kinetic=kinetic, potential=x**4 + x**2 * y**2 + y**2,
-        parameters={c: 0.2, m: 1.5, g: 1.0}, **more,
-    )  # fmt: skip
+        "damped",
+        coordinates=(x, y),
+        kinetic=kinetic,
+        potential=x**4 + x**2 * y**2 + y**2,
+        parameters={c: 0.2, m: 1.5, g: 1.0},
+        **more,
+    )
     rate = system.structure.damping
     if rate is None:
         return None
@@ -28,12 +32,21 @@ DAMPED = {
     "Rayleigh": (flat, {"dissipation": c * flat / m}, c / m / 2),
     "curved": (curved, {"dissipation": 3 * g * curved}, 3 * g / 2),
     "by hand": (flat, {"forces": {x: -c * m * x.diff(), y: -c * m * y.diff()}}, c / 2),
-    "named": (flat, {"forces": {"air": {x: -c * x.diff(), y: -2 * c * y.diff()},
-                                "more": {x: -c * x.diff()}}}, c / m),
-    "gyroscopic": (flat, {"gyroscopic": g * x * y.diff(),
-                          "forces": {x: -c * m * x.diff(), y: -c * (m * y.diff() + g * x)}}, c / 2),
+    "named": (
+        flat,
+        {"forces": {"air": {x: -c * x.diff(), y: -2 * c * y.diff()}, "more": {x: -c * x.diff()}}},
+        c / m,
+    ),
+    "gyroscopic": (
+        flat,
+        {
+            "gyroscopic": g * x * y.diff(),
+            "forces": {x: -c * m * x.diff(), y: -c * (m * y.diff() + g * x)},
+        },
+        c / 2,
+    ),
     "anti-damping": (flat, {"dissipation": -c * flat}, -c / 2),
-}  # fmt: skip
+}
 NOT = {
     "none": (flat, {}),
     "one of two": (flat, {"forces": {x: -c * x.diff()}}),
@@ -44,9 +57,11 @@ NOT = {
     "in time": (flat, {"dissipation": c * flat * (2 + sp.cos(ss.time))}),
     "in place": (flat, {"dissipation": c * flat * (1 + x**2)}),
     "of an input": (flat, {"dissipation": u * flat, "inputs": (u,)}),
-    "quadratic": (flat, {"forces": {v: -c * v.diff() * sp.sqrt(1 + x.diff() ** 2)
-                                    for v in (x, y)}}),
-}  # fmt: skip
+    "quadratic": (
+        flat,
+        {"forces": {v: -c * v.diff() * sp.sqrt(1 + x.diff() ** 2) for v in (x, y)}},
+    ),
+}
 
 
 @pytest.mark.parametrize("name", DAMPED)

@@ -140,12 +140,15 @@ def test_a_system_is_frozen_and_known_by_its_equations():
 
 
 JUMPS = {
-    "step": sp.Heaviside(ss.time - 1), "stairs": sp.floor(ss.time),
-    "corner": sp.Abs(sp.sin(ss.time)), "larger": sp.Max(ss.time, 1),
-    "sign": sp.sign(sp.cos(ss.time)), "saw": sp.Mod(ss.time, 2),
+    "step": sp.Heaviside(ss.time - 1),
+    "stairs": sp.floor(ss.time),
+    "corner": sp.Abs(sp.sin(ss.time)),
+    "larger": sp.Max(ss.time, 1),
+    "sign": sp.sign(sp.cos(ss.time)),
+    "saw": sp.Mod(ss.time, 2),
     "cases": sp.Piecewise((1, ss.time > 1), (0, True)),
     "cases of the time": sp.Piecewise((y, ss.time > m), (x, True)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", JUMPS)

@@ -31,10 +31,11 @@ def test_forces_and_constraints_stand_in_equations():
 
 
 STATES = {
-    "pendulum": ([0.3], [0.7]), "double_pendulum": ([0.3, -1.1], [0.4, 2.0]),
+    "pendulum": ([0.3], [0.7]),
+    "double_pendulum": ([0.3, -1.1], [0.4, 2.0]),
     "driven_cart_pole": ([0.1, 2.0], [0.3, -1.0]),
     "lagrange_top": ([0.0, 1.0, 0.0], [2.0, 0.1, 40.0]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -52,8 +53,9 @@ def test_linear_equations_are_differences_of_accelerations(name):
     swap = list(zip(names, dummies, strict=True))
     function = sp.lambdify(
         [*dummies, *system.inputs],
-        [expression.subs(swap).subs(system.parameters) for expression in (M, rest)], "numpy",
-    )  # fmt: skip
+        [expression.subs(swap).subs(system.parameters) for expression in (M, rest)],
+        "numpy",
+    )
 
     def rate(state):
         mass, own = function(*state[n : 2 * n], *state[:n], *state[2 * n :])

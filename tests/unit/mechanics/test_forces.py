@@ -37,8 +37,10 @@ WRONG = {
     "taken": ({"forces": {"total": {x: 1}}}, "two forces would have the name 'total'"),
     "twice": ({"forces": {x: 1, "x": {y: 1}}}, "two forces would have the name 'x'"),
     "two dissipations": ({"forces": {"dissipation": {x: 1}}}, "the name 'dissipation'"),
-    "input in T": ({"kinetic": (1 + u) * T, "forces": {x: u}, "inputs": (u,)},
-                   "kinetic energy depends on the input u(.|\\n)*write what it does as one"),
+    "input in T": (
+        {"kinetic": (1 + u) * T, "forces": {x: u}, "inputs": (u,)},
+        "kinetic energy depends on the input u(.|\\n)*write what it does as one",
+    ),
     "input in V": ({"potential": u * x, "forces": {x: u}, "inputs": (u,)}, "the input u"),
     "idle input": ({"inputs": (u,)}, "the input u stands in no force"),
     "text as input": ({"forces": {x: u}, "inputs": "u"}, "inputs are 'u', not a tuple of symbols"),
@@ -46,10 +48,12 @@ WRONG = {
     "input like a parameter": ({"inputs": (sp.Symbol("c"),)}, "an input and a parameter"),
     "input twice": ({"forces": {x: u}, "inputs": (u, u)}, "an input and another input"),
     "whole input": ({"inputs": (sp.Symbol("n", integer=True),)}, "declared an integer"),
-    "acceleration of an input": ({"forces": {x: me.dynamicsymbols("u").diff()},
-                                  "inputs": (me.dynamicsymbols("u"),)}, "an unknown velocity"),
+    "acceleration of an input": (
+        {"forces": {x: me.dynamicsymbols("u").diff()}, "inputs": (me.dynamicsymbols("u"),)},
+        "an unknown velocity",
+    ),
     "position of a velocity": ({"positions": {"bob": (x + y.diff(), y)}}, "on the velocity y'"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -80,9 +84,14 @@ def test_inputs_are_symbols_or_functions_of_time():
 def test_a_force_changes_the_digest():
     digests = {
         declared(**more).digest
-        for more in ({}, {"forces": {x: -c * x.diff()}}, {"forces": {y: -c * x.diff()}},
-                     {"forces": {"a": {x: -c * x.diff()}}}, {"dissipation": c * x.diff() ** 2})
-    }  # fmt: skip
+        for more in (
+            {},
+            {"forces": {x: -c * x.diff()}},
+            {"forces": {y: -c * x.diff()}},
+            {"forces": {"a": {x: -c * x.diff()}}},
+            {"dissipation": c * x.diff() ** 2},
+        )
+    }
     assert len(digests) == 5
     assert declared(forces={}) == declared()
 
@@ -92,13 +101,14 @@ SURVIVES = {
     "of q": ({"forces": {x: -w * y}}, {"separable": True, "subsystems": 1}),
     "of v": ({"forces": {x: -c * x.diff()}}, {"separable": False, "subsystems": 2}),
     "of the other's v": ({"forces": {x: -c * y.diff()}}, {"separable": False, "subsystems": 1}),
-    "that is nothing": ({"forces": {x: y - y}}, {"separable": True, "subsystems": 2,
-                                                 "forced": ()}),
-    "cancelling": ({"forces": {"a": {x: c * x.diff()}}, "dissipation": c * x.diff() ** 2 / 2},
-                   {"separable": True, "forced": ()}),
+    "that is nothing": ({"forces": {x: y - y}}, {"separable": True, "subsystems": 2, "forced": ()}),
+    "cancelling": (
+        {"forces": {"a": {x: c * x.diff()}}, "dissipation": c * x.diff() ** 2 / 2},
+        {"separable": True, "forced": ()},
+    ),
     "M of t": ({"kinetic": (2 + sp.sin(t)) * T}, {"constant_mass": False, "autonomous": False}),
     "V of t": ({"potential": V * (1 + t)}, {"constant_mass": True, "separable": True}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", SURVIVES)
@@ -147,8 +157,9 @@ def test_prescribed_motion_in_t_is_sorted():
     pivot = sp.sin(w * t) / 10
     X, Y = pivot + sp.sin(x), -sp.cos(x)
     energy = (X.diff(t) ** 2 + Y.diff(t) ** 2) / 2
-    one = ss.MechanicalSystem("pivot", coordinates=(x,), kinetic=energy, potential=9.81 * Y,
-                              parameters={w: 3.0})  # fmt: skip
+    one = ss.MechanicalSystem(
+        "pivot", coordinates=(x,), kinetic=energy, potential=9.81 * Y, parameters={w: 3.0}
+    )
     other = ss.MechanicalSystem.from_lagrangian("pivot", energy - 9.81 * Y, (x,), {w: 3.0})
     runs = [ss.compile(s).integrate([0.3], [0.1], h=0.05, steps=40) for s in (one, other)]
     assert np.abs(runs[0].q - runs[1].q).max() < 1e-14

@@ -61,28 +61,39 @@ def test_powers_of_one_base(first):
 CASES = {
     "a logarithm that would be fixed at its pole": (sp.log(x * y + x), [2.0, 1.0], ()),
     "a difference of logarithms": (
-        sp.log(x * y + x * z) - sp.log(x) + y**2 + z**2, [1.2, 0.7, 0.4], ("x",),
+        sp.log(x * y + x * z) - sp.log(x) + y**2 + z**2,
+        [1.2, 0.7, 0.4],
+        ("x",),
     ),
     "an angle of two": (sp.atan2(x * y, x * z) + z**2, [1.2, 0.7, 0.4], None),
     "a sign": (y * sp.sqrt(x**2) / x + y**2, [-0.7, 0.4], ()),
     "arcs of both sides": (y * (sp.atan(x) + sp.atan(1 / x)) + y**2, [-0.7, 0.4], ()),
     "half an angle beside a root": (
         sum(c**4 for c in q[:2]) + sp.sqrt(2 - 2 * sp.cos(q[2])) + 2 * sp.sin(q[2] / 2),
-        [0.3, 0.2, 1.1], (),
+        [0.3, 0.2, 1.1],
+        (),
     ),
     "half an exponent beside a root": (
         sum(c**4 for c in q[:5]) + sp.sqrt(sp.exp(q[5])) + sp.exp(q[5] / 2),
-        [0.3, 0.2, 0.1, 0.5, 0.4, 0.3], (),
+        [0.3, 0.2, 0.1, 0.5, 0.4, 0.3],
+        (),
     ),
     "the inverse of a sine": (
-        sum(c**4 for c in q[:2]) + sp.asin(sp.sin(q[2])) - q[2], [0.3, 0.2, 2.5], (),
+        sum(c**4 for c in q[:2]) + sp.asin(sp.sin(q[2])) - q[2],
+        [0.3, 0.2, 2.5],
+        (),
     ),
     "a coefficient that is zero in the field": (
-        x**2 + (2**61 - 1) * y**4 + (2**61 - 1) * x * y, [0.3, 0.2], (),
+        x**2 + (2**61 - 1) * y**4 + (2**61 - 1) * x * y,
+        [0.3, 0.2],
+        (),
     ),
-    "a denominator that is zero in the field": (x**2 + sp.Rational(1, 2**61 - 1) * y**2, [0.3, 0.2],
-                                                ()),
-}  # fmt: skip
+    "a denominator that is zero in the field": (
+        x**2 + sp.Rational(1, 2**61 - 1) * y**2,
+        [0.3, 0.2],
+        (),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -111,19 +122,26 @@ def test_inverse_hyperbolic_masses():
 def test_linear_forces_without_a_value_at_zero():
     quotient = sp.expand((x - 1) * (x - 2) * x) / ((x - 1) * (x - 2) * x)
     system = ss.MechanicalSystem(
-        "odd", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        "odd",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
         potential=y**2 + quotient * y,
-    )  # fmt: skip
+    )
     run = ss.compile(system).integrate([0.3, 1.0], v0=[0.1, 0.0], h=0.05, steps=20)
     assert abs(run.energy_error).max() < 1e-6
 
 
 @pytest.mark.parametrize(
     "potential",
-    [sp.Pow(sp.E, x, evaluate=False) ** 2, sp.UnevaluatedExpr(x) ** 2,
-     x * sp.AlgebraicNumber(sp.sqrt(2)), x * sp.Determinant(sp.MatrixSymbol("A", 2, 2)),
-     x * sp.Trace(sp.MatrixSymbol("A", 2, 2)), x * sp.MatrixSymbol("A", 2, 2)[0, 0]],
-)  # fmt: skip
+    [
+        sp.Pow(sp.E, x, evaluate=False) ** 2,
+        sp.UnevaluatedExpr(x) ** 2,
+        x * sp.AlgebraicNumber(sp.sqrt(2)),
+        x * sp.Determinant(sp.MatrixSymbol("A", 2, 2)),
+        x * sp.Trace(sp.MatrixSymbol("A", 2, 2)),
+        x * sp.MatrixSymbol("A", 2, 2)[0, 0],
+    ],
+)
 def test_what_is_no_plain_expression(potential):
     """Taken for what it is, or refused in words; never a traceback."""
     try:
@@ -141,11 +159,26 @@ def test_numbers_out_of_the_range_of_doubles():
         ss.compile(steep)
 
 
-@pytest.mark.parametrize("wrong", [{"links": [1, 2]}, {"links": None}, {"gravity": "abc"},
-                                   {"gravity": 9.81}, {"a": "1"}, {"inertia": None}])  # fmt: skip
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"links": [1, 2]},
+        {"links": None},
+        {"gravity": "abc"},
+        {"gravity": 9.81},
+        {"a": "1"},
+        {"inertia": None},
+    ],
+)
 def test_arms_of_nonsense(wrong):
-    link = ss.Link(**{"mass": 1.0, "a": 1.0, "inertia": (1, 1, 1), **{
-        key: value for key, value in wrong.items() if key in ("a", "inertia")}})  # fmt: skip
+    link = ss.Link(
+        **{
+            "mass": 1.0,
+            "a": 1.0,
+            "inertia": (1, 1, 1),
+            **{key: value for key, value in wrong.items() if key in ("a", "inertia")},
+        }
+    )
     options = {key: value for key, value in wrong.items() if key == "gravity"}
     with pytest.raises(ss.ModelError, match="system 'arm'"):
         ss.serial_arm("arm", wrong.get("links", [link]), **options)

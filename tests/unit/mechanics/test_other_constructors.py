@@ -33,8 +33,7 @@ def test_lagrangian_with_gyroscopic_terms():
     ]
     assert abs(np.log2(errors[0] / errors[1]) - 4) < 0.2
     assert np.allclose(
-        stepper.integrate(**start, h=0.1, steps=0).p[0],
-        [-1.3 * 0.7 * 0.1, 1.3 * (0.3 + 0.7 * 0.5)],
+        stepper.integrate(**start, h=0.1, steps=0).p[0], [-1.3 * 0.7 * 0.1, 1.3 * (0.3 + 0.7 * 0.5)]
     )
 
 
@@ -57,9 +56,12 @@ def test_lagranges_method():
     theta, frame, body, _ = pendulum_bodies()
     lm = me.LagrangesMethod(me.Lagrangian(frame, body), [theta])
     system = ss.MechanicalSystem.from_lagranges_method(
-        "swing", lm, {m: 1.0, l: 1.0, g: 9.81},
-        positions={"bob": (l * sp.sin(theta), -l * sp.cos(theta))}, invariants={"height": theta},
-    )  # fmt: skip
+        "swing",
+        lm,
+        {m: 1.0, l: 1.0, g: 9.81},
+        positions={"bob": (l * sp.sin(theta), -l * sp.cos(theta))},
+        invariants={"height": theta},
+    )
     assert system.positions.keys() == {"bob"}
     assert system.invariants.keys() == {"height"}
     assert sp.simplify(system.mass_matrix[0, 0] - m * l**2) == 0
@@ -104,8 +106,9 @@ def test_parameters_and_their_absence():
     system = ss.MechanicalSystem("plain", coordinates=sp.Matrix([x, y]), **given)
     assert system == ss.MechanicalSystem("plain", coordinates=(x, y), parameters={}, **given)
     with pytest.raises(ss.ModelError, match="unknown symbol k"):
-        ss.MechanicalSystem("missing", coordinates=(x,), kinetic=x.diff() ** 2,
-                            potential=sp.Symbol("k") * x)  # fmt: skip
+        ss.MechanicalSystem(
+            "missing", coordinates=(x,), kinetic=x.diff() ** 2, potential=sp.Symbol("k") * x
+        )
 
 
 @pytest.mark.parametrize("name", ss.systems.CATALOGUE)

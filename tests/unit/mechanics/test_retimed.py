@@ -17,9 +17,13 @@ ATTRACTS = -k / sp.sqrt(x**2 + y**2)
 
 def system(potential=ATTRACTS, **more):
     return ss.MechanicalSystem(
-        "plane", coordinates=(x, y), kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=potential, parameters={m: 2.0, k: 3.0}, **more,
-    )  # fmt: skip
+        "plane",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=potential,
+        parameters={m: 2.0, k: 3.0},
+        **more,
+    )
 
 
 def test_the_lagrangian_in_tau():
@@ -108,9 +112,12 @@ def test_the_term_that_is_no_encounter_is_told_in_full(other):
 def test_names_that_retiming_takes():
     own = sp.Symbol("E0", positive=True)
     other = ss.MechanicalSystem(
-        "plane", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=own * x**2,
+        "plane",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=own * x**2,
         parameters={own: 1.0},
-    )  # fmt: skip
+    )
     with pytest.raises(ss.ModelError, match="name of one that retiming adds"):
         other.retimed(1 + x**2)
 

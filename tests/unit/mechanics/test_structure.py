@@ -21,9 +21,13 @@ SQUARES = (vx**2 + vy**2) / 2
 def declare(kinetic=SQUARES, potential=sp.S.Zero, coordinates=(x, y), gyroscopic=sp.S.Zero):
     symbols = potential.free_symbols & {k}
     return ss.MechanicalSystem(
-        "some", coordinates=coordinates, kinetic=kinetic, potential=potential,
-        gyroscopic=gyroscopic, parameters=dict.fromkeys(symbols, 1.5),
-    )  # fmt: skip
+        "some",
+        coordinates=coordinates,
+        kinetic=kinetic,
+        potential=potential,
+        gyroscopic=gyroscopic,
+        parameters=dict.fromkeys(symbols, 1.5),
+    )
 
 
 def parts(system, scheme=ss.SIMPSON, exploit="all"):
@@ -183,10 +187,14 @@ def spoil(system, breaks, tiny, pick):
         return declared(
             system, kinetic, potential + tiny * term
         ), lambda found: len(found.subsystems) == len(before.subsystems) - 1
-    i = pick.choice([
-        i for s in before.subsystems for i in s.coordinates
-        if s.separable and s.linear == (breaks == "linear")
-    ])  # fmt: skip
+    i = pick.choice(
+        [
+            i
+            for s in before.subsystems
+            for i in s.coordinates
+            if s.separable and s.linear == (breaks == "linear")
+        ]
+    )
     if breaks == "linear":
         broken = declared(system, kinetic, potential + tiny * q[i] ** 3)
         return broken, lambda found: not group_of(found, i).linear
@@ -202,9 +210,13 @@ def spoil(system, breaks, tiny, pick):
 
 def declared(system, kinetic, potential):
     return ss.MechanicalSystem(
-        "almost", coordinates=system.coordinates, kinetic=kinetic, potential=potential,
-        gyroscopic=system.gyroscopic, parameters=system.parameters,
-    )  # fmt: skip
+        "almost",
+        coordinates=system.coordinates,
+        kinetic=kinetic,
+        potential=potential,
+        gyroscopic=system.gyroscopic,
+        parameters=system.parameters,
+    )
 
 
 def test_report_in_a_terminal():

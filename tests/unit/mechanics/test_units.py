@@ -12,9 +12,13 @@ UNITS = {x: "m", "theta": "rad", "t": "s", "energy": "J", m: "kg", "p_x": "kg m/
 
 def cart(units):
     return ss.MechanicalSystem(
-        "cart", coordinates=(x, theta), kinetic=m * (x.diff() ** 2 + theta.diff() ** 2) / 2,
-        potential=x**2 / 2 + theta**2, parameters={m: 1.0}, units=units,
-    )  # fmt: skip
+        "cart",
+        coordinates=(x, theta),
+        kinetic=m * (x.diff() ** 2 + theta.diff() ** 2) / 2,
+        potential=x**2 / 2 + theta**2,
+        parameters={m: 1.0},
+        units=units,
+    )
 
 
 @pytest.fixture(scope="module")

@@ -82,8 +82,9 @@ def test_films_that_are_none(options):
 def test_systems_without_positions(tmp_path):
     (x,) = ss.coordinates("x")
     m = sp.Symbol("m", positive=True)
-    bare = ss.MechanicalSystem("bare", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2,
-                               potential=x**2, parameters={m: 1.0})  # fmt: skip
+    bare = ss.MechanicalSystem(
+        "bare", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=x**2, parameters={m: 1.0}
+    )
     run = ss.compile(bare).integrate([1.0], v0=[0.0], h=0.1, steps=10)
     with pytest.raises(ss.InputError, match=r"Declare them: MechanicalSystem\(..., positions"):
         run.animate()
@@ -98,8 +99,10 @@ def test_points_in_one_dimension_and_bad_ones():
     given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2, "parameters": {}}
     system = ss.MechanicalSystem("line", **given, positions={"mass": x})
     assert scene_of(ss.compile(system).integrate([1.0], v0=[0.0], h=0.1, steps=3)).points.shape == (
-        4, 1, 2,
-    )  # fmt: skip
+        4,
+        1,
+        2,
+    )
     for bad in ((x, x, x, x), [[x, x], []]):
         with pytest.raises(ss.ModelError, match="components"):
             ss.MechanicalSystem("line", **given, positions={"mass": bad})
@@ -122,11 +125,17 @@ def test_points_that_move_with_the_time(tmp_path):
     (theta,), a = ss.coordinates("theta"), sp.Symbol("a")
     pivot = a * sp.cos(3 * ss.time)
     shaken = ss.MechanicalSystem(
-        "shaken", coordinates=(theta,), kinetic=theta.diff() ** 2 / 2, potential=-sp.cos(theta),
+        "shaken",
+        coordinates=(theta,),
+        kinetic=theta.diff() ** 2 / 2,
+        potential=-sp.cos(theta),
         parameters={a: 0.3},
-        positions={"pivot": (pivot, 0), "bob": (pivot + sp.sin(theta), -sp.cos(theta)),
-                   "table": [(pivot, 0), (pivot + 1, 0), (pivot, 1)]},
-    )  # fmt: skip
+        positions={
+            "pivot": (pivot, 0),
+            "bob": (pivot + sp.sin(theta), -sp.cos(theta)),
+            "table": [(pivot, 0), (pivot + 1, 0), (pivot, 1)],
+        },
+    )
     run = ss.compile(shaken).integrate([1.0], v0=[0.0], h=0.1, steps=30, parameters={a: 0.5})
     moved = 0.5 * np.cos(3 * run.t)
     scene = scene_of(run)

@@ -19,8 +19,9 @@ def test_convergence_figure():
     h = 0.1 / 2 ** np.arange(5)
     ax = plot_convergence(h, {"one": h**2, "two": h**4}, orders={"two": 4})
     assert [line.get_label() for line in ax.lines if not line.get_label().startswith("_")] == [
-        "one", "two",
-    ]  # fmt: skip
+        "one",
+        "two",
+    ]
     triangle = ax.lines[-1].get_xydata()
     slope = np.log(triangle[2, 1] / triangle[1, 1]) / np.log(triangle[1, 0] / triangle[0, 0])
     assert slope == pytest.approx(4)

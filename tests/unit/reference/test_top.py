@@ -26,10 +26,13 @@ def test_printed_digits(case):
     top = make(case["name"])
     with mp.workdps(45):
         for found, key in (
-            (top.period, "period"), (top.precession, "dphi_period"), (top.spin, "dpsi_period"),
-            (top.p_phi, "p_phi"), (top.p_psi, "p_psi"),
+            (top.period, "period"),
+            (top.precession, "dphi_period"),
+            (top.spin, "dpsi_period"),
+            (top.p_phi, "p_phi"),
+            (top.p_psi, "p_psi"),
             *((root, f"u{i + 1}") for i, root in enumerate(top.roots)),
-        ):  # fmt: skip
+        ):
             assert abs(found - mp.mpf(case[key])) < mp.mpf(10) ** -38 * max(1, abs(found)), key
         for point in case["points"]:
             q, p = top.state(point["t"])
@@ -63,8 +66,9 @@ def test_moving_start():
             v = [v_phi, p[1] / inertia, p[2] / mp.mpf(TOY["I3"]) - v_phi * u]
         later = ExactTop(q, v, TOY, digits=40)
         assert abs(later.period - top.period) < mp.mpf(10) ** -36
-        for x, y in zip(later.state("0.5")[0], top.state(mp.mpf(t) + mp.mpf("0.5"))[0],
-                        strict=True):  # fmt: skip
+        for x, y in zip(
+            later.state("0.5")[0], top.state(mp.mpf(t) + mp.mpf("0.5"))[0], strict=True
+        ):
             assert abs(x - y) < 1e-14 * max(1, abs(y))
 
 

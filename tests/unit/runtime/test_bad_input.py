@@ -20,30 +20,52 @@ def stepper():
 
 RUN = {"q0": [0.5, 0.2], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
 INTEGRATE = {
-    "empty": {"q0": []}, "too many": {"q0": [1, 2, 3]}, "nested": {"q0": [[[0.5]], [[0.2]]]},
-    "set": {"q0": {0.5, 0.2}}, "dict": {"q0": {"q1": 0.5}}, "string": {"q0": "0.5 0.2"},
-    "bytes": {"q0": b"01"}, "function": {"q0": len}, "object": {"q0": object()},
-    "symbol": {"q0": [m, 0.2]}, "huge integer": {"q0": [10**400, 0.2]},
-    "none inside": {"q0": [None, 0.2]}, "minus infinity": {"q0": [-np.inf, 0.2]},
-    "velocities": {"v0": [1.0], "p0": None}, "nan velocity": {"v0": [np.nan, 0], "p0": None},
+    "empty": {"q0": []},
+    "too many": {"q0": [1, 2, 3]},
+    "nested": {"q0": [[[0.5]], [[0.2]]]},
+    "set": {"q0": {0.5, 0.2}},
+    "dict": {"q0": {"q1": 0.5}},
+    "string": {"q0": "0.5 0.2"},
+    "bytes": {"q0": b"01"},
+    "function": {"q0": len},
+    "object": {"q0": object()},
+    "symbol": {"q0": [m, 0.2]},
+    "huge integer": {"q0": [10**400, 0.2]},
+    "none inside": {"q0": [None, 0.2]},
+    "minus infinity": {"q0": [-np.inf, 0.2]},
+    "velocities": {"v0": [1.0], "p0": None},
+    "nan velocity": {"v0": [np.nan, 0], "p0": None},
     "times": {"q0": np.array(["2020-01-01", "2020-01-02"], dtype="datetime64[D]")},
-    "list of steps": {"h": [0.1]}, "complex step": {"h": 0.1j}, "no step": {"h": None},
-    "infinite step": {"h": np.inf}, "symbolic step": {"h": m}, "huge step": {"h": 10**400},
-    "text count": {"steps": "3"}, "infinite count": {"steps": np.inf}, "nan end": {
-        "steps": None, "t_end": np.nan}, "text end": {"steps": None, "t_end": "now"},
-    "infinite end": {"steps": None, "t_end": np.inf}, "nan start": {"t0": np.nan},
-    "text start": {"t0": "0"}, "negative stride": {"every": -1}, "real stride": {"every": 1.5},
-    "text stride": {"every": "all"}, "huge stride": {"every": 2**60},
+    "list of steps": {"h": [0.1]},
+    "complex step": {"h": 0.1j},
+    "no step": {"h": None},
+    "infinite step": {"h": np.inf},
+    "symbolic step": {"h": m},
+    "huge step": {"h": 10**400},
+    "text count": {"steps": "3"},
+    "infinite count": {"steps": np.inf},
+    "nan end": {"steps": None, "t_end": np.nan},
+    "text end": {"steps": None, "t_end": "now"},
+    "infinite end": {"steps": None, "t_end": np.inf},
+    "nan start": {"t0": np.nan},
+    "text start": {"t0": "0"},
+    "negative stride": {"every": -1},
+    "real stride": {"every": 1.5},
+    "text stride": {"every": "all"},
+    "huge stride": {"every": 2**60},
     "parameter of text": {"parameters": {"m1": "heavy"}},
     "parameter of a list": {"parameters": {"m1": [1.0, 2.0]}},
-    "zero parameter": {"parameters": {"m1": 0.0}}, "infinite": {"parameters": {"m1": np.inf}},
-    "complex parameter": {"parameters": {"m1": 1j}}, "parameters": {"parameters": "m1=2"},
+    "zero parameter": {"parameters": {"m1": 0.0}},
+    "infinite": {"parameters": {"m1": np.inf}},
+    "complex parameter": {"parameters": {"m1": 1j}},
+    "parameters": {"parameters": "m1=2"},
     "parameter twice": {"parameters": {"m1": 2.0, sp.Symbol("m1"): 3.0}},
-    "number as name": {"parameters": {1: 2.0}}, "symbol of another": {"parameters": {m: 2.0}},
+    "number as name": {"parameters": {1: 2.0}},
+    "symbol of another": {"parameters": {m: 2.0}},
     "every checkpoint": {"checkpoint": "never", "checkpoint_every": 0},
     "part of a checkpoint": {"checkpoint": "never", "checkpoint_every": 2.5},
     "outcome": {"on_failure": None},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("changes", INTEGRATE.values(), ids=INTEGRATE)
@@ -62,17 +84,28 @@ def test_integrate(stepper, changes, tmp_path, monkeypatch):
 
 MANY = {"q0": [[0.5, 0.2], [0.1, 0.3]], "p0": [0.0, 0.1], "h": 0.1, "steps": 3}
 ENSEMBLE = {
-    "shape": {"q0": [[0.5], [0.2]]}, "members": {"p0": np.zeros((3, 2))}, "nan": {
-        "q0": [[0.5, np.nan], [0.1, 0.2]]}, "empty": {"q0": np.zeros((0, 2))},
-    "cube": {"q0": np.zeros((2, 2, 2))}, "text": {"q0": [["a", "b"]]},
+    "shape": {"q0": [[0.5], [0.2]]},
+    "members": {"p0": np.zeros((3, 2))},
+    "nan": {"q0": [[0.5, np.nan], [0.1, 0.2]]},
+    "empty": {"q0": np.zeros((0, 2))},
+    "cube": {"q0": np.zeros((2, 2, 2))},
+    "text": {"q0": [["a", "b"]]},
     "parameters": {"parameters": {"m1": [1.0, 2.0, 3.0]}},
-    "sign": {"parameters": {"m1": [1.0, -1.0]}}, "unknown": {"parameters": {"z": 1.0}},
-    "step": {"h": 0.0}, "count": {"steps": -1}, "both": {"t_end": 1.0}, "stride": {"every": 0},
-    "threads": {"threads": 0}, "part of a thread": {"threads": 1.5},
-    "kind": {"reduce": {"a": ("median", "q1")}}, "expression": {"reduce": {"a": ("min", "q9")}},
-    "pair": {"reduce": {"a": "min"}}, "syntax": {"reduce": {"a": ("min", "q1 +")}},
-    "call": {"reduce": {"a": ("min", "__import__('os')")}}, "outcome": {"on_failure": 1},
-}  # fmt: skip
+    "sign": {"parameters": {"m1": [1.0, -1.0]}},
+    "unknown": {"parameters": {"z": 1.0}},
+    "step": {"h": 0.0},
+    "count": {"steps": -1},
+    "both": {"t_end": 1.0},
+    "stride": {"every": 0},
+    "threads": {"threads": 0},
+    "part of a thread": {"threads": 1.5},
+    "kind": {"reduce": {"a": ("median", "q1")}},
+    "expression": {"reduce": {"a": ("min", "q9")}},
+    "pair": {"reduce": {"a": "min"}},
+    "syntax": {"reduce": {"a": ("min", "q1 +")}},
+    "call": {"reduce": {"a": ("min", "__import__('os')")}},
+    "outcome": {"on_failure": 1},
+}
 
 
 @pytest.mark.parametrize("changes", ENSEMBLE.values(), ids=ENSEMBLE)
@@ -89,25 +122,36 @@ def declare(**changes):
 
 
 DECLARED = {
-    "no coordinates": {"coordinates": []}, "twice": {"coordinates": [x, x]},
-    "a symbol": {"coordinates": [m]}, "a string": {"coordinates": "x"},
-    "no mass": {"coordinates": [x, y]}, "negative mass": {"kinetic": -FREE},
-    "velocities cubed": {"kinetic": x.diff() ** 3}, "undeclared": {"potential": m * x},
+    "no coordinates": {"coordinates": []},
+    "twice": {"coordinates": [x, x]},
+    "a symbol": {"coordinates": [m]},
+    "a string": {"coordinates": "x"},
+    "no mass": {"coordinates": [x, y]},
+    "negative mass": {"kinetic": -FREE},
+    "velocities cubed": {"kinetic": x.diff() ** 3},
+    "undeclared": {"potential": m * x},
     "accelerations": {"potential": x.diff(ss.coordinates("z")[0].args[0], 2)},
     "velocity in V": {"potential": x.diff() * x},
-    "complex": {"potential": sp.I * x}, "another coordinate": {"potential": y**2},
-    "infinite": {"potential": sp.oo}, "nan": {"potential": sp.nan},
-    "no value": {"parameters": {m: None}}, "text value": {"parameters": {m: "1"}},
-    "nan value": {"parameters": {m: np.nan}}, "wrong sign": {"parameters": {m: -1.0}},
-    "parameter of text": {"parameters": {"m": 1.0}}, "a list": {"parameters": [m]},
-    "no expression": {"potential": "x**2"}, "a matrix": {"potential": sp.eye(2)},
-    "a relation": {"potential": x > 0}, "cases": {"potential": sp.Max(x, 0) ** 3},
+    "complex": {"potential": sp.I * x},
+    "another coordinate": {"potential": y**2},
+    "infinite": {"potential": sp.oo},
+    "nan": {"potential": sp.nan},
+    "no value": {"parameters": {m: None}},
+    "text value": {"parameters": {m: "1"}},
+    "nan value": {"parameters": {m: np.nan}},
+    "wrong sign": {"parameters": {m: -1.0}},
+    "parameter of text": {"parameters": {"m": 1.0}},
+    "a list": {"parameters": [m]},
+    "no expression": {"potential": "x**2"},
+    "a matrix": {"potential": sp.eye(2)},
+    "a relation": {"potential": x > 0},
+    "cases": {"potential": sp.Max(x, 0) ** 3},
     "least": {"potential": sp.Min(m, 2) * x**2, "parameters": {m: 1.0}},
     "huge number": {"potential": sp.Integer(10) ** 400 * x},
     "huge float": {"potential": sp.Float("1e400") * x},
     "an integer": {"parameters": {sp.Symbol("n", even=True): 2}},
     "one sign": {"coordinates": [dynamicsymbols("r", positive=True)]},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("changes", DECLARED.values(), ids=DECLARED)
@@ -141,8 +185,11 @@ OTHERS = {
     "exploit": (lambda: ss.compile(PENDULUM, exploit="luck"), ss.GenerationError, "luck"),
     "digits": (lambda: ss.compile(PENDULUM, precision=3), ss.InputError, "precision is 3"),
     "part of digits": (lambda: ss.compile(PENDULUM, precision=30.5), ss.InputError, "30.5"),
-    "arithmetic": (lambda: ss.compile(PENDULUM, precision=30, arithmetic="exact"), ss.InputError,
-                   "arithmetic is 'exact'"),
+    "arithmetic": (
+        lambda: ss.compile(PENDULUM, precision=30, arithmetic="exact"),
+        ss.InputError,
+        "arithmetic is 'exact'",
+    ),
     "nodes": (lambda: ss.galerkin("gauss", 0, 1), ss.SchemeError, "at least 1"),
     "many nodes": (lambda: ss.galerkin("gauss", 40, 2), ss.SchemeError, "at most 16"),
     "degree": (lambda: ss.galerkin("gauss", 2, 3), ss.SchemeError, "not determined"),
@@ -151,8 +198,11 @@ OTHERS = {
     "composition": (lambda: ss.composition("yoshida4"), ss.SchemeError, "no composition"),
     "file": (lambda: ss.load("/missing.py"), ss.GenerationError, "cannot be read"),
     "folder": (lambda: ss.load("/"), ss.GenerationError, "cannot be read"),
-    "place": (lambda: ss.generate(PENDULUM, "midpoint", "/proc/nowhere"), ss.GenerationError,
-              "cannot be written"),
+    "place": (
+        lambda: ss.generate(PENDULUM, "midpoint", "/proc/nowhere"),
+        ss.GenerationError,
+        "cannot be written",
+    ),
     "checkpoint": (lambda: ss.resume("/missing"), ss.StorageError, "no whole checkpoint"),
     "no checkpoint": (lambda: ss.resume(3), ss.InputError, "the checkpoint is int, not the name"),
     "empty checkpoint": (lambda: swing(checkpoint=""), ss.InputError, "checkpoint is empty"),
@@ -170,30 +220,50 @@ OTHERS = {
     "axes": (lambda: swing().plot(ax=3), ss.InputError, "ax is int, not axes"),
     "axes of the energy": (lambda: swing().plot_energy(ax="x"), ss.InputError, "ax is str"),
     "axes of paths": (lambda: swing().plot_path(ax=[]), ss.InputError, "ax is list"),
-    "wanted error": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=0), ss.InputError,
-                     "error is 0"),
-    "time": (lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3), ss.InputError,
-             "t_end is inf"),
-    "on": (lambda: ss.choose(PENDULUM, **START, t_end=1, error=1e-3, on="phase"), ss.InputError,
-           "on is 'phase'"),
-    "singular": (lambda: ss.choose(FALL, [1.0], [0.0], t_end=10, error=1e-6, schemes=["midpoint"]),
-                 ss.InputError, "small steps failed: .* was not taken"),
+    "wanted error": (
+        lambda: ss.choose(PENDULUM, **START, t_end=1, error=0),
+        ss.InputError,
+        "error is 0",
+    ),
+    "time": (
+        lambda: ss.choose(PENDULUM, **START, t_end=np.inf, error=1e-3),
+        ss.InputError,
+        "t_end is inf",
+    ),
+    "on": (
+        lambda: ss.choose(PENDULUM, **START, t_end=1, error=1e-3, on="phase"),
+        ss.InputError,
+        "on is 'phase'",
+    ),
+    "singular": (
+        lambda: ss.choose(FALL, [1.0], [0.0], t_end=10, error=1e-6, schemes=["midpoint"]),
+        ss.InputError,
+        "small steps failed: .* was not taken",
+    ),
     "no names": (lambda: ss.coordinates(""), ss.ModelError, "not by ''"),
     "None for names": (lambda: ss.coordinates(None), ss.ModelError, "not by None"),
     "certified step": (lambda: ss.compile(PENDULUM).certify(h=0), ss.InputError, "h is 0"),
-    "certified digits": (lambda: ss.compile(PENDULUM, precision=30).certify(), ss.InputError,
-                         "of many digits has no certificate"),
+    "certified digits": (
+        lambda: ss.compile(PENDULUM, precision=30).certify(),
+        ss.InputError,
+        "of many digits has no certificate",
+    ),
     "levels": (lambda: ss.work_precision(PENDULUM, errors=[]), ss.InputError, "errors are"),
-    "peer": (lambda: ss.work_precision(PENDULUM, peers=["matlab"], t_end=0.1), ss.InputError,
-             "no peer 'matlab'"),
-}  # fmt: skip
+    "peer": (
+        lambda: ss.work_precision(PENDULUM, peers=["matlab"], t_end=0.1),
+        ss.InputError,
+        "no peer 'matlab'",
+    ),
+}
 
 
 @pytest.mark.parametrize(
     ("call", "kind", "message"),
-    [pytest.param(*case, id=name, marks=pytest.mark.slow if name == "singular" else ())
-     for name, case in OTHERS.items()],
-)  # fmt: skip
+    [
+        pytest.param(*case, id=name, marks=pytest.mark.slow if name == "singular" else ())
+        for name, case in OTHERS.items()
+    ],
+)
 def test_other_functions(call, kind, message):
     with pytest.raises(kind, match=message) as caught:
         call()

@@ -84,9 +84,16 @@ def test_gali_is_the_volume_of_the_variations(pendulum):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([("double_pendulum", "simpson"), ("henon_heiles", "gauss8"), ("lagrange_top", "gauss4"),
-           ("fermi_pasta_ulam", "simpson")], 1),
-)  # fmt: skip
+    sweep(
+        [
+            ("double_pendulum", "simpson"),
+            ("henon_heiles", "gauss8"),
+            ("lagrange_top", "gauss4"),
+            ("fermi_pasta_ulam", "simpson"),
+        ],
+        1,
+    ),
+)
 def test_ensembles_tell_what_single_runs_tell(name, scheme):
     system = getattr(ss.systems, name)()
     stepper, state = ss.compile(system, scheme), dict(system.reference_state)
@@ -97,8 +104,7 @@ def test_ensembles_tell_what_single_runs_tell(name, scheme):
     both = {**reduce, "highest": ("max", first)}
     found = stepper.ensemble(starts, **state, h=0.01, steps=210, reduce=both)
     alone = stepper.ensemble(starts, **state, h=0.01, steps=210, reduce=reduce, threads=1)
-    plain = stepper.ensemble(starts, **state, h=0.01, steps=210,
-                             reduce={"highest": ("max", first)})  # fmt: skip
+    plain = stepper.ensemble(starts, **state, h=0.01, steps=210, reduce={"highest": ("max", first)})
     assert np.allclose(found.reduced["highest"], plain.reduced["highest"], rtol=1e-12)
     for key in reduce:
         assert np.array_equal(found.reduced[key], alone.reduced[key])

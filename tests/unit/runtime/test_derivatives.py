@@ -34,9 +34,13 @@ def assert_paths_agree(system, scheme, precision, within):
         stepper = ss.compile(system, scheme, exploit=exploit, precision=precision)
         q0, given = started(system)
         run = stepper.integrate(
-            q0, **given, h=H, steps=3 if precision else 20, tangents=2 * stepper.n,
+            q0,
+            **given,
+            h=H,
+            steps=3 if precision else 20,
+            tangents=2 * stepper.n,
             sensitivities=stepper.parameters[:1],
-        )  # fmt: skip
+        )
         columns = [column[-1][:, None] for column in run.sensitivity.values()]
         found.append(np.concatenate([run.tangent[-1], *columns], axis=1))
         if not stepper._module.header.forces:
@@ -45,9 +49,21 @@ def assert_paths_agree(system, scheme, precision, within):
 
 
 @pytest.mark.parametrize(
-    "name", sweep(["heavy_top", "harmonic_oscillator", "henon_heiles", "lagrange_top",
-                   "fermi_pasta_ulam", "kepler", "cart_pole", "damped_oscillator"], 0),
-)  # fmt: skip
+    "name",
+    sweep(
+        [
+            "heavy_top",
+            "harmonic_oscillator",
+            "henon_heiles",
+            "lagrange_top",
+            "fermi_pasta_ulam",
+            "kepler",
+            "cart_pole",
+            "damped_oscillator",
+        ],
+        0,
+    ),
+)
 def test_reduced_paths_have_the_derivatives_of_the_general_one(name):
     assert_paths_agree(getattr(ss.systems, name)(), "simpson", None, 1e-13)
 
@@ -142,17 +158,25 @@ def test_a_module_from_a_file_differentiates_if_it_was_made_to(tmp_path):
         plain.tangent([1.0], p=[0.0], h=H)
     varied = ss.load(ss.generate(system, "midpoint", tmp_path / "varied", derivatives=("l",)))
     D = varied.tangent([1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2]
-    assert np.array_equal(D, ss.compile(system, "midpoint").tangent(
-        [1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2])  # fmt: skip
+    assert np.array_equal(
+        D, ss.compile(system, "midpoint").tangent([1.0], p=[0.0], h=H, wrt=("q", "p", "l"))[2]
+    )
     with pytest.raises(ss.GenerationError, match="no parameter or input"):
         ss.generate(system, "midpoint", tmp_path, derivatives=("x",))
 
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([("double_pendulum", "simpson"), ("heavy_top", "gauss4"), ("pendulum", "gauss8"),
-           ("cartesian_pendulum", "simpson")], 0),
-)  # fmt: skip
+    sweep(
+        [
+            ("double_pendulum", "simpson"),
+            ("heavy_top", "gauss4"),
+            ("pendulum", "gauss8"),
+            ("cartesian_pendulum", "simpson"),
+        ],
+        0,
+    ),
+)
 @pytest.mark.parametrize("every", sweep([8, None], 1))
 def test_members_of_an_ensemble_carry_what_single_runs_do(name, scheme, every):
     system = getattr(ss.systems, name)()
@@ -162,14 +186,26 @@ def test_members_of_an_ensemble_carry_what_single_runs_do(name, scheme, every):
     scales = np.linspace(0.9, 1.1, 11)
     values = {varied[0]: stepper._defaults[0] * scales}
     many = stepper.ensemble(
-        np.tile(q0, (11, 1)), **given, h=H, steps=32, every=every, parameters=values, tangents=2,
+        np.tile(q0, (11, 1)),
+        **given,
+        h=H,
+        steps=32,
+        every=every,
+        parameters=values,
+        tangents=2,
         sensitivities=varied,
-    )  # fmt: skip
+    )
     for k in (0, 5, 10):
         one = stepper.integrate(
-            q0, **given, h=H, steps=32, every=every, parameters={varied[0]: values[varied[0]][k]},
-            tangents=2, sensitivities=varied,
-        )  # fmt: skip
+            q0,
+            **given,
+            h=H,
+            steps=32,
+            every=every,
+            parameters={varied[0]: values[varied[0]][k]},
+            tangents=2,
+            sensitivities=varied,
+        )
         own = one.tangent if every else one.tangent[0]
         assert many.tangent[k].shape == own.shape
         assert np.abs(many.tangent[k] - own).max() < 1e-12 * np.abs(own).max()
@@ -187,8 +223,9 @@ def test_members_that_fail_have_the_derivative_of_their_last_state(pendulum, tmp
     assert np.isfinite(many.tangent[0]).all()
     for reduce, store in (({"l": "lyapunov"}, None), (None, tmp_path / "store")):
         with pytest.raises(ss.InputError, match="do not go with"):
-            pendulum.ensemble([[1.0]], v0=[0.5], h=H, steps=30, tangents=1, reduce=reduce,
-                              store=store)  # fmt: skip
+            pendulum.ensemble(
+                [[1.0]], v0=[0.5], h=H, steps=30, tangents=1, reduce=reduce, store=store
+            )
 
 
 @pytest.mark.slow

@@ -127,8 +127,9 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     runs = [Run(stepper._module, stepper._defaults, h, 0.0, 1, 401) for _ in range(2)]
     for run in runs:
         velocity = "v0" in state
-        run.begin(np.array(state["q0"]), np.array(state["v0" if velocity else "p0"]),
-                  velocity=velocity)  # fmt: skip
+        run.begin(
+            np.array(state["q0"]), np.array(state["v0" if velocity else "p0"]), velocity=velocity
+        )
     runs[0].advance(400)
     for stop in (1, 2, 137, 138, 400):
         runs[1].advance(stop)
@@ -185,9 +186,26 @@ def test_every_status_is_told():
         assert f"| `{status.name}` |" in page
 
 
-BLOCKS = ("POSITION", "POSITION_LOW", "MOMENTUM", "MOMENTUM_LOW", "INCREMENT", "PREDICTED",
-          "PREVIOUS", "SOLVED", "VELOCITY", "PARAMETER", "HOISTED", "MASS_DIAGONAL",
-          "LARGEST_SQUARED", "NODE_L_Q", "RESIDUAL", "JACOBIAN", "STAGE_V", "STAGE_F")  # fmt: skip
+BLOCKS = (
+    "POSITION",
+    "POSITION_LOW",
+    "MOMENTUM",
+    "MOMENTUM_LOW",
+    "INCREMENT",
+    "PREDICTED",
+    "PREVIOUS",
+    "SOLVED",
+    "VELOCITY",
+    "PARAMETER",
+    "HOISTED",
+    "MASS_DIAGONAL",
+    "LARGEST_SQUARED",
+    "NODE_L_Q",
+    "RESIDUAL",
+    "JACOBIAN",
+    "STAGE_V",
+    "STAGE_F",
+)
 
 
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint", "gauss8"]))

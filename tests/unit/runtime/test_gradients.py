@@ -47,9 +47,14 @@ def costs():
 def test_gradients_are_those_of_the_cost(double_pendulum, costs, given):
     def gradient(x):
         return double_pendulum.gradient(
-            x[:2], **{f"{given}0": x[2:4]}, parameters={"l1": x[4], "g": x[5]}, h=H, steps=STEPS,
-            wrt=("q", given, "l1", "g"), **costs,
-        )  # fmt: skip
+            x[:2],
+            **{f"{given}0": x[2:4]},
+            parameters={"l1": x[4], "g": x[5]},
+            h=H,
+            steps=STEPS,
+            wrt=("q", given, "l1", "g"),
+            **costs,
+        )
 
     x = np.array([0.8, 1.0, 0.1, -0.2, 0.25, 9.81])
     found = gradient(x)
@@ -83,10 +88,14 @@ def carts(scheme):
     x, a = ss.coordinates("x a")
     u, w, k, c = sp.symbols("u w k c", positive=True)
     cart = ss.MechanicalSystem(
-        "cart", coordinates=(x, a), parameters={k: 2.0, c: 0.1},
+        "cart",
+        coordinates=(x, a),
+        parameters={k: 2.0, c: 0.1},
         kinetic=((1 + sp.cos(a) ** 2) * x.diff() ** 2 + a.diff() ** 2 + x.diff() * a.diff()) / 2,
-        potential=k * sp.cos(a), forces={x: u - c * x.diff() ** 3, a: w * x}, inputs=(u, w),
-    )  # fmt: skip
+        potential=k * sp.cos(a),
+        forces={x: u - c * x.diff() ** 3, a: w * x},
+        inputs=(u, w),
+    )
     return ss.compile(cart, scheme), {"running": (x - sp.sin(ss.time)) ** 2 + u**2, "cost": a**2}
 
 
@@ -102,8 +111,9 @@ def test_gradients_by_inputs_have_the_shape_of_the_inputs(scheme):
         given = {"u": rng.normal(size=shape), "w": rng.normal(size=other)}
 
         def gradient(given, wrt=("u", "k")):
-            return stepper.gradient([0.1, 0.2], v0=[0, 1], h=0.1, steps=steps, inputs=given,
-                                    wrt=wrt, **costs)  # fmt: skip
+            return stepper.gradient(
+                [0.1, 0.2], v0=[0, 1], h=0.1, steps=steps, inputs=given, wrt=wrt, **costs
+            )
 
         found = gradient(given)
         truth = differences(lambda u: gradient({**given, "u": u}).value, given["u"])  # noqa: B023
@@ -118,9 +128,14 @@ def test_gradients_by_samples_of_inputs_that_are_held_for_a_period():
 
     def gradient(values):
         return stepper.gradient(
-            [0.1, 0.2], v0=[0, 1], h=0.1, steps=8, wrt="u", **costs,
+            [0.1, 0.2],
+            v0=[0, 1],
+            h=0.1,
+            steps=8,
+            wrt="u",
+            **costs,
             inputs={"u": ss.samples(values, period=0.3), "w": 1.0},
-        )  # fmt: skip
+        )
 
     values = np.array([0.5, -1.0, 2.0, 7.0])  # the last is never reached
     truth = differences(lambda u: gradient(u).value, values)
@@ -131,10 +146,18 @@ def test_gradients_by_samples_of_inputs_that_are_held_for_a_period():
 
 @pytest.mark.parametrize(
     ("name", "scheme"),
-    sweep([("damped_oscillator", "simpson"), ("heavy_top", "gauss6"), ("lagrange_top", "simpson"),
-           ("fermi_pasta_ulam", "gauss4"), ("kepler", "lobatto6"),
-           ("double_pendulum", "gauss8")], 0),
-)  # fmt: skip
+    sweep(
+        [
+            ("damped_oscillator", "simpson"),
+            ("heavy_top", "gauss6"),
+            ("lagrange_top", "simpson"),
+            ("fermi_pasta_ulam", "gauss4"),
+            ("kepler", "lobatto6"),
+            ("double_pendulum", "gauss8"),
+        ],
+        0,
+    ),
+)
 def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     """On reduced paths, written out and by loops."""
     stepper = ss.compile(getattr(ss.systems, name)(), scheme)
@@ -159,18 +182,31 @@ def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
 def test_scipy_takes_a_gradient_and_products_with_the_hessian(double_pendulum):
     from scipy.optimize import minimize
 
-    truth = double_pendulum.integrate([0.8, 1.0], v0=[0, 0], h=H, steps=100, every=10,
-                                      parameters={"l1": 0.3, "l2": 0.2})  # fmt: skip
+    truth = double_pendulum.integrate(
+        [0.8, 1.0], v0=[0, 0], h=H, steps=100, every=10, parameters={"l1": 0.3, "l2": 0.2}
+    )
     samples = {"q1": truth["q1"], "q2": truth["q2"]}
 
     def objective(x):
         return double_pendulum.gradient(
-            [0.8, 1.0], v0=[0, 0], h=H, steps=100, every=10, samples=samples,
-            parameters={"l1": x[0], "l2": x[1]}, wrt=("l1", "l2"),
-        )  # fmt: skip
+            [0.8, 1.0],
+            v0=[0, 0],
+            h=H,
+            steps=100,
+            every=10,
+            samples=samples,
+            parameters={"l1": x[0], "l2": x[1]},
+            wrt=("l1", "l2"),
+        )
 
-    found = minimize(objective, [0.28, 0.22], jac=True, method="trust-ncg",
-                     hessp=ss.hessian_product(objective), tol=1e-10)  # fmt: skip
+    found = minimize(
+        objective,
+        [0.28, 0.22],
+        jac=True,
+        method="trust-ncg",
+        hessp=ss.hessian_product(objective),
+        tol=1e-10,
+    )
     assert np.abs(found.x - [0.3, 0.2]).max() < 1e-8
 
 
@@ -179,9 +215,14 @@ def test_a_run_in_many_digits_has_a_gradient():
     values = []
     for angle in ("1", "1.0000000001"):
         found = stepper.gradient(
-            [angle], v0=["0.3"], h="0.01", steps=3, cost="v_theta**2", wrt=("q", "l"),
+            [angle],
+            v0=["0.3"],
+            h="0.01",
+            steps=3,
+            cost="v_theta**2",
+            wrt=("q", "l"),
             samples={"sin(theta)": [0, 0, 0, 0]},
-        )  # fmt: skip
+        )
         values.append(found.value)
     assert abs((values[1] - values[0]) / 1e-10 - found.parts["q"][0]) < 1e-8
 

@@ -76,9 +76,12 @@ def test_mass_matrix_must_be_positive_definite():
     x, y = ss.coordinates("x y")
     c = sp.Symbol("c", real=True)
     system = ss.MechanicalSystem(
-        "coupled", coordinates=(x, y), potential=0, parameters={c: 0.5},
+        "coupled",
+        coordinates=(x, y),
+        potential=0,
+        parameters={c: 0.5},
         kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2 + c * x.diff() * y.diff(),
-    )  # fmt: skip
+    )
     stepper = ss.compile(system, "midpoint")
     assert stepper.integrate([0, 0], v0=[1, 0], h=0.1, steps=1).status == 0
     with pytest.raises(ss.InputError, match=r"not positive definite.*'c': 2.0"):
@@ -91,10 +94,14 @@ def test_forms_of_input_agree(stepper):
     strided = np.array([0.5, 9.0, 0.2, 9.0])[::2]
     strided.flags.writeable = False
     for changes in (
-        {"q0": strided}, {"q0": (0.5, 0.2)}, {"h": np.float64(0.1)}, {"steps": np.int32(3)},
-        {"q0": [sp.Rational(1, 2), sp.Rational(1, 5)]}, {"steps": None, "t_end": 0.3},
+        {"q0": strided},
+        {"q0": (0.5, 0.2)},
+        {"h": np.float64(0.1)},
+        {"steps": np.int32(3)},
+        {"q0": [sp.Rational(1, 2), sp.Rational(1, 5)]},
+        {"steps": None, "t_end": 0.3},
         {"parameters": {m1: 2}},
-    ):  # fmt: skip
+    ):
         run = stepper.integrate(**({**GOOD, "parameters": {"m1": 2.0}} | changes))
         assert (run.q == base.q).all()
     assert base.parameters["m1"] == 2.0
@@ -139,11 +146,14 @@ def test_without_mass_it_is_not_the_position_that_is_wrong():
     (x,), m, k = ss.coordinates("x"), *sp.symbols("m k")
     light = ss.compile(
         ss.MechanicalSystem(
-            "light", coordinates=(x,), kinetic=m * x.diff() ** 2 / 2, potential=k * x**2 / 2,
+            "light",
+            coordinates=(x,),
+            kinetic=m * x.diff() ** 2 / 2,
+            potential=k * x**2 / 2,
             parameters={m: 1.0, k: 2.0},
         ),
         "midpoint",
-    )  # fmt: skip
+    )
     for given in ({"v0": [0.0]}, {"p0": [1.0]}):
         with pytest.raises(
             ss.InputError, match=r"(?s)mass matrix is singular at.*m is 0\."

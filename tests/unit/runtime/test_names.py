@@ -25,11 +25,16 @@ class Case:
         square = q.diff() ** 2 + other.diff() ** 2
         self.stepper = ss.compile(
             ss.MechanicalSystem(
-                "named", coordinates=(q, other), kinetic=m * square / 2,
-                potential=-m * sp.cos(q) + other**2 / 2, parameters={m: 1.3},
-                forces={q: self.u}, inputs=(self.u,), invariants={f"{name} v": q.diff()},
+                "named",
+                coordinates=(q, other),
+                kinetic=m * square / 2,
+                potential=-m * sp.cos(q) + other**2 / 2,
+                parameters={m: 1.3},
+                forces={q: self.u},
+                inputs=(self.u,),
+                invariants={f"{name} v": q.diff()},
             )
-        )  # fmt: skip
+        )
         self.given = {"v0": [0.0, 0.1], "h": 0.01, "steps": STEPS, "inputs": {self.u: 0.1}}
         self.run = self.stepper.integrate([1.0, 0.2], **self.given)
 
@@ -42,9 +47,13 @@ def case(request):
 def test_states_by_name(case):
     for key in (case.q, case.name, f"{case.name}(t)"):
         run = case.stepper.integrate(
-            {case.other: 0.2, key: 1.0}, v0={"q0": 0.1, case.q: 0.0}, h=0.01, steps=STEPS,
-            inputs={f"{case.name}_u": 0.1}, parameters={f"{case.name}_m": 1.3},
-        )  # fmt: skip
+            {case.other: 0.2, key: 1.0},
+            v0={"q0": 0.1, case.q: 0.0},
+            h=0.01,
+            steps=STEPS,
+            inputs={f"{case.name}_u": 0.1},
+            parameters={f"{case.name}_m": 1.3},
+        )
         assert (run.q == case.run.q).all()
     many = case.stepper.ensemble({case.q: [1.0, 1.1, 1.2], "q0": 0.2}, **case.given)
     assert many.q.shape == (3, 2)
@@ -78,9 +87,11 @@ def test_derivatives(case):
         *start, **case.given, cost=case.q**2 * case.m, wrt=("q", case.m, case.u)
     )
     by_name = stepper.gradient(
-        *start, **case.given, cost=f"{case.name}**2 * {case.name}_m",
+        *start,
+        **case.given,
+        cost=f"{case.name}**2 * {case.name}_m",
         wrt=("q", case.m.name, case.u.name),
-    )  # fmt: skip
+    )
     assert list(by_symbol.parts) == list(by_name.parts) == ["q", case.m.name, case.u.name]
     assert (by_symbol.gradient == by_name.gradient).all()
     run = stepper.integrate(*start, **case.given, sensitivities=[case.m, case.u.name])
@@ -110,8 +121,11 @@ def test_a_task_for_others_is_written_in_names_of_the_module(case):
     from symsimpson.runtime.kernels.observed import read_reductions
     from symsimpson.runtime.kernels.syntax import read_stepper
 
-    asked = {"low": ("min", case.q * case.m), "v": ("max", f"v_{case.name} + q0"),
-             "other": ("max", "q0 + 1")}  # fmt: skip
+    asked = {
+        "low": ("min", case.q * case.m),
+        "v": ("max", f"v_{case.name} + q0"),
+        "other": ("max", "q0 + 1"),
+    }
     own = read_reductions(case.stepper, asked)
     others = read_stepper(case.stepper.source, "the module in a store")
     read = read_reductions(others, {one.name: (one.kind, one.expression) for one in own})
@@ -154,9 +168,12 @@ def test_a_certificate_and_another_time():
     x, y = (sp.Function(name)(t) for name in (r"\xi_1", "y'"))
     mu = sp.Symbol(r"\mu", positive=True)
     system = ss.MechanicalSystem(
-        "attracted", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-mu / sp.sqrt(x**2 + y**2), parameters={mu: 1.0},
-    )  # fmt: skip
+        "attracted",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-mu / sp.sqrt(x**2 + y**2),
+        parameters={mu: 1.0},
+    )
     start = {"q0": {x: 1.0, y: 0.0}, "v0": {x: 0.0, y: 0.8}}
     assert ss.compile(system, "gauss8").certify(**start, parameters={mu: 1.1}).passed
     retimed = ss.compile(system.retimed("encounters"), "gauss8")

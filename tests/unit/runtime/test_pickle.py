@@ -55,10 +55,16 @@ def errors():
     """One of each class of errors that symsimpson raises."""
     run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=3)
     given = {
-        ss.StorageError: {"trajectory": run}, ss.Interrupted: {"trajectory": run},
-        ss.ConvergenceError: {"trajectory": run, "step": 3, "time": 0.3, "residual": 0.1,
-                              "status": ss.Status.NOT_CONVERGED},
-    }  # fmt: skip
+        ss.StorageError: {"trajectory": run},
+        ss.Interrupted: {"trajectory": run},
+        ss.ConvergenceError: {
+            "trajectory": run,
+            "step": 3,
+            "time": 0.3,
+            "residual": 0.1,
+            "status": ss.Status.NOT_CONVERGED,
+        },
+    }
     kinds = [getattr(ss.errors, name) for name in ss.errors.__all__]
     return [kind("what\nwhy", **given.get(kind, {})) for kind in kinds]
 

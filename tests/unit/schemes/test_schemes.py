@@ -6,7 +6,7 @@ from support.oracle import interpolate, nodes_and_weights
 
 import symsimpson as ss
 from symsimpson.codegen.pipeline import derive
-from symsimpson.discrete.equations import elimination_order
+from symsimpson.discrete.rows import elimination_order
 from symsimpson.module.binding import bind_float
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.quadrature import gauss, lobatto
@@ -83,14 +83,29 @@ def test_elimination_meets_no_singular_pivot(name):
     rows, columns = elimination_order(scheme.degree)
     x2 = sp.Symbol("x2")
     weights = scheme.quadrature.weights
-    matrix = sp.Matrix(len(rows), len(rows), lambda i, j: sp.expand(sum(
-        b * (scheme.B[m][rows[i]] * scheme.B[m][columns[j]]
-             - x2 * scheme.A[m][rows[i]] * scheme.A[m][columns[j]])
-        for m, b in enumerate(weights))))  # fmt: skip
+    matrix = sp.Matrix(
+        len(rows),
+        len(rows),
+        lambda i, j: sp.expand(
+            sum(
+                b
+                * (
+                    scheme.B[m][rows[i]] * scheme.B[m][columns[j]]
+                    - x2 * scheme.A[m][rows[i]] * scheme.A[m][columns[j]]
+                )
+                for m, b in enumerate(weights)
+            )
+        ),
+    )
     for k in range(1, len(rows) + 1):
         minor = sp.Poly(sp.N(sp.expand(matrix[:k, :k].det()), 40), x2)
-        roots = mpmath.polyroots([mpmath.mpf(c) for c in minor.all_coeffs()], maxsteps=200,
-                                 extraprec=200) if minor.degree() else []  # fmt: skip
+        roots = (
+            mpmath.polyroots(
+                [mpmath.mpf(c) for c in minor.all_coeffs()], maxsteps=200, extraprec=200
+            )
+            if minor.degree()
+            else []
+        )
         assert not [r for r in roots if abs(mpmath.im(r)) < 1e-12 and mpmath.re(r) > -1e-12]
         assert minor.eval(0) != 0
 
@@ -106,8 +121,11 @@ def test_tables_that_modules_make(scheme):
         assert list(map(float, found.points)) == list(module.POINTS)
         for made, table in ((module.BASIS, found.A), (module.BASIS_SLOPE, found.B)):
             np.testing.assert_allclose(made, np.array(table, dtype=float), rtol=0, atol=1e-13)
-        for name, table in (("EXTRAPOLATION", found.extrapolation), ("END_SLOPE", found.end_slope),
-                            ("START_SLOPE", found.correction)):  # fmt: skip
+        for name, table in (
+            ("EXTRAPOLATION", found.extrapolation),
+            ("END_SLOPE", found.end_slope),
+            ("START_SLOPE", found.correction),
+        ):
             exact = np.array(table, dtype=float)
             np.testing.assert_allclose(getattr(module, name), exact, rtol=1e-13, atol=1e-13)
     if found.by_stages:

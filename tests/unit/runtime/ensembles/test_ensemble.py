@@ -89,9 +89,17 @@ def test_stored_states(stepper, every):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "make", sweep([ss.systems.lagrange_top, ss.systems.harmonic_oscillator, ss.systems.kepler,
-                   lambda: ss.systems.fermi_pasta_ulam(8), ss.systems.n_pendulum])
-)  # fmt: skip
+    "make",
+    sweep(
+        [
+            ss.systems.lagrange_top,
+            ss.systems.harmonic_oscillator,
+            ss.systems.kepler,
+            lambda: ss.systems.fermi_pasta_ulam(8),
+            ss.systems.n_pendulum,
+        ]
+    ),
+)
 @pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
 def test_every_form_of_code(make, scheme):
     system = make()
@@ -118,11 +126,21 @@ def test_parameters_of_each_member(stepper):
 
 def test_reductions(stepper):
     q1, q2 = PENDULUM.coordinates
-    found = stepper.ensemble(ANGLES[:9], **GIVEN, every=1, reduce={
-        "highest": ("max", "q1"), "lowest": ("min", q2), "mean": ("mean", sp.cos(q1) * q2**2),
-        "drift": ("max", "abs(energy)"), "fast": ("max", "abs(p_q1)/(m1*l1**2) + t*0 + pi - pi"),
-        "crossing": ("first", "q1 - 0.3"), "never": ("first", "-1"), "at once": ("first", "1"),
-    })  # fmt: skip
+    found = stepper.ensemble(
+        ANGLES[:9],
+        **GIVEN,
+        every=1,
+        reduce={
+            "highest": ("max", "q1"),
+            "lowest": ("min", q2),
+            "mean": ("mean", sp.cos(q1) * q2**2),
+            "drift": ("max", "abs(energy)"),
+            "fast": ("max", "abs(p_q1)/(m1*l1**2) + t*0 + pi - pi"),
+            "crossing": ("first", "q1 - 0.3"),
+            "never": ("first", "-1"),
+            "at once": ("first", "1"),
+        },
+    )
     seen = found.reduced
     x, y = found.q[:, :, 0], found.q[:, :, 1]
     assert (seen["highest"] == x.max(axis=1)).all()
@@ -185,10 +203,12 @@ def test_members_that_only_robust_kernels_take_are_reduced_too():
     turn = 2 * np.pi * 159154943
     angles = np.array([[0.5], [0.5 + turn], [1.0]])
     reduce = {
-        "lowest": ("min", "theta"), "mean": ("mean", "sin(theta)**2 + min(theta, 0)*0"),
-        "crossing": ("first", "-p_theta - 0.1"), "never": ("first", "-2*pi"),
+        "lowest": ("min", "theta"),
+        "mean": ("mean", "sin(theta)**2 + min(theta, 0)*0"),
+        "crossing": ("first", "-p_theta - 0.1"),
+        "never": ("first", "-2*pi"),
         "at once": ("first", "atan2(1, 2) + t"),
-    }  # fmt: skip
+    }
     given = {"v0": [0.0], "h": 0.05, "steps": 100, "reduce": reduce}
     found = stepper.ensemble(angles, every=10, **given)
     assert (found.status == 0).all()

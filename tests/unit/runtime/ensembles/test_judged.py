@@ -11,10 +11,13 @@ def kepler(drag=0.0):
     x, y = ss.coordinates("x y")
     c = sp.Symbol("c")
     return ss.MechanicalSystem(
-        "comet", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(x**2 + y**2), parameters={c: drag},
+        "comet",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+        parameters={c: drag},
         dissipation=c * (x.diff() ** 2 + y.diff() ** 2) / 2,
-    )  # fmt: skip
+    )
 
 
 #: Far end of orbits: the first three are nearly circles, the last comes to 0.026 of the centre.
@@ -40,9 +43,13 @@ def test_steps_that_turn_by_more_than_half_a_turn():
     x, y = ss.coordinates("x y")
     B = sp.Symbol("B")
     system = ss.MechanicalSystem(
-        "charge", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        gyroscopic=B / 2 * (x * y.diff() - y * x.diff()), potential=0, parameters={B: 1.0},
-    )  # fmt: skip
+        "charge",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        gyroscopic=B / 2 * (x * y.diff() - y * x.diff()),
+        potential=0,
+        parameters={B: 1.0},
+    )
     stepper = ss.compile(system, "midpoint")
     given = {"v0": [1.0, 0.0], "h": 0.1, "steps": 50}
     stepper.ensemble([0.0, 0.0], parameters={"B": [1.0, 3.0, 30.0]}, **given)

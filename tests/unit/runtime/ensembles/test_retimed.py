@@ -17,9 +17,12 @@ ECCENTRICITY = np.linspace(0.1, 0.95, 11)
 Q0 = np.column_stack([1 + ECCENTRICITY, 0 * ECCENTRICITY])
 V0 = np.column_stack([0 * ECCENTRICITY, np.sqrt((1 - ECCENTRICITY) / (1 + ECCENTRICITY))])
 HOW = [
-    {"t_end": 20.0}, {"t_end": 20.0, "every": 3}, {"t_end": 20.0, "every": 1}, {"steps": 50},
+    {"t_end": 20.0},
+    {"t_end": 20.0, "every": 3},
+    {"t_end": 20.0, "every": 1},
+    {"steps": 50},
     {"steps": 50, "every": 7},
-]  # fmt: skip
+]
 
 
 @pytest.fixture(
@@ -56,8 +59,11 @@ def test_threads_and_order_change_no_bit(stepper):
 
 
 def test_reductions_know_the_time_of_each_member(stepper):
-    reduce = {"near": ("min", "sqrt(x**2 + y**2)"), "after": ("first", "t - 3"),
-              "behind": ("first", "-x")}  # fmt: skip
+    reduce = {
+        "near": ("min", "sqrt(x**2 + y**2)"),
+        "after": ("first", "t - 3"),
+        "behind": ("first", "-x"),
+    }
     many = stepper.ensemble(Q0, v0=V0, h=0.1, t_end=20.0, reduce=reduce)
     np.testing.assert_allclose(many["after"], 3.0, rtol=0, atol=1e-14)
     # a quarter of the orbit that ends above the focus, by Kepler's equation

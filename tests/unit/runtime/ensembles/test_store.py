@@ -23,9 +23,13 @@ ANGLES = np.random.default_rng(3).uniform(-2, 2, (200, 2))
 LENGTHS = np.linspace(0.2, 0.4, 200)
 WATCH = {"highest": ("max", "q1"), "../outside": ("mean", "energy"), "q": ("first", "q2 - 1")}
 GIVEN = {
-    "p0": [0.0, 0.0], "h": 0.02, "steps": 20, "every": 4, "reduce": WATCH,
+    "p0": [0.0, 0.0],
+    "h": 0.02,
+    "steps": 20,
+    "every": 4,
+    "reduce": WATCH,
     "parameters": {"l1": LENGTHS},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -200,9 +204,7 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     """A chunk is half a second of work, whatever a step costs here, and fits into 64 MiB."""
     monkeypatch.undo()
     states, times = np.zeros((3 * 10**6, 2)), (0.02, None, 500, 0.0)
-    task = read_task(
-        stepper, states, None, [0, 0], None, times, None, None, 1, False, on_disk=True
-    )  # fmt: skip
+    task = read_task(stepper, states, None, [0, 0], None, times, None, None, 1, False, on_disk=True)
     assert module._seconds(stepper, task) > 0
     monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
     assert module._chunk(stepper, task) == lanes_of_machine()

@@ -119,11 +119,11 @@ def test_without_flint_arb_names_the_extra(monkeypatch):
 def test_a_step_too_large_fails_as_in_double_precision(arithmetic):
     system = ss.systems.double_pendulum()
     kinds = [
-        ss.compile(system, **more).integrate(
-            [1.0, 2.0], p0=[0, 0], h=3.0, steps=5, on_failure="return"
-        ).status
+        ss.compile(system, **more)
+        .integrate([1.0, 2.0], p0=[0, 0], h=3.0, steps=5, on_failure="return")
+        .status
         for more in ({}, {"precision": 30, "arithmetic": arithmetic})
-    ]  # fmt: skip
+    ]
     assert kinds[0] == kinds[1] != ss.Status.SUCCESS
 
 

@@ -32,9 +32,12 @@ def derived(monkeypatch, tmp_path):
 def compiled(factor=1, scheme="simpson", value=2.0, **more):
     api._derived.cache_clear()  # as another process would
     system = ss.MechanicalSystem(
-        "kept", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=factor * k * x**4,
+        "kept",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=factor * k * x**4,
         parameters={k: value},
-    )  # fmt: skip
+    )
     return ss.compile(system, scheme, **more)
 
 

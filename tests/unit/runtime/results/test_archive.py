@@ -21,8 +21,9 @@ CASES = [
 def run_of(name, scheme, **options):
     system = getattr(ss.systems, name)()
     start = dict(system.reference_state)
-    return ss.compile(system, scheme).integrate(start.pop("q0"), **start, h=0.01, steps=70,
-                                                **options)  # fmt: skip
+    return ss.compile(system, scheme).integrate(
+        start.pop("q0"), **start, h=0.01, steps=70, **options
+    )
 
 
 @pytest.mark.parametrize("ending", ["nc", "zarr"])
@@ -137,13 +138,16 @@ def resigned(text, more):
         (lambda d: d.assign_attrs(steps=71), ss.StorageError, "contradicts"),
         (lambda d: d.assign_attrs(parameter_values=[1.0]), ss.StorageError, "contradicts"),
         (lambda d: d.isel(coord=[0]), ss.StorageError, "contradicts"),
-        (lambda d: with_module(d, lambda t: t.replace("Lobatto", "Gauss")), ss.StaleKernelError,
-         "does not match the digest"),
+        (
+            lambda d: with_module(d, lambda t: t.replace("Lobatto", "Gauss")),
+            ss.StaleKernelError,
+            "does not match the digest",
+        ),
         (lambda d: with_module(d, hostile), ss.StaleKernelError, "no generated module has"),
         (lambda d: with_module(d, lambda t: "print(1)"), ss.StaleKernelError, "no module"),
         (lambda d: with_module(d, lambda t: resigned(t, "\n)(")), ss.StaleKernelError, "no Python"),
     ],
-)  # fmt: skip
+)
 def test_files_that_were_edited(tmp_path, monkeypatch, change, error, message):
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "run.nc"
@@ -185,7 +189,7 @@ def test_derivatives_are_saved_with_a_run(tmp_path, ending):
     system = ss.systems.double_pendulum()
     run = ss.compile(system).integrate(
         **system.reference_state, h=0.01, steps=30, every=3, tangents=4, sensitivities=["m1", "g"]
-    )  # fmt: skip
+    )
     run.save(tmp_path / f"run.{ending}")
     opened = ss.open_trajectory(tmp_path / f"run.{ending}")
     assert np.array_equal(opened.tangent, run.tangent)

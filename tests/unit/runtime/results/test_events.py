@@ -81,9 +81,12 @@ def test_a_users_own_names_come_before_those_of_the_module():
     x, y = sp.physics.mechanics.dynamicsymbols("φ q0")
     k1, k2 = sp.symbols("_k a0", positive=True)
     system = ss.MechanicalSystem(
-        "renamed", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=k1 * x**2 / 2 + k2 * y**2 / 2, parameters={k1: 1.0, k2: 9.0},
-    )  # fmt: skip
+        "renamed",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=k1 * x**2 / 2 + k2 * y**2 / 2,
+        parameters={k1: 1.0, k2: 9.0},
+    )
     stepper = ss.compile(system)
     given = {"v0": [0, 0], "h": 0.05, "steps": 100}
     run = stepper.integrate([1.0, 1.0], **given)
@@ -164,9 +167,12 @@ def test_velocities_in_expressions(pendulum):
 def test_a_name_of_two_quantities_is_refused():
     (x,), p_x = ss.coordinates("x"), sp.Symbol("p_x", positive=True)
     system = ss.MechanicalSystem(
-        "twofold", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=p_x * x**2,
+        "twofold",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=p_x * x**2,
         parameters={p_x: 2.0},
-    )  # fmt: skip
+    )
     run = ss.compile(system).integrate([1.0], v0=[0.0], h=0.05, steps=60)
     with pytest.raises(ss.InputError, match="'p_x' is a parameter, and the name of another"):
         run.events("p_x")
@@ -244,9 +250,8 @@ def test_symbols_of_any_name(name):
     """As SymPy has them; a text with them could be read as something else."""
     (x,), k = ss.coordinates("x"), sp.Symbol(name)
     system = ss.MechanicalSystem(
-        "odd", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=k * x**2,
-        parameters={k: 2.0},
-    )  # fmt: skip
+        "odd", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=k * x**2, parameters={k: 2.0}
+    )
     stepper = ss.compile(system)
     run = stepper.integrate([1.0], v0=[0.0], h=0.05, steps=60)
     assert np.abs(run.events(sp.Eq(k * x, 1)).t - run.events("x - 0.5").t).max() < 1e-12
@@ -263,8 +268,12 @@ def test_sections_of_an_angle(pendulum):
     run = pendulum.integrate([0.2], v0=[9.0], h=0.02, steps=500)
     assert run.q[-1, 0] > 8 * np.pi
     right = run.events(sp.sin((theta - 1) / 2)).t
-    for expression in (sp.Mod(theta, 2 * sp.pi) - 1, "Mod(theta, 2*pi) - 1", "theta % (2*pi) - 1",
-                       sp.Eq(sp.Mod(theta, 2 * sp.pi), 1)):  # fmt: skip
+    for expression in (
+        sp.Mod(theta, 2 * sp.pi) - 1,
+        "Mod(theta, 2*pi) - 1",
+        "theta % (2*pi) - 1",
+        sp.Eq(sp.Mod(theta, 2 * sp.pi), 1),
+    ):
         found = run.events(expression)
         assert found.t == pytest.approx(right, abs=1e-12)
         assert (found.direction == 1).all()

@@ -35,9 +35,11 @@ def test_rows_are_those_of_the_run(make):
     run = make()
     late = run.t > run.t[10]
     for places, part in (
-        (slice(3, 5), run[3:5]), ([7], run[7]), (late, run[late]),
+        (slice(3, 5), run[3:5]),
+        ([7], run[7]),
+        (late, run[late]),
         (np.arange(len(run))[4::3][1:3], run[4::3][1:3]),
-    ):  # fmt: skip
+    ):
         for name in KNOWN[make]:
             own, whole = getattr(part, name), getattr(run, name)
             if not isinstance(whole, dict):

@@ -22,9 +22,14 @@ def run(stepper):
 def many(stepper):
     q0, v0 = (SYSTEM.reference_state[name] for name in ("q0", "v0"))
     return stepper.ensemble(
-        [q0, np.add(q0, 0.1), q0], v0=v0, h=0.02, steps=50, every=10,
-        parameters={"g": [9.81, 9.81, 4.0]}, reduce={"highest": ("max", "theta")},
-    )  # fmt: skip
+        [q0, np.add(q0, 0.1), q0],
+        v0=v0,
+        h=0.02,
+        steps=50,
+        every=10,
+        parameters={"g": [9.81, 9.81, 4.0]},
+        reduce={"highest": ("max", "theta")},
+    )
 
 
 @pytest.mark.slow

@@ -11,9 +11,7 @@ from support.places import DATA
 import symsimpson as ss
 from symsimpson.runtime.results import shadow
 
-GOLDEN = json.loads(
-    (DATA / "golden_forced.json").read_text("utf-8")
-)["modified_energy"]  # fmt: skip
+GOLDEN = json.loads((DATA / "golden_forced.json").read_text("utf-8"))["modified_energy"]
 
 
 def half_swings(energies, steps=(0.04, 0.02, 0.01), scheme="simpson"):
@@ -93,9 +91,12 @@ def test_it_is_drawn_beside_the_energy():
 
 @pytest.mark.parametrize(
     ("name", "given", "match"),
-    [("damped_oscillator", {}, "energy is not constant"), ("pendulum", {"every": 2}, "every=1"),
-     ("pendulum", {"steps": 3}, "four steps")],
-)  # fmt: skip
+    [
+        ("damped_oscillator", {}, "energy is not constant"),
+        ("pendulum", {"every": 2}, "every=1"),
+        ("pendulum", {"steps": 3}, "four steps"),
+    ],
+)
 def test_runs_without_one_say_why(name, given, match):
     stepper = ss.compile(getattr(ss.systems, name)())
     run = stepper.integrate([1.0], v0=[0.0], **{"h": 0.05, "steps": 50, **given})

@@ -17,9 +17,14 @@ def run_of():
 def many_of(every=10):
     stepper = ss.compile(ss.systems.pendulum())
     return stepper.ensemble(
-        [[1.0], [2.0], [0.5]], v0=[0.0], h=0.1, steps=50, every=every,
-        parameters={"l": [1.0, 2.0, 3.0]}, reduce={"top": ("max", "theta")},
-    )  # fmt: skip
+        [[1.0], [2.0], [0.5]],
+        v0=[0.0],
+        h=0.1,
+        steps=50,
+        every=every,
+        parameters={"l": [1.0, 2.0, 3.0]},
+        reduce={"top": ("max", "theta")},
+    )
 
 
 def read(path):

@@ -39,8 +39,10 @@ def equal(run, other):
         np.array_equal(getattr(run, name), getattr(other, name))
         for name in ("t", "q", "p", "newton_iterations")
     ]
-    about = [(one.h, one.steps, one.every, one.status, one.message, one.parameters)
-             for one in (run, other)]  # fmt: skip
+    about = [
+        (one.h, one.steps, one.every, one.status, one.message, one.parameters)
+        for one in (run, other)
+    ]
     return all(same) and about[0] == about[1]
 
 
@@ -50,8 +52,14 @@ def test_the_same_bits(name, scheme, taken):
     stepper, state = ss.compile(system, scheme), system.reference_state
     q0, (kind, second) = state["q0"], next((k, x) for k, x in state.items() if k != "q0")
     starts = [{kind: second}, {kind: [0.9 * x for x in second]}]
-    for more in ({"steps": 3}, {"t_end": 0.5}, {"steps": 40}, {"steps": 40, "every": None},
-                 {"steps": 41, "every": 3}, {"steps": 5, "every": None, "t0": 2.0}):  # fmt: skip
+    for more in (
+        {"steps": 3},
+        {"t_end": 0.5},
+        {"steps": 40},
+        {"steps": 40, "every": None},
+        {"steps": 41, "every": 3},
+        {"steps": 5, "every": None, "t0": 2.0},
+    ):
         for start in starts:
             asked = {"q0": q0, **start, "h": 0.01, **more}
             stepper.integrate(**asked)  # the first one of a step is looked at
@@ -100,12 +108,23 @@ def test_what_is_wrong_is_said_as_ever():
     for _ in range(2):
         stepper.integrate(**good)
     wrong = (
-        {"q0": [np.nan, 1.0]}, {"q0": [1.0]}, {"p0": None}, {"v0": [0.0, 0.0]}, {"steps": -1},
-        {"steps": 1.5}, {"t_end": 1.0}, {"every": 0}, {"every": True}, {"h": 0.0},
-        {"on_failure": "stop"}, {"parameters": {"nothing": 1.0}}, {"t0": np.inf},
-        {"q0": np.ma.array([1.0, 2.0], mask=[True, False])}, {"q0": "here"},
+        {"q0": [np.nan, 1.0]},
+        {"q0": [1.0]},
+        {"p0": None},
+        {"v0": [0.0, 0.0]},
+        {"steps": -1},
+        {"steps": 1.5},
+        {"t_end": 1.0},
+        {"every": 0},
+        {"every": True},
+        {"h": 0.0},
+        {"on_failure": "stop"},
+        {"parameters": {"nothing": 1.0}},
+        {"t0": np.inf},
+        {"q0": np.ma.array([1.0, 2.0], mask=[True, False])},
+        {"q0": "here"},
         {"q0": [[1.0], [2.0, 3.0]]},
-    )  # fmt: skip
+    )
     for change in wrong:
         with pytest.raises(ss.InputError) as told:
             stepper.integrate(**good | change)

@@ -16,8 +16,10 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.runtime.runs.run import Run
 
-SYSTEMS = {name: ss.systems.CATALOGUE[name]() for name in
-           ("double_pendulum", "lagrange_top", "henon_heiles", "harmonic_oscillator")}  # fmt: skip
+SYSTEMS = {
+    name: ss.systems.CATALOGUE[name]()
+    for name in ("double_pendulum", "lagrange_top", "henon_heiles", "harmonic_oscillator")
+}
 SYSTEMS |= {"duffing": ss.systems.duffing(), "cartesian": ss.systems.cartesian_pendulum()}
 STEPS, H = 300, 0.0078125
 
@@ -33,9 +35,12 @@ class Killed(BaseException):
 
 def same(a, b):
     return (
-        (a.q == b.q).all() and (a.p == b.p).all() and (a.t == b.t).all()
-        and (a.newton_iterations == b.newton_iterations).all() and a.status == b.status
-    )  # fmt: skip
+        (a.q == b.q).all()
+        and (a.p == b.p).all()
+        and (a.t == b.t).all()
+        and (a.newton_iterations == b.newton_iterations).all()
+        and a.status == b.status
+    )
 
 
 @pytest.fixture
@@ -73,8 +78,9 @@ def test_resumed_runs_have_the_same_bits(name, scheme, path, ended, monkeypatch)
             for how in (KeyboardInterrupt, Killed):
                 ended(stop, how)
                 with pytest.raises((ss.Interrupted, Killed)):
-                    stepper.integrate(**given, every=every, checkpoint=path,
-                                      checkpoint_every=checkpoint_every)  # fmt: skip
+                    stepper.integrate(
+                        **given, every=every, checkpoint=path, checkpoint_every=checkpoint_every
+                    )
                 monkeypatch.undo()
                 assert same(ss.resume(path), whole), (every, checkpoint_every, stop, how)
                 for file in path.parent.iterdir():
@@ -103,8 +109,13 @@ def test_after_newton_took_over(path, ended, monkeypatch):
     """Which fallback is in use is kept."""
     system, given = ss.systems.elastic_pendulum(), {"k": 2e5}
     stepper = ss.compile(system, "gauss6")
-    start = {"q0": [1.0, 0.3], "v0": [0.0, 0.0], "h": 15 / 2e5**0.5, "steps": 200,
-             "parameters": given}  # fmt: skip
+    start = {
+        "q0": [1.0, 0.3],
+        "v0": [0.0, 0.0],
+        "h": 15 / 2e5**0.5,
+        "steps": 200,
+        "parameters": given,
+    }
     whole = stepper.integrate(**start)
     for stop in (1, 30, 64, 65, 150):
         ended(stop, KeyboardInterrupt)
@@ -164,8 +175,9 @@ def kept(path):
     """Files of a finished run, and the run."""
     system = SYSTEMS["double_pendulum"]
     stepper = ss.compile(system)
-    run = stepper.integrate(**system.reference_state, h=H, steps=STEPS, checkpoint=path,
-                            checkpoint_every=100)  # fmt: skip
+    run = stepper.integrate(
+        **system.reference_state, h=H, steps=STEPS, checkpoint=path, checkpoint_every=100
+    )
     return path, {file: file.read_bytes() for file in path.parent.iterdir()}, run
 
 
@@ -227,8 +239,9 @@ def test_what_is_no_checkpoint(tmp_path):
 def test_a_folder_that_cannot_be_written(tmp_path):
     system = SYSTEMS["double_pendulum"]
     with pytest.raises(ss.StorageError, match="cannot be written"):
-        ss.compile(system).integrate(**system.reference_state, h=H, steps=10,
-                                     checkpoint=tmp_path / "missing" / "run.ckpt")  # fmt: skip
+        ss.compile(system).integrate(
+            **system.reference_state, h=H, steps=10, checkpoint=tmp_path / "missing" / "run.ckpt"
+        )
 
 
 def test_a_full_disk_loses_nothing(path, monkeypatch):
@@ -312,7 +325,8 @@ def test_a_stepper_that_is_no_file_is_not_needed(kept):
     path, files, _ = kept
     path.write_bytes(files[path.with_name("run.ckpt.previous")])
     code = "import sys, symsimpson as ss; print(ss.resume(sys.argv[1]))"
-    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True,
-                          check=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
+    )
     assert "300 steps" in done.stdout
     assert Path(path).exists()

@@ -20,10 +20,13 @@ def driven_chain():
     kinetic = sum((2 + sp.sin(x)) * x.diff() ** 2 for x in q) / 4
     potential = sum((a - b) ** 2 + (a - b) ** 4 / 3 for a, b in zip(q[1:], q, strict=False))
     return ss.MechanicalSystem(
-        "driven_chain", coordinates=q, kinetic=kinetic, potential=potential + q[0] ** 2,
+        "driven_chain",
+        coordinates=q,
+        kinetic=kinetic,
+        potential=potential + q[0] ** 2,
         forces={"first": {q[0]: u - q[0].diff()}, "last": {q[-1]: w * q[-1] - u * q[-1].diff()}},
         inputs=(u, w),
-    )  # fmt: skip
+    )
 
 
 def stepper(scheme="simpson", **options):
@@ -95,9 +98,13 @@ def test_kicks_take_inputs_where_they_stand(scheme):
     x, y = ss.coordinates("x y")
     u = sp.Symbol("u")
     system = ss.MechanicalSystem(
-        "kicked", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=x**2 * y + x**4 / 4 + y**2, forces={x: u * sp.cos(y)}, inputs=(u,),
-    )  # fmt: skip
+        "kicked",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=x**2 * y + x**4 / 4 + y**2,
+        forces={x: u * sp.cos(y)},
+        inputs=(u,),
+    )
     made, state = ss.compile(system, scheme), {"q0": [0.5, 0.2], "v0": [0.1, 0.0]}
 
     def error(count):
@@ -123,10 +130,13 @@ def test_loops_over_kicks_take_inputs_where_they_stand():
     u = sp.Symbol("u")
     bends = [a - b for a, b in zip(q[1:], q, strict=False)]
     system = ss.MechanicalSystem(
-        "kicked_chain", coordinates=q, kinetic=sum(x.diff() ** 2 for x in q) / 2,
-        potential=sum(x**2 / 2 + x**4 / 4 for x in bends), forces={q[0]: u, q[3]: -u * q[3]},
+        "kicked_chain",
+        coordinates=q,
+        kinetic=sum(x.diff() ** 2 for x in q) / 2,
+        potential=sum(x**2 / 2 + x**4 / 4 for x in bends),
+        forces={q[0]: u, q[3]: -u * q[3]},
         inputs=(u,),
-    )  # fmt: skip
+    )
     state = {"q0": np.sin(np.arange(20.0)), "v0": np.zeros(20)}
 
     def end(scheme, steps):
@@ -143,8 +153,14 @@ def test_ensembles_give_each_member_its_inputs():
     made = stepper()
     own = rng.normal(size=(11, STEPS))
     found = made.ensemble(**START, h=H, steps=STEPS, inputs={"u": own})
-    shared = made.ensemble(np.tile(START["q0"], (11, 1)), v0=START["v0"], h=H, steps=STEPS,
-                           inputs=HELD[:, None], every=STEPS)  # fmt: skip
+    shared = made.ensemble(
+        np.tile(START["q0"], (11, 1)),
+        v0=START["v0"],
+        h=H,
+        steps=STEPS,
+        inputs=HELD[:, None],
+        every=STEPS,
+    )
     for k in range(11):
         run = made.integrate(**START, h=H, steps=STEPS, inputs={"u": own[k]})
         assert (found.q[k] == run.q[-1]).all()
@@ -160,8 +176,9 @@ def test_states_between_steps_have_the_inputs_of_their_step():
     places = np.array([1, 7, 16, 50, 239])
     assert np.abs(run.at(places * H / 4).q - fine.q[places]).max() < 1e-13
     smooth = made.integrate(**START, h=H, steps=STEPS, inputs={"u": at_nodes(made)}, every=4)
-    finer = made.integrate(**START, h=H / 4, steps=4 * STEPS,
-                           inputs={"u": at_nodes(made, H / 4, 4 * STEPS)})  # fmt: skip
+    finer = made.integrate(
+        **START, h=H / 4, steps=4 * STEPS, inputs={"u": at_nodes(made, H / 4, 4 * STEPS)}
+    )
     assert np.abs(smooth.at(places * H / 4).q - finer.q[places]).max() < 1e-12
     # at the start of a step, outside of its nodes, a cubic polynomial stands for the input
     assert np.abs(smooth.power["motor"] - finer.power["motor"][::16]).max() < (3 * H) ** 4 / 24
@@ -220,12 +237,14 @@ def test_checkpoints_and_files_keep_runs_with_inputs(tmp_path):
     again = ss.open_trajectory(tmp_path / "run.nc")
     assert (again.at([0.311]).q == run.at([0.311]).q).all()
     assert (again.work["motor"] == run.work["motor"]).all()
-    stored = made.ensemble(**START, h=H, steps=STEPS, store=tmp_path / "some",
-                           inputs={"u": np.stack([HELD, -HELD])})  # fmt: skip
+    stored = made.ensemble(
+        **START, h=H, steps=STEPS, store=tmp_path / "some", inputs={"u": np.stack([HELD, -HELD])}
+    )
     assert (stored.q[0] == run.q[-1]).all()
     with pytest.raises(ss.InputError, match="holds"):
-        made.ensemble(**START, h=H, steps=STEPS, store=tmp_path / "some",
-                      inputs={"u": np.stack([HELD, HELD])})  # fmt: skip
+        made.ensemble(
+            **START, h=H, steps=STEPS, store=tmp_path / "some", inputs={"u": np.stack([HELD, HELD])}
+        )
 
 
 def test_events_and_sections_take_inputs():
@@ -268,9 +287,12 @@ def test_other_messages():
         free.integrate([1.0], v0=[0.0], h=0.1, steps=3, inputs={"u": HELD})
     with pytest.raises(ss.InputError, match="different numbers of members"):
         ss.compile(driven_chain()).ensemble(
-            np.zeros(12), v0=np.zeros(12), h=0.1, steps=10,
+            np.zeros(12),
+            v0=np.zeros(12),
+            h=0.1,
+            steps=10,
             inputs={"u": np.zeros((3, 10)), "w": np.zeros((2, 10))},
-        )  # fmt: skip
+        )
     with pytest.raises(ss.InputError, match="last axis is not that of the 2 inputs u, w"):
         ss.compile(driven_chain()).start(np.zeros(12), v0=np.zeros(12), h=0.1).step(np.zeros(3))
     with pytest.raises(ss.InputError, match="may be"):

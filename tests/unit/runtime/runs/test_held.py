@@ -64,9 +64,12 @@ def test_folded_linkages_are_told():
     kinetic = sum(t.diff() ** 2 for t in (t1, t2, t3))
     gap = [f(t1) + 2 * f(t2) - f(t3) for f in (sp.cos, sp.sin)]
     system = ss.MechanicalSystem(
-        "parallelogram", coordinates=(t1, t2, t3), kinetic=kinetic, potential=0,
+        "parallelogram",
+        coordinates=(t1, t2, t3),
+        kinetic=kinetic,
+        potential=0,
         constraints={"loop_x": gap[0] - 2, "loop_y": gap[1]},
-    )  # fmt: skip
+    )
     with pytest.raises(ss.ModelError, match=r"'loop_x', 'loop_y' depend|no slope"):
         ss.compile(system).integrate([0, 0, 0], [1, 0, 1], h=0.01, steps=1)
 
@@ -78,9 +81,12 @@ def parallelogram():
     kinetic = 2 * w1**2 / 3 + 2 * w2**2 / 3 + w3**2 / 6 + w1 * w2 * sp.cos(t1 - t2)
     gap = [f(t1) + 2 * f(t2) - f(t3) for f in (sp.cos, sp.sin)]
     return ss.MechanicalSystem(
-        "parallelogram", coordinates=(t1, t2, t3), kinetic=kinetic, potential=0,
+        "parallelogram",
+        coordinates=(t1, t2, t3),
+        kinetic=kinetic,
+        potential=0,
         constraints={"loop_x": gap[0] - 2, "loop_y": gap[1]},
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.slow
@@ -165,15 +171,22 @@ def test_forces_and_time_beside_constraints():
     c, w = sp.symbols("c w", positive=True)
     drive = sp.cos(w * ss.time)
     held = ss.MechanicalSystem(
-        "held", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=9.81 * y,
-        forces={x: drive - c * x.diff(), y: -c * y.diff()}, parameters={c: 0.2, w: 3.0},
+        "held",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * y,
+        forces={x: drive - c * x.diff(), y: -c * y.diff()},
+        parameters={c: 0.2, w: 3.0},
         constraints=[x**2 + y**2 - 1],
-    )  # fmt: skip
+    )
     free = ss.MechanicalSystem(
-        "free", coordinates=(theta,), kinetic=theta.diff() ** 2 / 2,
+        "free",
+        coordinates=(theta,),
+        kinetic=theta.diff() ** 2 / 2,
         potential=-9.81 * sp.cos(theta),
-        forces={theta: drive * sp.cos(theta) - c * theta.diff()}, parameters={c: 0.2, w: 3.0},
-    )  # fmt: skip
+        forces={theta: drive * sp.cos(theta) - c * theta.diff()},
+        parameters={c: 0.2, w: 3.0},
+    )
     first = ss.compile(held, "gauss8").integrate([0.6, -0.8], [0.8, 0.6], h=0.02, steps=200)
     angle = np.arctan2(0.6, 0.8)
     second = ss.compile(free, "gauss8").integrate([angle], [1.0], h=0.02, steps=200)

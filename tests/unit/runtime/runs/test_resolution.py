@@ -93,8 +93,10 @@ def test_members_of_an_ensemble_end_as_single_runs():
     for every in (1, None):
         many = stepper.ensemble(starts, v0=[v0], h=0.05, steps=20, every=every)
         assert [ss.Status(code).name for code in many.status] == [
-            "NOT_FINITE", "SUCCESS", "BAD_INPUT"
-        ]  # fmt: skip
+            "NOT_FINITE",
+            "SUCCESS",
+            "BAD_INPUT",
+        ]
         single = stepper.integrate(
             [0.2], v0=[v0], h=0.05, steps=20, every=every, on_failure="return"
         )
@@ -185,10 +187,13 @@ def test_an_encounter_under_drag_is_judged_by_what_friction_leaves(every):
     x, y = ss.coordinates("x y")
     c = sp.Symbol("c")
     system = ss.MechanicalSystem(
-        "comet", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(x**2 + y**2), parameters={c: 1e-6},
+        "comet",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+        parameters={c: 1e-6},
         dissipation=c * (x.diff() ** 2 + y.diff() ** 2) / 2,
-    )  # fmt: skip
+    )
     stepper = ss.compile(system, "simpson")
     start = {"q0": [1.9, 0.0], "v0": [0.0, 0.16]}
     with pytest.warns(ss.ResolutionWarning, match="less the work of forces is off by"):
@@ -205,9 +210,13 @@ def test_what_forces_exchange_is_no_error(scheme, every):
     """A driven motion takes up and gives back much more than it has."""
     x, u = *ss.coordinates("x"), sp.Symbol("u")
     system = ss.MechanicalSystem(
-        "pushed", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2 / 2 + x**4 / 4,
-        forces={x: u}, inputs=(u,),
-    )  # fmt: skip
+        "pushed",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=x**2 / 2 + x**4 / 4,
+        forces={x: u},
+        inputs=(u,),
+    )
     pushes = np.random.default_rng(4).uniform(-3, 3, 400)
     run = ss.compile(system, scheme).integrate(
         [0.1], v0=[0.0], h=0.05, steps=400, every=every, inputs={"u": pushes}

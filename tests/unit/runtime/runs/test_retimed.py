@@ -15,9 +15,12 @@ START = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.3}
 def kepler():
     x, y = ss.coordinates("x y")
     return ss.MechanicalSystem(
-        "kepler_plane", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=-1 / sp.sqrt(x**2 + y**2), positions={"body": (x, y)},
-    )  # fmt: skip
+        "kepler_plane",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=-1 / sp.sqrt(x**2 + y**2),
+        positions={"body": (x, y)},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +34,10 @@ def run(stepper):
 
 
 def same(one, other):
-    assert all(np.array_equal(getattr(one, name), getattr(other, name))
-               for name in ("t", "tau", "q", "p", "newton_iterations"))  # fmt: skip
+    assert all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("t", "tau", "q", "p", "newton_iterations")
+    )
     assert (one.steps, one.status, one.E0) == (other.steps, other.status, other.E0)
 
 

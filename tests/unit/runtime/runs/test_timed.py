@@ -14,10 +14,14 @@ CASES = {
     "kepler": (KEPLER, "encounters", "simpson", COMET, ("mu", "m"), 3),
     "kepler, last state": (KEPLER, "encounters", "gauss8", COMET, ("mu",), None),
     "rate with E0": (
-        PENDULUM, "kinetic", "simpson",
-        {"q0": ["0.8", "1"], "v0": ["0.1", "0.6"], "h": "0.03", "t_end": "0.3"}, ("l1", "g"), 1,
+        PENDULUM,
+        "kinetic",
+        "simpson",
+        {"q0": ["0.8", "1"], "v0": ["0.1", "0.6"], "h": "0.03", "t_end": "0.3"},
+        ("l1", "g"),
+        1,
     ),
-}  # fmt: skip
+}
 DIGITS, SMALL = 40, 13
 
 
@@ -62,8 +66,14 @@ def test_variations_and_sensitivities(name):
 
 @pytest.mark.slow
 def test_doubles_have_what_many_digits_have():
-    how = {"q0": [1.6, 0.0], "v0": [0.1, 0.6], "h": 0.3, "t_end": 3.0, "tangents": 4,
-           "sensitivities": "mu"}  # fmt: skip
+    how = {
+        "q0": [1.6, 0.0],
+        "v0": [0.1, 0.6],
+        "h": 0.3,
+        "t_end": 3.0,
+        "tangents": 4,
+        "sensitivities": "mu",
+    }
     few = ss.compile(KEPLER.retimed("encounters"), "gauss8").integrate(**how)
     many = ss.compile(KEPLER.retimed("encounters"), "gauss8", precision=30).integrate(**how)
     np.testing.assert_allclose(few.tangent, many.tangent.astype(float), rtol=0, atol=1e-12)
@@ -83,9 +93,7 @@ def test_one_step_is_differentiated_as_it_is_taken():
     small = 1e-6
     for k in range(4):
         d = small * np.eye(4)[k]
-        up, down = (
-            np.concatenate(stepper.step(q + x[:2], p=p + x[2:], h=h)) for x in (d, -d)
-        )  # fmt: skip
+        up, down = (np.concatenate(stepper.step(q + x[:2], p=p + x[2:], h=h)) for x in (d, -d))
         np.testing.assert_allclose(D[:, k], (up - down) / (2 * small), rtol=0, atol=1e-8)
 
 
@@ -95,9 +103,12 @@ K, LAMBDA = sp.symbols("k lambda", positive=True)
 
 def oscillator(symbol):
     return ss.MechanicalSystem(
-        "oscillator", coordinates=(X,), kinetic=X.diff() ** 2 / 2,
-        potential=symbol * X**2 / 2, parameters={symbol: 1.0},
-    )  # fmt: skip
+        "oscillator",
+        coordinates=(X,),
+        kinetic=X.diff() ** 2 / 2,
+        potential=symbol * X**2 / 2,
+        parameters={symbol: 1.0},
+    )
 
 
 @pytest.mark.slow
@@ -105,11 +116,9 @@ def oscillator(symbol):
     ("system", "rate", "names"),
     [
         (oscillator(K), "kinetic", ("c_rest", "k")),
-        pytest.param(
-            oscillator(LAMBDA), 1 / (1 + X**2), ("lambda",), marks=pytest.mark.slow
-        ),
+        pytest.param(oscillator(LAMBDA), 1 / (1 + X**2), ("lambda",), marks=pytest.mark.slow),
     ],
-)  # fmt: skip
+)
 def test_parameters_of_the_rate_and_with_names_of_python(system, rate, names):
     stepper = ss.compile(system.retimed(rate))
     how = {"v0": [0.3], "h": 0.05, "t_end": 1.0}

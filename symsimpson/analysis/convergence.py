@@ -1,0 +1,96 @@
+"""The order that errors with smaller steps show: of states, and of the time of a retimed system."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal
+
+import mpmath
+import numpy as np
+
+from symsimpson.analysis.certificate import Check
+from symsimpson.analysis.order import observed_orders
+from symsimpson.analysis.subject import Subject
+
+__all__ = ["DIGITS", "order_of_errors", "order_of_time"]
+
+DIGITS = 50
+#: Orders above this are seen with steps down to h/4, others down to h/16.
+HIGH = 8
+#: Errors above this are not those of the solution that they are measured by.
+RESOLVED = 1e-28
+
+
+def order_of_errors(s: Subject) -> Iterator[Check]:
+    """order: errors against Hamilton's equations of the module's own energy."""
+    steps, context = 8, s.precise.context
+    with mpmath.workdps(DIGITS):
+        exact = s.exact(steps * mpmath.mpf(s.h))
+    digits = coefficient_digits(s.stepper.source)
+    resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
+
+    def error(level: int) -> float:
+        """Return the error with steps of h / 2**level."""
+        flow = s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
+        return s.distance(flow, exact)
+
+    levels = list(range(3 if s.stepper.order > HIGH else 5))
+    errors = [error(level) for level in levels]
+    # coefficients of few digits leave an error of lower order: larger steps are above it
+    while digits is not None and sum(e > resolved for e in errors) < 3 and levels[0] > -3:
+        levels.insert(0, levels[0] - 1)
+        errors.insert(0, error(levels[0]))
+    what = (
+        f"errors {errors[0]:.1e} to {errors[-1]:.1e} after 8 h, for {_parts(levels[0])} to "
+        f"{_parts(levels[-1])}, in {DIGITS} digits"
+    )
+    nearly = ", nearly: a symmetric scheme has an even order." if s.stepper.order > HIGH else "."
+    yield Check(
+        "order",
+        *_seen(s, errors, resolved),
+        what,
+        f"The scheme has order {s.stepper.order}; the last pairs are asymptotic{nearly}",
+    )
+
+
+def _seen(
+    s: Subject, errors: Sequence[float], resolved: float
+) -> tuple[float, Literal["at least"], float]:
+    """Return the order that errors with halved steps show, and the least that it should be."""
+    order, high = s.stepper.order, s.stepper.order > HIGH
+    seen = observed_orders(errors)[np.array(errors[1:]) > resolved]
+    least = float(seen[-1 if high else -2 :].min()) if seen.size else float(order)  # exact
+    return least, "at least", order - (1.0 if high else 0.15)
+
+
+def order_of_time(s: Subject) -> Iterator[Check]:
+    """time: that of a retimed system, against the rate along the exact motion."""
+    if s.timed is None:
+        return
+    steps, timed, context = 8, s.timed, s.precise.context
+    with mpmath.workdps(DIGITS):
+        exact = s.exact(steps * mpmath.mpf(s.h), timed=True)[-1]
+
+    def error(parts: int) -> Any:
+        run = timed.run(s.z, s.h / context.mpf(parts), parts * steps, every=None)
+        return abs(context.convert(run.t[-1]) - exact)
+
+    errors = [float(error(2**level)) for level in range(3 if s.stepper.order > HIGH else 5)]
+    yield Check(
+        "time",
+        *_seen(s, errors, RESOLVED),
+        f"errors of t from {errors[0]:.1e} to {errors[-1]:.1e} after 8 steps, for h to "
+        f"{_parts(len(errors) - 1)}",
+        "The time is the momentum of E0, and has the order of the scheme.",
+    )
+
+
+def _parts(level: int) -> str:
+    return f"h/{2**level}" if level > 0 else f"{2**-level} h".removeprefix("1 ")
+
+
+def coefficient_digits(source: str) -> int | None:
+    """Return the decimals of coefficients that a module states as they were published, if any."""
+    found = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
+    return max(map(len, found)) if found else None

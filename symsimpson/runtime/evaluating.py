@@ -1,0 +1,193 @@
+"""Kernels at given states: the energy and all else that follows from a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.runtime.inputs import read_array
+from symsimpson.runtime.kernels.header import Header
+from symsimpson.runtime.kernels.observed import Observed, observing_kernel
+from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.runtime.runs.run import workspace
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.evaluator import Evaluator
+
+__all__ = [
+    "evaluate",
+    "evaluate_energy",
+    "evaluate_in",
+    "evaluate_members",
+    "velocities_by",
+    "watching",
+]
+
+#: float64, or numbers of mpmath in an object array.
+Reals = NDArray[Any]
+
+
+def evaluate(
+    stepper: Evaluator,
+    kernel: str,
+    block: str,
+    count: int,
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    values: Reals,
+    inputs: Reals = NO_INPUTS,
+    before: str = "",
+) -> Reals:
+    """Evaluate a kernel of the state at many states; shape (len(q), count).
+
+    ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
+    come ``before`` it.
+    """
+    header, numbers = stepper._module.header, stepper._module.numbers
+    with numbers.working():
+        W = workspace(header, numbers, numbers.read(values))
+        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs, before=before)
+
+
+def velocities_by(header: Header) -> str:
+    """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
+    return "energy" if header.retimed else "start"
+
+
+def evaluate_members(
+    stepper: Evaluator,
+    kernel: str,
+    block: str,
+    count: int,
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    values: Reals,
+) -> Reals:
+    """Evaluate a kernel of the state at states of many members, each with its own parameters.
+
+    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between;
+    gives shape (K, ..., count).
+    """
+    found = np.empty((*q.shape[:-1], count))
+    own, group = np.unique(values, axis=0, return_inverse=True)
+    for k, parameters in enumerate(own):
+        here = np.flatnonzero(group.ravel() == k)
+        some_q, some_p = (x[here].reshape(-1, stepper.n) for x in (q, p))
+        times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
+        rows = evaluate(stepper, kernel, block, count, times, some_q, some_p, parameters)
+        found[here] = rows.reshape(found[here].shape)
+    return found
+
+
+def evaluate_in(
+    W: Reals,
+    stepper: Evaluator,
+    kernel: str,
+    block: str,
+    count: int,
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    inputs: Reals = NO_INPUTS,
+    *,
+    before: str = "",
+) -> Reals:
+    """Evaluate a kernel of the state in a workspace that holds parameters.
+
+    Fast sines have no value for huge angles: there the library's are taken.
+    """
+    numbers, kernels = stepper._module.numbers, stepper._module.kernels
+    place = stepper._module.header.layout[block], count
+
+    def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
+        address = kernels.address(kernel, any_angle=any_angle)
+        first = kernels.address(before, any_angle=any_angle) if before else 0
+        return _evaluated(stepper, W, (first, address), place, t, q, p, inputs)
+
+    found = values(t, q, p, inputs, any_angle=False)
+    if stepper._module.header.fast_sines and not numbers.all_finite(found):
+        again = ~numbers.finite(found).all(axis=1)
+        again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
+        if again.any():
+            own = inputs if inputs.shape[1] == 1 else inputs[:, again]
+            found[again] = values(t[again], q[again], p[again], own, any_angle=True)
+    return found
+
+
+def watching(
+    stepper: Evaluator, found: Sequence[Observed], values: Reals
+) -> Callable[[Reals, Reals, Reals], Reals]:
+    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
+
+    Raises
+    ------
+    InputError
+        If the stepper has many digits.
+    """
+    header, numbers = stepper._module.header, stepper._module.numbers
+    kernels = stepper._module.kernels
+    kernel = kernels.observing(observing_kernel(header, found), len(found))
+    energy = kernels.address("energy") if any(one.energetic for one in found) else 0
+    W = workspace(header, numbers, numbers.read(values), more=len(found))
+    return lambda t, q, p: _evaluated(
+        stepper, W, (energy, kernel), (header.rows, len(found)), t, q, p
+    )
+
+
+def _evaluated(
+    stepper: Evaluator,
+    W: Reals,
+    kernels: tuple[Any, Any],
+    block: tuple[int, int],
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    inputs: Reals = NO_INPUTS,
+) -> Reals:
+    """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
+    numbers, (first, count) = stepper._module.numbers, block
+    out = numbers.zeros((len(q), count))
+    numbers.driver("evaluate")(
+        stepper._module.kernels.address("prepare"),
+        *kernels,
+        numbers.read(1.0).item(),
+        W,
+        stepper._module.header.told,
+        numbers.read(t),
+        numbers.read(q),
+        numbers.read(p),
+        first,
+        out,
+        inputs,
+    )
+    return numbers.result(out)
+
+
+def evaluate_energy(
+    stepper: Evaluator,
+    given_q: ArrayLike,
+    given_p: ArrayLike,
+    parameters: Mapping[Any, Any] | None,
+    t: ArrayLike,
+) -> Reals:
+    """Evaluate the Hamiltonian at states of any origin."""
+    numbers, n = stepper._module.numbers, stepper.n
+    with numbers.working():
+        states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
+        for name, state in zip("qp", states, strict=True):
+            if state.ndim != 2 or state.shape != (len(states[0]), n):
+                raise InputError(
+                    f"{name} has shape {state.shape}, expected (N, {n}).\n"
+                    "Pass one row for each state; q and p of equal length."
+                )
+        values = stepper._values(parameters)
+        times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
+    q, p = states
+    found: Reals = evaluate(stepper, "energy", "ENERGY", 1, times, q, p, values)
+    return found[:, 0]
