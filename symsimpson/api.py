@@ -20,9 +20,9 @@ from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.kernels.numbers import Numbers
-from symsimpson.runtime.kernels.syntax import read_stepper
 from symsimpson.runtime.kernels.texts import kept_text
 from symsimpson.runtime.loaded import Tools
+from symsimpson.runtime.reading import read_stepper
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
 from symsimpson.runtime.stepper import Stepper

@@ -25,9 +25,9 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.variants import in_tau
 from symsimpson.errors import InputError, SymsimpsonError
+from symsimpson.module.header import digest
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.inputs import read_step
-from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.schemes.named import read_scheme
 from symsimpson.support.progress import waiting

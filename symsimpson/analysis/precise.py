@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
-from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from symsimpson.module.definitions import definitions, redefined
-from symsimpson.runtime.kernels.header import SIGNED, digest
+from symsimpson.module.header import SIGNED, digest, with_facts
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["in_tau", "oversolved", "rewritten"]
@@ -28,12 +28,13 @@ def rewritten(stepper: Stepper, constants: Mapping[str, str]) -> Stepper:
     missing = constants.keys() - definitions(stepper.source)
     if missing:
         raise ValueError(f"the module has no {', '.join(sorted(missing))}")
-    return _with(stepper, {name: f"{name} = {x}" for name, x in constants.items()})
+    changes = {name: f"{name} = {x}" for name, x in constants.items()}
+    return _with(stepper, stepper.source, changes)
 
 
-def _with(stepper: Stepper, changes: Mapping[str, str]) -> Stepper:
-    """Return a stepper with other definitions in its module, which is signed anew."""
-    text = redefined(stepper.source, changes)
+def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
+    """Return a stepper of a text with other definitions, which is signed anew."""
+    text = redefined(text, changes)
     banner = SIGNED.search(text)
     assert banner is not None
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
@@ -57,10 +58,11 @@ def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
     lines = stepper.source.splitlines(keepends=True)
     first, end = definitions(stepper.source)["energy_in_tau"]
     energy = "".join(lines[first:end]).replace("def energy_in_tau(", "def energy(").rstrip("\n")
-    changes = {"RETIMED": "", "energy_in_tau": "", "energy": energy}
+    facts: dict[str, object] = {"retimed": False}
     if values is not None:
-        changes["DEFAULTS"] = f"DEFAULTS = {tuple(map(float, values))!r}"
-    return _with(stepper, changes)
+        facts["defaults"] = tuple(map(float, values))
+    text = with_facts(stepper.source, facts)
+    return _with(stepper, text, {"energy_in_tau": "", "energy": energy})
 
 
 def oversolved(stepper: Stepper) -> Stepper:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Self
+from typing import Any, Self
 
 import sympy as sp
 
@@ -16,7 +16,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.written_tangent import is_written
 
-__all__ = ["Differentials", "sizes"]
+__all__ = ["Differentials", "cost_of_time", "sizes"]
 
 #: Derivatives by parameters, and where they stand.
 _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
@@ -79,7 +79,7 @@ class Differentials:
 
     def timed(self) -> Self:
         """Return the same with times at nodes, if the running cost asks for them."""
-        if not _cost_of_time(self.low):
+        if not cost_of_time(self.low):
             return self
         return replace(self, loops=replace(self.loops, autonomous=False))
 
@@ -103,34 +103,24 @@ class Differentials:
         return [*found, _cost(self.low, self.places)] if self.costly else found
 
 
-def _cost_of_time(low: Lowering) -> bool:
+def cost_of_time(low: Lowering) -> bool:
     """Return whether a running cost depends on the time."""
     cost, plain = low.equations.cost, low.equations.plain
     return cost is not None and cost.depends(plain.t)
 
 
-def sizes(low: Lowering) -> dict[str, int]:
-    """Return the sizes of what derivatives of a step have in the workspace."""
+def sizes(low: Lowering) -> dict[str, Any]:
+    """Return numbers that the sizes of what derivatives of a step have follow from."""
     if low.equations.varied is None:
         return {}
-    varied, unknowns = len(low.varied), low.equations.unknowns.size
-    own = {
-        **{block: 1 + len(_not_zero(low, range(low.n), what)) for block, what in _BLOCKS},
-        "EXCHANGE": unknowns,
-        "ADJOINT": 2 * low.n,
-        "ADJOINT_RIGHT": unknowns,
-        "ADJOINT_START": low.n,
-        "COST_SLOPE": max(1, varied * low.equations.scheme.stages),
-        "TANGENTS": 1,
+    slopes = [1 + len(_not_zero(low, range(low.n), what)) for _, what in _BLOCKS]
+    return {
+        **dict(zip(("f_slopes", "p_slopes"), slopes, strict=True)),
+        "differentiated": True,
+        "written": is_written(low),
+        "costly": low.equations.cost is not None,
+        "varied": len(low.varied),
     }
-    if low.multipliers:
-        held = len(low.multipliers)
-        own |= {"CONSTRAINT_A": varied * held, "CONSTRAINT_QA": varied * low.n, "COST_END": varied}
-    if is_written(low):
-        own["DERIVATIVE"] = 2 * low.n * (2 * low.n + varied)
-    if low.equations.cost is not None:
-        own |= {"COST": 2, "NODE_COST": 1 + 2 * low.n + varied}
-    return own | ({"NODE_TIME": 1} if _cost_of_time(low) else {})
 
 
 def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:

@@ -30,6 +30,7 @@ from symsimpson.codegen.ir import (
 )
 from symsimpson.codegen.library import library_sources
 from symsimpson.codegen.printer import NAMED_CONSTANTS, Printer
+from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
@@ -43,38 +44,6 @@ ON_A_LINE, WIDTH = 3, 100
 _LONG = 16
 #: Fractions with larger denominators are finite decimals.
 _LARGE = 10**6
-
-
-#: Constants of the library functions that check_convergence an iteration and a step.
-_THRESHOLDS = """\
-# when Newton's method is done, and in doubt; relative sizes, squared
-INFINITE = real("inf")
-NEGLIGIBLE = {negligible}
-QUADRATIC = 1e-2  # from here on corrections shrink quadratically
-STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
-FAR = 4.0  # a velocity at the end of the path off by more is in doubt
-UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
-LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
-"""
-_HELD_THRESHOLDS = """\
-ROUNDED = 2.0**-92  # corrections that stop shrinking below this, relative to q, are round-off
-"""
-_DRIFT_THRESHOLDS = f"""\
-# when a drift ends on the constraints; relative sizes, squared
-INFINITE = real("inf")
-{_HELD_THRESHOLDS}MOST_CORRECTIONS = 100
-"""
-#: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
-_NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
-_STAGE_THRESHOLDS = """\
-MANY = 10  # after more iterations what nodes have is extrapolated with care
-LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
-ROUNDING = 2.0**-132  # corrections below this are made of rounding
-"""
-_TURN_THRESHOLDS = """\
-FRESH = 2  # iterations that compute sines and cosines; later ones turn them by what angles change
-TURN = 2.0**-14  # by so much, squared, they are turned exactly
-"""
 
 
 def emit(equations: DiscreteEquations, module: Module) -> str:
@@ -101,21 +70,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
         ]
     )
     constants = _constants(module, printer)
-    if module.newton_unknowns:
-        # a straight path leaves rest with the velocity it ends with
-        thresholds = _THRESHOLDS.format(
-            negligible=_NEGLIGIBLE[equations.scheme.degree > 2],
-            unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
-        )
-        if module.names.constraints:
-            thresholds += _HELD_THRESHOLDS
-        if "STRIDE" in module.tables:
-            thresholds += _STAGE_THRESHOLDS
-        if "STAGE_TURNED" in module.layout:
-            thresholds += _TURN_THRESHOLDS
-        constants = f"{constants}\n{thresholds}" if constants else thresholds
-    elif module.names.constraints:
-        constants += _DRIFT_THRESHOLDS
+    limits = thresholds(equations, module)
+    constants = "\n".join(part for part in (constants, limits) if part)
     made = _made(equations, module)
     library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{made}"))
     numbers = "\n".join(
@@ -153,47 +109,56 @@ def _imports(used: Iterable[str], *, arrays: bool) -> str:
 
 
 def _header(equations: DiscreteEquations, module: Module) -> str:
+    facts = "\n".join(
+        line
+        for name, value in _facts(equations, module).items()
+        for line in folded(f'    "{name}": ', f"{_literal(value)},", "        ")
+    )
+    return f"""\
+INTERFACE = {INTERFACE}
+SIGNATURE = "{SIGNATURE}"
+# contract and nsz keep NaN checks and compensated sums; "fast" would delete both
+OPTIONS = {OPTIONS}
+FACTS = {{
+{facts}
+}}
+"""
+
+
+def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
+    """Return what a module says of itself, as :class:`symsimpson.module.header.Header` has it."""
     system, scheme, names = equations.system, equations.scheme, module.names
+    plain = equations.plain
     signs = [
         next((s for s in ("positive", "negative") if getattr(a, f"is_{s}")), "")
         for a in system.parameters
     ]
     facts: dict[str, object] = {
-        "INTERFACE": INTERFACE,
-        "SYSTEM": system.name,
-        "SCHEME": scheme.name,
-        "DIGEST": system.digest,
-        "ORDER": scheme.order,
-        "COORDINATES": names.coordinates,
-        "PARAMETERS": names.parameters,
-        "DEFAULTS": tuple(float(value) for value in system.parameters.values()),
-        "SIGNS": tuple(signs),
-        "INVARIANTS": names.invariants,
-        "REAL_EVERYWHERE": has_real_energy(equations.plain),
+        "system": system.name,
+        "scheme": scheme.name,
+        "digest": system.digest,
+        "order": scheme.order,
+        "coordinates": names.coordinates,
+        "parameters": names.parameters,
+        "defaults": tuple(float(value) for value in system.parameters.values()),
+        "signs": tuple(signs),
+        "real_everywhere": has_real_energy(plain),
     }
-    plain = equations.plain
-    facts |= {"FORCES": names.forces} if plain.forces else {}
-    facts |= {"CONFORMAL": True} if plain.rate is not None else {}
-    facts |= {} if plain.autonomous else {"AUTONOMOUS": False}
+    others = {
+        "invariants": names.invariants,
+        "forces": names.forces if plain.forces else (),
+        "inputs": names.inputs,
+        # texts, so that many digits are not lost
+        "input_places": tuple(str(sp.N(c, 50)) for c in scheme.quadrature.nodes if names.inputs),
+        "constraints": names.constraints,
+        "conformal": plain.rate is not None,
+        "retimed": system.retiming is not None,
+    }
+    facts |= {name: value for name, value in others.items() if value}
+    facts |= {} if plain.autonomous else {"autonomous": False}
     if equations.varied is not None:
-        facts |= {"VARIED_BY": names.of(plain, equations.varied)}
-    facts |= {"RETIMED": True} if system.retiming is not None else {}
-    facts |= {"HELD_BY": names.constraints} if names.constraints else {}
-    if names.inputs:  # texts, so that many digits are not lost
-        places = (sp.N(c, 50) for c in scheme.quadrature.nodes)
-        facts |= {"INPUTS": names.inputs, "INPUT_PLACES": tuple(map(str, places))}
-    lines = []
-    for name, value in facts.items():
-        lines += folded(f"{name} = ", _literal(value), "    ")
-    return "\n".join(
-        [
-            *lines,
-            f'SIGNATURE = "{SIGNATURE}"',
-            '# contract and nsz keep NaN checks and compensated sums; "fast" would delete both',
-            f"OPTIONS = {OPTIONS}",
-            "",
-        ]
-    )
+        facts |= {"varied_by": names.of(plain, equations.varied)}
+    return facts
 
 
 def _layout(module: Module) -> str:

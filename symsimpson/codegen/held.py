@@ -85,19 +85,6 @@ class Held:
             "HELD_PLACE_STEP": steps["HELD_PLACE_STEP"],
         }
 
-    def sizes(self, degree: int, *, drifting: bool) -> dict[str, int]:
-        """Return the sizes of what constraints have in the workspace."""
-        every, n = len(self.place), len(self.place) - self.count
-        own = ("MULTIPLIER", "CONSTRAINT", "CONSTRAINT_WEIGHT", "CURVATURE", "HELD_PIVOT")
-        return {
-            **dict.fromkeys(own, self.count),
-            **dict.fromkeys(("CONSTRAINT_FORCE", "HELD_CHANGE"), n),
-            **dict.fromkeys(("CONSTRAINT_QQ", "HELD"), self.storage.node_size),
-            "HELD_RIGHT": every * degree,
-            "DRIFT_VELOCITY": n if drifting else 0,
-            "DEPENDENCE": 1,
-        }
-
 
 def dense(n: int, constraints: int) -> tuple[Storage, Held | None]:
     """Keep the order of coordinates, constraints behind them if there are any, and all entries."""

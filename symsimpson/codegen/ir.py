@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import sympy as sp
 
 from symsimpson.codegen.names import NameTable
-from symsimpson.module.interface import BLOCKS
+from symsimpson.module.blocks import BLOCKS
 
 __all__ = [
     "Assign",

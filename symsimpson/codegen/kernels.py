@@ -12,16 +12,15 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
-from symsimpson.codegen.differentials import sizes as differential_sizes
 from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
-from symsimpson.codegen.layout import layout, node_stride
+from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels, equation_constants, solve_constants, solve_tables
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.retimed import keeping_time
-from symsimpson.codegen.retimed import sizes as retimed_sizes
+from symsimpson.codegen.sizes import drifting, sizes
 from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.tangents import differentiating
@@ -52,6 +51,7 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
+from symsimpson.module.blocks import layout
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
@@ -90,7 +90,7 @@ def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether the parts are written out one by one, or all as loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     if equations.plain.constraints:  # drifts of these are loops
-        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not _drifting(equations)
+        few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
     most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
     return equations.scheme.exact and few and _lines(equations) <= most
 
@@ -101,7 +101,7 @@ def _lines(equations: DiscreteEquations) -> float:
     Two kernels evaluate the jet at all nodes and eliminate, others parts of it once.
     """
     operations, stages = equations.jet.operations, equations.scheme.stages
-    if _drifting(equations):
+    if drifting(equations):
         return operations + equations.jet.force_operations * stages
     if equations.plain.constraints:  # half of the matrix is zero
         size = equations.unknowns.size
@@ -166,9 +166,9 @@ def _looped(equations: DiscreteEquations) -> Module:
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
         storage, held = smaller(storage, held, both, met, degree)
     names = ("gradient", "mass", "potential")
-    drifting = _drifting(equations)
-    if held or not drifting:
-        names = ("jet", *(("forces",) if constant and not drifting else ()), *names)
+    kicked = drifting(equations)
+    if held or not kicked:
+        names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
     if alike and (storage.banded or _many(found)):
@@ -177,11 +177,11 @@ def _looped(equations: DiscreteEquations) -> Module:
     else:
         functions = unrolled_functions(low, names)
     if held and alike and (storage.banded or _many(met)):
-        more, own = constraint_family_functions(low, met, places, drifting=drifting)
+        more, own = constraint_family_functions(low, met, places, drifting=kicked)
         functions += more
         tables |= own
     elif held:
-        functions += constraint_functions(low, held, drifting=drifting)
+        functions += constraint_functions(low, held, drifting=kicked)
     loops = _loops(low, storage, held, constant_mass=constant or structure.constant_mass)
     kernels = loops.composed() if isinstance(part, Composed) else loops.step(part)
     kernels.append(loops.energy())
@@ -261,7 +261,7 @@ def _module(
 
     Derivatives of a step are taken of all that it is made of.
     """
-    storage, held = loops.storage, loops.held
+    storage = loops.storage
     more, own_kernels, own_tables = differentiating(
         low,
         loops,
@@ -272,23 +272,22 @@ def _module(
     more, kernels = keeping_time(low, loops, kernels)
     functions = functions + more
     for_stages: tuple[Statement, ...] = ()
-    stage_sizes: dict[str, int] = {}
-    scheme, damped = low.equations.scheme, low.equations.plain.rate is not None
+    scheme = low.equations.scheme
     by_loops = any(function.name == "gradient" for function in functions)
     stages = _stages(low, loops, by_loops=by_loops) if unknowns else None
     if stages is not None:
         kernels = [*kernels, *stages.kernels]
         tables = {**tables, "STRIDE": stages.stride}
-        stage_sizes, for_stages = stages.sizes, stages.constants
+        for_stages = stages.constants
     own = [value.xreplace(low.parameters) for value in low.coefficients]
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
-    inputs = len(low.names.inputs)
-    if inputs:
-        tables = {**tables, "INPUT_STRIDE": node_stride(low.equations.scheme)}
+    if low.names.inputs:
+        stride = node_stride(low.equations.scheme)
+        tables = {**tables, "INPUTS": len(low.names.inputs), "INPUT_STRIDE": stride}
     coefficients, stores, products = coefficient_loops(low, own)
     tables = {**tables, **products}
-    if damped:
+    if loops.damped:
         places = (*scheme.quadrature.nodes, sp.S.One)
         stores += [Store(Row("GROWTH", i), low.growth(c)) for i, c in enumerate(places)]
     low.statements(stores, (Level.RUN,))
@@ -296,30 +295,7 @@ def _module(
     doc = "What depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
     prepare = Kernel("prepare", doc, lanes((*known, *coefficients, *for_stages)))
-    sizes = {
-        "PARAMETER": len(low.names.parameters),
-        "INVARIANT": len(low.names.invariants),
-        "HOISTED": len(low.hoisted),
-        "COEFFICIENT": len(low.coefficients),
-        "NODE_F_V": storage.node_size if low.equations.plain.dragged else 0,
-        "POWER": len(low.equations.plain.powers),
-        "WORK": len(low.equations.plain.powers),
-        "NODE_TIME": 0 if low.equations.plain.autonomous else 1,
-        "INPUT": inputs * node_stride(low.equations.scheme),
-        "NODE_INPUT": inputs,
-        "GROWTH": scheme.stages + 1 if damped else 0,
-        **(held.sizes(scheme.degree, drifting=_drifting(low.equations)) if held else {}),
-        **stage_sizes,
-        **differential_sizes(low),
-        **retimed_sizes(low),
-    }
-    unknown = low.equations.unknowns
-    sizes["JACOBIAN"] = storage.size(unknown.control_points)
-    if held:
-        sizes["JACOBIAN"] += held.storage.size(unknown.control_points)
-    first, rows = layout(storage, unknown, sizes, constant_mass=loops.constant_mass)
-    if low.equations.varied is not None:
-        first["TANGENT"] = rows  # behind all others, as much as a run needs
+    first, rows = layout(sizes(low, loops, stages))
     return Module(
         low.names,
         tuple(functions),
@@ -330,11 +306,6 @@ def _module(
         unknowns,
         tables,
     )
-
-
-def _drifting(equations: DiscreteEquations) -> bool:
-    """Return whether steps are kicks and drifts."""
-    return any(isinstance(part, Composed) for part in equations.parts)
 
 
 def _size(part: Part) -> int:

@@ -8,6 +8,7 @@ a band, nor where M would have to be factorised at each node (30 coupled pendulu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from symsimpson.codegen.ir import Call, Kernel, Loop
 from symsimpson.codegen.layout import node_stride
@@ -43,24 +44,9 @@ class LoopedStages:
         return node_stride(self.low.equations.scheme)
 
     @property
-    def sizes(self) -> dict[str, int]:
-        """Return the sizes of the blocks of rows that stages need."""
-        n, s = self.low.n, self.low.equations.scheme.stages
-        rows = {
-            "V": n,
-            "F": n,
-            "Q": n,
-            "P": n,
-            "STEP": 1,
-            "RATE": 1,
-            "CORRECTION": 1,
-            "SIZE": 1,
-            "MU": s,
-            "NU": s,
-            "AHEAD": 2 * s,
-        }
-        sizes = {f"STAGE_{name}": count * self.stride for name, count in rows.items()}
-        return sizes | {"STAGE_EXPECTED": 1, "STAGE_COUNT": 1}
+    def sizes(self) -> dict[str, Any]:
+        """Return numbers that the sizes of blocks of stages follow from."""
+        return {"staged": self.stride, "staged_by_loops": True}
 
     @property
     def constants(self) -> tuple[Call, ...]:

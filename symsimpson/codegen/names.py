@@ -14,7 +14,8 @@ import sympy as sp
 from symsimpson.codegen.library import library_sources
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.module.interface import BLOCKS, KERNELS
+from symsimpson.module.blocks import BLOCKS
+from symsimpson.module.interface import KERNELS
 
 __all__ = ["NameTable"]
 
@@ -61,6 +62,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "OPTIONS",
         "SIGNATURE",
         "INTERFACE",
+        "FACTS",
         "INFINITE",
         "NEGLIGIBLE",
         "QUADRATIC",
@@ -70,10 +72,6 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "FAR",
         "UNRESOLVED",
         "LARGE_CHANGE",
-        "SYSTEM",
-        "SCHEME",
-        "DIGEST",
-        "ORDER",
         "DEGREE",
         "NODES",
         "DIMENSION",
@@ -87,14 +85,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "min",
         "abs",
         "range",
-        "COORDINATES",
-        "PARAMETERS",
-        "DEFAULTS",
-        "SIGNS",
-        "INVARIANTS",
-        "CONFORMAL",
         "VARIED",
-        "VARIED_BY",
         "variation",
         "TANGENT_UNKNOWNS",
         "TANGENT_LOWER",
@@ -106,16 +97,12 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "P_A_FROM",
         "P_A_PLACE",
         "CONSTRAINTS",
-        "HELD_BY",
         "INPUTS",
-        "INPUT_PLACES",
         "INPUT_STRIDE",
-        "REAL_EVERYWHERE",
         "EULER_GAMMA",
         "CATALAN",
         "erf",
         "erfc",
-        "LAYOUT",
         "ROW_ORDER",
         "COLUMN_ORDER",
         "WEIGHTS",

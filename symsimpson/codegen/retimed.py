@@ -20,16 +20,9 @@ from symsimpson.discrete.reductions import Composed
 from symsimpson.discrete.retiming import derive_energies, derive_rate
 from symsimpson.mechanics.retimed import OWN
 
-__all__ = ["keeping_time", "sizes"]
+__all__ = ["keeping_time"]
 
 _NODE = ("W", "h", "node", "lane")
-
-
-def sizes(low: Lowering) -> dict[str, int]:
-    """Return the sizes of what belongs to the user's time in the workspace."""
-    if low.equations.system.retiming is None:
-        return {}
-    return {"TIME": 4, "TIME_END": 2, "RATE": 1, "PASSED": 1}
 
 
 def keeping_time(

@@ -13,6 +13,7 @@ treated alike, so they are lanes, and one trajectory fills a vector register.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import sympy as sp
 
@@ -108,38 +109,15 @@ class StageKernels:
         return (Call("stage_constants", ("W", "h", "lane")), *places)
 
     @property
-    def sizes(self) -> dict[str, int]:
-        """Return the sizes of the blocks of rows that stages need; none without kernels."""
-        if not self.kernels:
-            return {}
-        n = self._low.n
-        rows = {
-            "V": n,
-            "F": n,
-            "STEP": 1,
-            "RATE": 1,
-            "CORRECTION": 1,
-            "SIZE": 1,
-            "HELD": self.held,
-            "MU": self._nodes,
-            "NU": self._nodes,
-            "AHEAD": 2 * self._nodes,
-        }
+    def sizes(self) -> dict[str, Any]:
+        """Return numbers that the sizes of blocks of stages follow from."""
+        timed = not self._low.equations.plain.autonomous
         return {
-            **{f"STAGE_{name}": count * self.stride for name, count in rows.items()},
-            **({} if self._low.equations.plain.autonomous else {"STAGE_PLACE": self.stride}),
-            "STAGE_EXPECTED": 1,
-            "STAGE_COUNT": 1,
-            **self._turning_sizes(),
+            "staged": self.stride,
+            "staged_values": self.held,
+            "staged_times": timed,
+            "angles": self.angles,
         }
-
-    def _turning_sizes(self) -> dict[str, int]:
-        """Return the sizes of what belongs to angles."""
-        if not self.angles:
-            return {}
-        rows = self.angles * self.stride
-        every = {f"STAGE_{name}": rows for name in ("ANGLE", "SINE", "COSINE")}
-        return {**every, "STAGE_TURN": self.stride, "STAGE_TURNED": 1}
 
     def _place(self, a: int) -> str:
         return f"{a * self.stride} + node" if a else "node"

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.matrices import equations_of, held_equations_of
 from symsimpson.runtime.inputs import read_array, read_number, read_vector
-from symsimpson.runtime.kernels.header import equations_of, held_equations_of
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.run import Run
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.header import Header
 from symsimpson.runtime.inputs import read_array
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import workspace

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.header import read_header
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.evaluating import evaluate_energy
 from symsimpson.runtime.inputs import read_parameters
-from symsimpson.runtime.kernels.header import read_header
 from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
 from symsimpson.runtime.loaded import Loaded, Tools
 from symsimpson.runtime.names import Names

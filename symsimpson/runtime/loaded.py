@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from symsimpson.runtime.kernels.header import Header
+from symsimpson.module.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
 from symsimpson.support.derivation import Derivation
 

@@ -8,7 +8,7 @@ from itertools import chain
 from typing import Any
 
 from symsimpson.errors import ModelWarning
-from symsimpson.runtime.kernels.header import Header
+from symsimpson.module.header import Header
 from symsimpson.support.calling import warn
 from symsimpson.support.names import Named, spelled
 

@@ -75,6 +75,6 @@ def test_derivatives_are_those_of_the_text(name, scheme):
     q = np.array(start["q0"], dtype=float)
     z = np.concatenate([q, start.get("p0", np.full(len(q), 0.3))])
     for by_stages in (False, True)[: 1 + hasattr(plain, "iterate")]:
-        found = carried(plain, z, plain.DEFAULTS, by_stages=by_stages)
-        truth = by_complex_steps(bent, z, plain.DEFAULTS, by_stages=by_stages)
+        found = carried(plain, z, plain.FACTS["defaults"], by_stages=by_stages)
+        truth = by_complex_steps(bent, z, plain.FACTS["defaults"], by_stages=by_stages)
         assert np.abs(found - truth).max() < 1e-13 * np.abs(truth).max()

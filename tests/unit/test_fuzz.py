@@ -1,6 +1,5 @@
 """Random systems, states and input; the smallest that fails is shown."""
 
-import ast
 from functools import cache
 
 import numpy as np
@@ -14,7 +13,8 @@ from sympy.physics.mechanics import dynamicsymbols
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_complex, bind_float
-from symsimpson.runtime.kernels.syntax import check_structure
+from symsimpson.module.header import read_header
+from symsimpson.module.syntax import check_structure
 
 #: The same examples each time; without a clock, which other work on the machine would trip.
 BUDGET = {"derandomize": True, "deadline": None, "suppress_health_check": list(HealthCheck)}
@@ -91,6 +91,5 @@ def test_any_name_is_text(first, second):
         return
     text = source(system, "midpoint")
     check_structure(text, "named")
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.Assign) and node.targets[0].id in ("PARAMETERS", "COORDINATES"):
-            assert all(name.isidentifier() for name in ast.literal_eval(node.value))
+    header = read_header(text, "named")
+    assert all(name.isidentifier() for name in (*header.parameters, *header.coordinates))

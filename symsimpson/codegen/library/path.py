@@ -35,7 +35,7 @@ def node_time(W, t, lane):
 @compiled
 def node_inputs(W, node, lane):
     """Keep the inputs at a node."""
-    for k in range(len(INPUTS)):
+    for k in range(INPUTS):
         W[NODE_INPUT + k, lane] = W[INPUT + k * INPUT_STRIDE + node, lane]
 
 

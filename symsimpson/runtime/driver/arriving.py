@@ -6,18 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ARRIVED,
-    ITERATIONS,
-    KEPT,
-    MASS_PIVOT,
-    MOMENTUM,
-    PARAMETER,
-    POSITION,
-    PREVIOUS,
-    RATE_BEHIND,
-    STATUS,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin, begin_anew
 from symsimpson.runtime.driver.between import states_at
 from symsimpson.runtime.driver.brief import take_all

@@ -5,7 +5,7 @@ Compiled behind the text of the driver, whose names it uses.
 
 from numba import njit, types
 
-from symsimpson.module.interface import ACTIVE, DIMENSION, MOMENTUM, POSITION, PREVIOUS, SOLVED
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.between import GIVEN, TIMES
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call
 from symsimpson.runtime.driver.steps import INPUTS, SIGNATURES, STATES, TOLD_ROWS, WORKSPACE, give

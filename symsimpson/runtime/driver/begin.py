@@ -6,24 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    CONTRACTION,
-    DIMENSION,
-    INCREMENT,
-    ITERATIONS,
-    KEPT,
-    LARGEST_SQUARED,
-    MOMENTUM,
-    PARAMETER,
-    POSITION,
-    PREPARE,
-    START,
-    STATE_END,
-    STATUS,
-    TANGENT,
-    VELOCITY,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
 from symsimpson.runtime.driver.steps import SET, SIGNATURES, TOLD_ROWS, WORKSPACE, keep, put_back
 

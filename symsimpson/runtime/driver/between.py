@@ -5,23 +5,7 @@ Compiled behind the text of the driver, whose names it uses.
 
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    ADVANCE,
-    BEHIND,
-    COUNT,
-    DIMENSION,
-    EXPLICIT,
-    IN_DOUBT,
-    ITERATE,
-    KEPT,
-    MODE,
-    MOMENTUM,
-    PARAMETER,
-    POSITION,
-    RATE_BEHIND,
-    STATUS,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin
 from symsimpson.runtime.driver.explicit import finite
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve

@@ -6,7 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import ITERATIONS, MASS_PIVOT, MOMENTUM, POSITION, STATUS
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin_anew
 from symsimpson.runtime.driver.explicit import finite, steady, take_explicit_steps
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS

@@ -12,6 +12,7 @@ from typing import Any
 from numba import njit
 
 from symsimpson.module.definitions import redefined, syntax
+from symsimpson.module.interface import constants
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
 from symsimpson.runtime.driver.steps import SIGNATURES
 from symsimpson.runtime.kernels.cache import compiled
@@ -47,11 +48,10 @@ TOGETHER = (
 
 @cache
 def _files() -> tuple[str, ...]:
-    """Return the files that the driver is made of, the agreement with modules first."""
+    """Return the texts that the driver is made of, what modules and it agree on first."""
+    agreed = "\n".join(f"{name} = {value}" for name, value in constants().items())
     folder = resources.files("symsimpson.runtime.driver")
-    files = [resources.files("symsimpson").joinpath("module", "interface.py")]
-    files += [folder.joinpath(f"{part}.py") for part in PARTS]
-    return tuple(file.read_text("utf-8") for file in files)
+    return agreed, *(folder.joinpath(f"{part}.py").read_text("utf-8") for part in PARTS)
 
 
 def _constants(lanes: int, renewing: bool, iterated: bool) -> dict[str, object]:
@@ -66,8 +66,8 @@ def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True
     ``iterated`` solve their steps by iteration.
     """
     text = "\n\n".join(map(_without_own_imports, _files()))
-    constants = _constants(lanes, renewing, iterated)
-    return redefined(text, {name: f"{name} = {value}" for name, value in constants.items()})
+    own = _constants(lanes, renewing, iterated)
+    return redefined(text, {name: f"{name} = {value}" for name, value in own.items()})
 
 
 def _without_own_imports(text: str) -> str:

@@ -7,27 +7,7 @@ with a workspace of its own; what a lane computes does not depend on its neighbo
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ARRIVED,
-    BAD_INPUT,
-    BEHIND,
-    DIMENSION,
-    EXPLICIT,
-    ITERATIONS,
-    KEPT,
-    MASS_PIVOT,
-    MODE,
-    MOMENTUM,
-    PARAMETER,
-    POSITION,
-    PREVIOUS,
-    RATE_NOT_POSITIVE,
-    RENEWAL,
-    ROWS,
-    STATUS,
-    TANGENT,
-    VELOCITY,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin, begin_growth
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover

@@ -6,22 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    ADVANCE,
-    BEHIND,
-    COUNT,
-    DIMENSION,
-    ENERGY,
-    MOMENTUM,
-    NOT_FINITE,
-    POSITION,
-    PREVIOUS,
-    RENEWAL,
-    START,
-    STATUS,
-    STEPS_A_CALL,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, INLINE, LANES, call
 from symsimpson.runtime.driver.steps import (
     COUNTS,

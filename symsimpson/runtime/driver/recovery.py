@@ -6,37 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    ADVANCE,
-    CONTRACTION,
-    COORDINATE_SINGULARITY,
-    DIMENSION,
-    IN_DOUBT,
-    INCREMENT,
-    INCREMENT_SQUARED,
-    ITERATE,
-    ITERATIONS,
-    LARGEST_SQUARED,
-    MASS_DIAGONAL,
-    MEASURED,
-    MODE,
-    NOT_CONVERGED,
-    NOT_FINITE,
-    POSITION,
-    POSSIBLY_UNRESOLVED,
-    PREPARE,
-    RELATIVE,
-    SOLVED,
-    STAGES,
-    START,
-    STATE_END,
-    STATUS,
-    STEP_TOO_LARGE,
-    TO_BE_VERIFIED,
-    UNRESOLVED,
-    VELOCITY_JUMP_SQUARED,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call, rounding, solve
 from symsimpson.runtime.driver.steps import (
     FAILED,

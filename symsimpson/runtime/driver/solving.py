@@ -7,20 +7,7 @@ that it hands on would be counted in every step, which costs a twentieth of a sm
 import numpy as np
 from numba import njit
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    CONTRACTION,
-    DIMENSION,
-    IN_DOUBT,
-    INCREMENT_SQUARED,
-    LARGEST_SQUARED,
-    MASS_DIAGONAL,
-    MOMENTUM,
-    NOT_CONVERGED,
-    NOT_FINITE,
-    POSITION,
-    RELATIVE,
-)
+from symsimpson.module.interface import *
 
 #: Lanes of a block; known here, their loops cost nothing for a single trajectory (a third of the
 #: time of a small step). This text is compiled with other numbers too.

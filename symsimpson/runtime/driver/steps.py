@@ -9,38 +9,7 @@ compiled as one text, behind the agreement with modules, and import nothing else
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    ADVANCE,
-    BEHIND,
-    CONTRACTION,
-    COUNT,
-    DIMENSION,
-    ENERGY,
-    IN_DOUBT,
-    INCREMENT,
-    INCREMENT_SQUARED,
-    INPUT,
-    INPUT_STRIDE,
-    ITERATE,
-    ITERATIONS,
-    KEPT,
-    LARGEST_SQUARED,
-    MEASURE,
-    MODE,
-    MOMENTUM,
-    NEWTON_AFTER_STAGES,
-    NOT_FINITE,
-    POSITION,
-    PREVIOUS,
-    RELATIVE,
-    RENEWAL,
-    RENEWED,
-    STATE_END,
-    STATUS,
-    STEP_TOO_LARGE,
-    TANGENT,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import (
     DRIVER_OPTIONS,
     INLINE,

@@ -6,17 +6,7 @@ Compiled behind the text of the driver, whose names it uses.
 import numpy as np
 from numba import njit, types
 
-from symsimpson.module.interface import (
-    ACTIVE,
-    ADVANCE,
-    COUNT,
-    DIMENSION,
-    EXPLICIT,
-    ITERATE,
-    MODE,
-    POSITION,
-    PREVIOUS,
-)
+from symsimpson.module.interface import *
 from symsimpson.runtime.driver.between import GIVEN, TIMES, begin_again
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
 from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give

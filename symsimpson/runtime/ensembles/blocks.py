@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.interface import ROWS
+from symsimpson.module.blocks import TOLD
 from symsimpson.runtime.ensembles.arrivals import take_last_parts
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
@@ -119,8 +119,8 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
         told = header.told_to_renew(PAIR, RENEWAL)
     if not all(r.of_variations for r in task.reductions):
         watched = len(task.reductions)
-        told[ROWS] += kept.room  # what is observed stands behind all else
-        text = observing_kernel(header, task.reductions, told[ROWS])
+        told[TOLD["ROWS"]] += kept.room  # what is observed stands behind all else
+        text = observing_kernel(header, task.reductions, told[TOLD["ROWS"]])
         observing = kernels.observing(text, watched)
     energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
     legendre = kernels.address("legendre") if task.velocities else 0

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.module.header import digest
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import names_in_dataset
 from symsimpson.runtime.ensembles.store import Store, members_of, said, write_chunk
 from symsimpson.runtime.ensembles.task import Task, lanes_for
-from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.kernels.observed import read_reductions
-from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.reading import read_stepper
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.module.header import digest
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, names_in_dataset
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
-from symsimpson.runtime.kernels.header import digest
 from symsimpson.runtime.results.status import Status
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path

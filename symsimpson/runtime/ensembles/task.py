@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.module.header import Header
 from symsimpson.runtime.ensembles.ensemble import Ensemble
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.observed import Reduction
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.spec import RunSpec

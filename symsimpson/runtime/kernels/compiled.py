@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import GenerationError
 from symsimpson.module.definitions import redefined
+from symsimpson.module.header import Header
 from symsimpson.runtime.kernels.cache import compiled, location
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
 from symsimpson.runtime.kernels.vectors import vector_bits
 from symsimpson.walk.kernels import stubs, walker_digest, walking
@@ -45,8 +45,8 @@ class Kernels(KernelSets):
 
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
         super().__init__(header, by_stages=header.by_stages and lanes == 1)
-        # values of parameters are no part of what is compiled, nor is the banner above the module
-        changed = redefined(text, {"DEFAULTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
+        # names and values of parameters are no part of what is compiled, nor is the banner
+        changed = redefined(text, {"FACTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
         self._lanes = lanes
         self._text = changed[changed.index('"""') :]
         self._single: dict[tuple[str, bool], int] = {}

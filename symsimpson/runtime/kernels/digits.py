@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.binding import bind, bind_arb, bind_mpmath
+from symsimpson.module.header import Header
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.inputs import whole_number
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.numbers import Numbers
 from symsimpson.runtime.kernels.sets import KernelSets
 from symsimpson.runtime.signals import undisturbed

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.module.header import Header
 from symsimpson.runtime.driver.compiled import driver
 from symsimpson.runtime.kernels.compiled import Kernels
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.kernels.sets import KernelSets
 
 __all__ = ["FLOAT64", "Numbers"]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.kernels.header import Header
+from symsimpson.module.header import Header
 from symsimpson.runtime.kernels.reader import Reader
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from symsimpson.errors import InputError
+from symsimpson.module.header import Header
 from symsimpson.module.interface import (
     EXPLICIT,
     KERNEL_SETS,
@@ -16,7 +17,6 @@ from symsimpson.module.interface import (
     STAGES,
     WITH_PIVOTS,
 )
-from symsimpson.runtime.kernels.header import Header
 
 __all__ = ["KernelSets"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
-from symsimpson.runtime.kernels.syntax import read_stepper
+from symsimpson.runtime.reading import read_stepper
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import TABLES, check_kind, write
 from symsimpson.runtime.results.trajectory import Trajectory

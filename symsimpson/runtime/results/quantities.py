@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
+from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import velocities_by
-from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:

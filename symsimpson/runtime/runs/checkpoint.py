@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, StorageError
-from symsimpson.runtime.kernels.header import digest
+from symsimpson.module.header import digest
 from symsimpson.runtime.signals import undisturbed
 from symsimpson.support.calling import warn
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConstraintWarning
+from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate_in
-from symsimpson.runtime.kernels.header import slopes_of
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.held import DEPENDENT, dependent

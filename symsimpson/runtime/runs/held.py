@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ModelError
+from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate, evaluate_members
-from symsimpson.runtime.kernels.header import slopes_of
 
 if TYPE_CHECKING:
     from symsimpson.runtime.evaluator import Evaluator

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.module.header import Header
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
-from symsimpson.runtime.kernels.header import Header
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.progress import Watcher

@@ -14,8 +14,8 @@ from symsimpson.runtime.runs.run import Kept
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
+    from symsimpson.module.header import Header
     from symsimpson.runtime.evaluator import Evaluator
-    from symsimpson.runtime.kernels.header import Header
     from symsimpson.runtime.runs.run import Run
 
 __all__ = ["begin_variations", "kept_variations", "read_tangents", "read_varied", "varied_stepper"]

@@ -22,7 +22,7 @@ from symsimpson.codegen.pipeline import source
 from symsimpson.codegen.weighted import WeightedRows
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.definitions import definitions, redefined
-from symsimpson.runtime.kernels.header import SIGNED, digest
+from symsimpson.module.header import SIGNED, digest
 from symsimpson.runtime.stepper import Stepper
 
 PENDULUM = ss.systems.double_pendulum()

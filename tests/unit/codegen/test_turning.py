@@ -37,7 +37,7 @@ def counting(text, fresh=FRESH):
 
 def step_of(module, state, h):
     """Take a step by stages; returns the state and the iterations."""
-    n, values = len(state["q0"]), module.DEFAULTS
+    n, values = len(state["q0"]), module.FACTS["defaults"]
     W = new_workspace(module, state["q0"], state["p0"], values, float)
     module.prepare(h, 0.0, W)
     module.start_stages(h, 0.0, W)

@@ -1,7 +1,6 @@
 """A symbol's name is untrusted text: it reaches code only as a plain identifier."""
 
 import ast
-import re
 
 import numpy as np
 import pytest
@@ -14,7 +13,8 @@ import symsimpson as ss
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_float
-from symsimpson.module.interface import BLOCKS
+from symsimpson.module.blocks import BLOCKS
+from symsimpson.module.header import read_header
 
 HOSTILE = [
     '__import__("os").system("touch CANARY")',
@@ -125,7 +125,7 @@ def test_parameter(name, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text, found = motion(pendulum(mass=name))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
-    parameters = ast.literal_eval(re.search(r"^PARAMETERS = (.*)$", text, re.M)[1])
+    parameters = read_header(text, "here").parameters
     if name in HOSTILE:
         assert name not in parameters
         assert len(name) < 6 or name.isidentifier() or name not in text

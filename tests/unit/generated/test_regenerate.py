@@ -104,7 +104,7 @@ def call(name):
 q, p, H, steps = json.loads(sys.argv[2])
 n = m.DIMENSION
 W[m.POSITION : m.POSITION + n, 0], W[m.MOMENTUM : m.MOMENTUM + n, 0] = q, p
-W[m.PARAMETER : m.PARAMETER + len(m.DEFAULTS), 0] = m.DEFAULTS
+W[m.PARAMETER : m.PARAMETER + len(m.FACTS["defaults"]), 0] = m.FACTS["defaults"]
 W[m.CONTRACTION] = W[m.ACTIVE] = 1
 call("prepare"); call("start")
 for _ in range(steps):

@@ -119,7 +119,7 @@ def test_what_is_shown(case):
 def test_a_task_for_others_is_written_in_names_of_the_module(case):
     """A store has the module alone: its workers know no names of a user."""
     from symsimpson.runtime.kernels.observed import read_reductions
-    from symsimpson.runtime.kernels.syntax import read_stepper
+    from symsimpson.runtime.reading import read_stepper
 
     asked = {
         "low": ("min", case.q * case.m),

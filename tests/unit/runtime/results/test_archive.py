@@ -119,7 +119,7 @@ def hostile(text):
 
 
 def resigned(text, more):
-    from symsimpson.runtime.kernels.header import SIGNED, digest
+    from symsimpson.module.header import SIGNED, digest
 
     found = SIGNED.search(text)
     body = text[found.end() :] + more

@@ -6,7 +6,8 @@ import ast
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -15,64 +16,88 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
-from symsimpson.module.definitions import syntax
-from symsimpson.module.interface import (
-    ADJACENT,
-    BLOCKS,
-    INTERFACE,
-    KEPT,
-    OPTIONAL,
-    PIVOTED,
-    RENEWAL,
-    RENEWED,
-    TOLD,
-)
+from symsimpson.module.blocks import ADJACENT, BLOCKS, TOLD
+from symsimpson.module.definitions import definitions, redefined, syntax
+from symsimpson.module.interface import INTERFACE, PIVOTED
 
-__all__ = [
-    "SIGNED",
-    "Header",
-    "digest",
-    "equations_of",
-    "held_equations_of",
-    "read_header",
-    "slopes_of",
-]
+__all__ = ["SIGNED", "Header", "digest", "read_header", "with_facts"]
 
+#: Constants without which nothing is a module.
+_SIZES = {"DIMENSION", "DEGREE", "UNKNOWNS", "NEWTON_UNKNOWNS", "NODES", "ROWS"}
 #: The line above a module that holds the digest of what follows.
 SIGNED = re.compile(r"^# sha256 of what follows: ([0-9a-f]{64})\n", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Header:
-    """The statements of a generated module about itself, read without executing it."""
+    """Facts that a generated module states of itself, read without executing it.
+
+    Attributes
+    ----------
+    system, scheme, digest : str
+        Names, and the SHA-256 of the declaration.
+    order : int
+    coordinates, parameters, invariants, forces, inputs, constraints : tuple of str
+    defaults : tuple of float
+        Values of the parameters.
+    signs : tuple of str
+        "positive" or "negative" where a parameter was declared so, else "".
+    real_everywhere : bool
+        Whether the energy has a value at each state.
+    autonomous, conformal, retimed : bool
+        Whether nothing depends on t, momenta are damped, steps are those of another time.
+    input_places : tuple of str
+        Nodes at which inputs are given, with fifty digits.
+    varied_by : tuple of str or None
+        What steps are differentiated by, besides the state.
+    layout : mapping from str to int
+        Constants of the module: first rows of blocks, sizes, strides.
+    tables : mapping from str to tuple
+        Its lists of numbers.
+    functions : tuple of str
+    """
 
     system: str
     scheme: str
     digest: str
     order: int
-    degree: int
-    newton_unknowns: int
     coordinates: tuple[str, ...]
     parameters: tuple[str, ...]
     defaults: tuple[float, ...]
     signs: tuple[str, ...]
-    invariants: tuple[str, ...]
     real_everywhere: bool
-    rows: int
-    row_order: tuple[int, ...]
-    column_order: tuple[int, ...]
-    coordinate_order: tuple[int, ...]
-    forces: tuple[str, ...]
-    autonomous: bool
-    inputs: tuple[str, ...]
-    input_places: tuple[str, ...]
-    conformal: bool
-    constraints: tuple[str, ...]
-    held_places: tuple[int, ...]
-    varied_by: tuple[str, ...] | None
-    retimed: bool
     layout: Mapping[str, int]
+    tables: Mapping[str, tuple[Any, ...]]
     functions: tuple[str, ...]
+    invariants: tuple[str, ...] = ()
+    forces: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    input_places: tuple[str, ...] = ()
+    constraints: tuple[str, ...] = ()
+    autonomous: bool = True
+    conformal: bool = False
+    retimed: bool = False
+    varied_by: tuple[str, ...] | None = None
+
+    @property
+    def degree(self) -> int:
+        """Degree of the path of a step."""
+        return self.layout["DEGREE"]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows of the workspace."""
+        return self.layout["ROWS"]
+
+    @property
+    def newton_unknowns(self) -> int:
+        """Number of unknowns of a step; 0 where it needs no iteration."""
+        return self.layout["NEWTON_UNKNOWNS"]
+
+    @property
+    def coordinate_order(self) -> tuple[int, ...]:
+        """The coordinate at each place; explicit steps have no loops, and so no order."""
+        return self.tables.get("COORDINATE", tuple(range(self.n)))
 
     @cached_property
     def n(self) -> int:
@@ -151,64 +176,9 @@ class Header:
         What is stored beside their states is how these grow and stand to one another.
         """
         told = self.told.copy()
-        told[KEPT] = self.rows + self.room_for_tangents(count)
-        told[RENEWED], told[RENEWAL] = count, every
+        told[TOLD["KEPT"]] = self.rows + self.room_for_tangents(count)
+        told[TOLD["RENEWED"]], told[TOLD["RENEWAL"]] = count, every
         return told
-
-
-def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
-
-    Rows are those of the module; columns are brought into the order X_1..X_d.
-    """
-    at, n, d = header.layout, header.n, header.degree
-    place = np.argsort(header.coordinate_order)
-    unknown = (
-        np.arange(d)[:, None] * at["EQUATION_ROW_STEP"] + place * at["EQUATION_PLACE_STEP"]
-    ).ravel()
-    residual = run.rows("RESIDUAL", d * n)[unknown].reshape(d, n)
-    near = np.abs(place[:, None] - place) <= at["BAND"]
-    inside = np.tile(near, (d, d))
-    entries = unknown[:, None] * at["EQUATION_STRIDE"] + at["EQUATION_OFFSET"] + unknown
-    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
-    jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
-    return residual, jacobian[:, :, [header.column_order.index(k) for k in range(1, d + 1)]]
-
-
-def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Read residual and Jacobian with constraints: rows of phi and columns of mu come last.
-
-    In the workspace they are divided by h, as what they stand beside.
-    """
-    at, n, d, m = header.layout, header.n, header.degree, len(header.constraints)
-    own_residual, own = equations_of(header, run)
-    place = np.array(header.held_places)
-    place[:n] = place[np.argsort(header.coordinate_order)]
-    blocks = np.arange(d)[:, None] * at["HELD_ROW_STEP"]
-    of_q, of_mu = (blocks + some * at["HELD_PLACE_STEP"] for some in (place[:n], place[n:]))
-    rows = np.concatenate([of_q.ravel(), of_mu.ravel()])
-    order = [header.column_order.index(k) for k in range(1, d + 1)]
-    columns = np.concatenate([of_q[order].ravel(), of_mu.ravel()])
-    near = np.abs(rows[:, None] - columns) < d * (at["HELD_BAND"] + 1)
-    entries = rows[:, None] * at["SOLVE_STRIDE"] + at["SOLVE_OFFSET"] + columns
-    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
-    jacobian = np.where(near, matrix[np.where(near, entries, 0)], h * 0)
-    jacobian[: d * n, : d * n] += own.reshape(d * n, d * n)
-    jacobian[d * n :] *= h
-    jacobian[:, d * n :] *= h
-    phi = run.rows("RESIDUAL", d * (n + m))[d * n :] * h
-    return np.concatenate([own_residual.ravel(), phi]), jacobian
-
-
-def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
-    """Read Phi, shape (..., m, n), from second derivatives of lambda.phi, shape (..., rows)."""
-    at, n = header.layout, header.n
-    place = np.array(header.held_places)
-    behind = place[n:, None]
-    place = place[np.argsort(header.coordinate_order)]
-    near = np.abs(behind - place) <= at["HELD_BAND"]
-    entries = behind * at["HELD_STRIDE"] + at["HELD_OFFSET"] + place
-    return np.where(near, rows[..., np.where(near, entries, 0)], rows[..., :1, None] * 0)
 
 
 def read_header(text: str, where: str) -> Header:
@@ -230,81 +200,58 @@ def read_header(text: str, where: str) -> Header:
             "It is damaged, or was made by somebody else. Generate it anew."
         ) from None
     for node in body:
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            value = node.value
-            if isinstance(value, ast.Call) and value.args:  # array((...))
-                value = value.args[0]
-            try:
-                constants[node.targets[0].id] = ast.literal_eval(value)
-            except ValueError:
-                continue
-        elif isinstance(node, ast.FunctionDef):
-            functions.append(node.name)
-    if constants.get("INTERFACE") != INTERFACE:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                if isinstance(value, ast.Call) and value.args:  # array((...))
+                    value = value.args[0]
+                with suppress(ValueError):
+                    constants[name] = ast.literal_eval(value)
+            case ast.FunctionDef(name=name):
+                functions.append(name)
+    facts, layout = constants.get("FACTS"), _of_type(constants, int)
+    if layout.get("INTERFACE") != INTERFACE or not isinstance(facts, dict):
         raise StaleKernelError(
             f"{where}: the module has kernel interface {constants.get('INTERFACE')}, "
             f"this symsimpson drives interface {INTERFACE}.\n"
             "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
         )
-    # explicit steps have no loops over coordinates, and so no order of them
-    constants.setdefault("COORDINATE", tuple(range(len(constants["COORDINATES"]))))
-    constants = {
-        "FORCES": (),
-        "AUTONOMOUS": True,
-        "INPUTS": (),
-        "INPUT_PLACES": (),
-        "CONFORMAL": False,
-        "HELD_BY": (),
-        "HELD_PLACE": (),
-        "VARIED_BY": None,
-        "RETIMED": False,
-        **constants,
-    }
-    names = {
-        "system": "SYSTEM",
-        "scheme": "SCHEME",
-        "digest": "DIGEST",
-        "order": "ORDER",
-        "degree": "DEGREE",
-        "newton_unknowns": "NEWTON_UNKNOWNS",
-        "coordinates": "COORDINATES",
-        "parameters": "PARAMETERS",
-        "defaults": "DEFAULTS",
-        "signs": "SIGNS",
-        "invariants": "INVARIANTS",
-        "real_everywhere": "REAL_EVERYWHERE",
-        "rows": "ROWS",
-        "row_order": "ROW_ORDER",
-        "column_order": "COLUMN_ORDER",
-        "coordinate_order": "COORDINATE",
-        "forces": "FORCES",
-        "autonomous": "AUTONOMOUS",
-        "inputs": "INPUTS",
-        "input_places": "INPUT_PLACES",
-        "conformal": "CONFORMAL",
-        "constraints": "HELD_BY",
-        "held_places": "HELD_PLACE",
-        "varied_by": "VARIED_BY",
-        "retimed": "RETIMED",
-    }
-    blocks = {
-        name: value
-        for name, value in constants.items()
-        if type(value) is int and re.fullmatch(r"[A-Z][A-Z_]+", name)
-    }
-    _check_layout(blocks, where)
-    return Header(
-        **{field: constants[name] for field, name in names.items()},
-        layout=MappingProxyType(blocks),
-        functions=tuple(functions),
+    if not (_are_facts(facts) and layout.keys() >= _SIZES):
+        raise StaleKernelError(
+            f"{where}: what the module says of itself is not complete, or of other types.\n"
+            "It is damaged, or was made by somebody else. Generate it anew."
+        )
+    _check_layout(layout, where)
+    tables = _of_type(constants, tuple)
+    return Header(**facts, layout=layout, tables=tables, functions=tuple(functions))
+
+
+def with_facts(text: str, facts: Mapping[str, object]) -> str:
+    """Return the text of a module that says these facts of itself; the digest is not renewed."""
+    first, end = definitions(text)["FACTS"]
+    said = "".join(text.splitlines(keepends=True)[first:end]).partition("=")[2]
+    return redefined(text, {"FACTS": f"FACTS = {ast.literal_eval(said.strip()) | facts!r}"})
+
+
+def _are_facts(facts: Mapping[Any, Any]) -> bool:
+    """Return whether these are facts of a module, of the types that they should have."""
+    known = {x.name: x for x in fields(Header) if x.name not in ("layout", "tables", "functions")}
+    needed = {name for name, x in known.items() if x.default is MISSING}
+    kinds = {"str": str, "int": int, "bool": bool}
+    return needed <= facts.keys() <= known.keys() and all(
+        isinstance(value, kinds.get(str(known[name].type), (tuple, type(None))))
+        for name, value in facts.items()
     )
+
+
+def _of_type(constants: Mapping[str, Any], kind: type) -> Mapping[str, Any]:
+    return MappingProxyType({k: v for k, v in constants.items() if type(v) is kind})
 
 
 def _check_layout(layout: Mapping[str, int], where: str) -> None:
     """Check that blocks that the driver moves as one stand behind one another."""
     order = sorted((block for block in BLOCKS if block in layout), key=layout.__getitem__)
     for blocks in ADJACENT:
-        if blocks[0] in OPTIONAL and blocks[0] not in order:
+        if BLOCKS[blocks[0]].optional and blocks[0] not in order:
             continue
         first = order.index(blocks[0]) if blocks[0] in order else 0
         if tuple(order[first : first + len(blocks)]) != blocks:

@@ -8,8 +8,8 @@ from support.cases import sweep
 from support.places import GENERATED
 
 import symsimpson as ss
-from symsimpson.runtime.kernels.header import SIGNED, digest
-from symsimpson.runtime.kernels.syntax import check_structure
+from symsimpson.module.header import SIGNED, digest
+from symsimpson.module.syntax import check_structure
 
 FILES = sorted(GENERATED.glob("*.py"))
 TEXT = min((path.read_text() for path in FILES), key=len)

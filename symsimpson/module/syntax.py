@@ -10,18 +10,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.binding import MATH
 from symsimpson.module.definitions import syntax
 from symsimpson.module.interface import OPTIONS, SIGNATURE
 
-if TYPE_CHECKING:
-    from symsimpson.runtime.loaded import Tools
-    from symsimpson.runtime.stepper import Stepper
-
-__all__ = ["check_structure", "read_stepper"]
+__all__ = ["check_structure"]
 
 _MATH = frozenset([*MATH, "atan2", "pi"])
 #: Names that may be imported, and from where.
@@ -74,21 +69,6 @@ NODES = (
 )
 #: Statements outside of functions.
 TOP = (ast.ImportFrom, ast.Assign, ast.FunctionDef)
-
-
-def read_stepper(text: str, where: str, tools: Tools | None = None) -> Stepper:
-    """Make a stepper of a module that comes from a file, once digest and structure are checked.
-
-    Raises
-    ------
-    StaleKernelError
-        If it is not a module that this version generated.
-    """
-    from symsimpson.runtime.stepper import Stepper
-
-    stepper = Stepper(text, where, tools=tools)  # compares the digest, executes nothing
-    check_structure(text, where)
-    return stepper
 
 
 def check_structure(text: str, where: str) -> None:

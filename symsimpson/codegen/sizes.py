@@ -1,0 +1,60 @@
+"""Numbers of a module that the sizes of its blocks follow from."""
+
+from __future__ import annotations
+
+from symsimpson.codegen.differentials import cost_of_time
+from symsimpson.codegen.differentials import sizes as differential_sizes
+from symsimpson.codegen.held import Held
+from symsimpson.codegen.layout import node_stride
+from symsimpson.codegen.looped import LoopKernels
+from symsimpson.codegen.looped_stages import LoopedStages
+from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.stages import StageKernels
+from symsimpson.codegen.storage import Storage
+from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.discrete.reductions import Composed
+from symsimpson.module.blocks import Sizes
+
+__all__ = ["drifting", "sizes"]
+
+
+def sizes(low: Lowering, loops: LoopKernels, stages: StageKernels | LoopedStages | None) -> Sizes:
+    """Return what the sizes of all blocks follow from."""
+    storage, held, plain = loops.storage, loops.held, low.equations.plain
+    unknowns, scheme = low.equations.unknowns, low.equations.scheme
+    jacobian = [part.size(unknowns.control_points) for part in (storage, *_bordered(held))]
+    return Sizes(
+        n=low.n,
+        m=held.count if held else 0,
+        parameters=len(low.names.parameters),
+        inputs=len(low.names.inputs),
+        invariants=len(low.names.invariants),
+        powers=len(plain.powers),
+        degree=scheme.degree,
+        nodes=scheme.stages,
+        unknowns=unknowns.size,
+        entries=storage.node_size,
+        bordered=sum(part.node_size for part in _bordered(held)),
+        jacobian=sum(jacobian),
+        hoisted=len(low.hoisted),
+        coefficients=len(low.coefficients),
+        stride=node_stride(scheme),
+        constant_mass=loops.constant_mass,
+        dragged=plain.dragged,
+        timed=not plain.autonomous or cost_of_time(low),
+        damped=loops.damped,
+        constrained=held is not None,
+        drifting=drifting(low.equations),
+        retimed=low.equations.system.retiming is not None,
+        **(stages.sizes if stages is not None else {}),
+        **differential_sizes(low),
+    )
+
+
+def _bordered(held: Held | None) -> tuple[Storage, ...]:
+    return () if held is None else (held.storage,)
+
+
+def drifting(equations: DiscreteEquations) -> bool:
+    """Return whether steps are kicks and drifts."""
+    return any(isinstance(part, Composed) for part in equations.parts)

@@ -1,0 +1,53 @@
+"""Thresholds of a module: when an iteration is done, and when a step is in doubt."""
+
+from __future__ import annotations
+
+from symsimpson.codegen.ir import Module
+from symsimpson.discrete.equations import DiscreteEquations
+
+__all__ = ["thresholds"]
+
+#: Constants of the library functions that check_convergence an iteration and a step.
+_THRESHOLDS = """\
+# when Newton's method is done, and in doubt; relative sizes, squared
+INFINITE = real("inf")
+NEGLIGIBLE = {negligible}
+QUADRATIC = 1e-2  # from here on corrections shrink quadratically
+STAGNATION = 1e-20  # corrections that stop shrinking below this are round-off
+FAR = 4.0  # a velocity at the end of the path off by more is in doubt
+UNRESOLVED = {unresolved}  # cyclic velocities off by more are lost within the step
+LARGE_CHANGE = 0.5  # where M of cyclic coordinates changes by more, finer steps are compared
+"""
+_HELD_THRESHOLDS = """\
+ROUNDED = 2.0**-92  # corrections that stop shrinking below this, relative to q, are round-off
+"""
+_DRIFT_THRESHOLDS = f"""\
+# when a drift ends on the constraints; relative sizes, squared
+INFINITE = real("inf")
+{_HELD_THRESHOLDS}MOST_CORRECTIONS = 100
+"""
+#: Beyond degree two truncation is so small that what is left unsolved, which adds up, would show.
+_NEGLIGIBLE = [f"2.0**-{k}  # the next correction would be lost in rounding" for k in (106, 110)]
+_STAGE_THRESHOLDS = """\
+MANY = 10  # after more iterations what nodes have is extrapolated with care
+LOST = 2.0**-150  # what is left at nodes has a sign and adds up: in 1e9 steps below rounding
+ROUNDING = 2.0**-132  # corrections below this are made of rounding
+"""
+_TURN_THRESHOLDS = """\
+FRESH = 2  # iterations that compute sines and cosines; later ones turn them by what angles change
+TURN = 2.0**-14  # by so much, squared, they are turned exactly
+"""
+
+
+def thresholds(equations: DiscreteEquations, module: Module) -> str:
+    """Return the lines that define what the library functions of a module compare with."""
+    if not module.newton_unknowns:
+        return _DRIFT_THRESHOLDS if module.names.constraints else ""
+    # a straight path leaves rest with the velocity it ends with
+    lines = _THRESHOLDS.format(
+        negligible=_NEGLIGIBLE[equations.scheme.degree > 2],
+        unresolved=1.0 if equations.scheme.degree == 1 else 0.12,
+    )
+    lines += _HELD_THRESHOLDS if module.names.constraints else ""
+    lines += _STAGE_THRESHOLDS if "STRIDE" in module.tables else ""
+    return lines + (_TURN_THRESHOLDS if "STAGE_TURNED" in module.layout else "")

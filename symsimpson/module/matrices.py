@@ -1,0 +1,75 @@
+"""Matrices that kernels leave in the workspace, in the order of the user's coordinates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.module.header import Header
+
+__all__ = ["equations_of", "held_equations_of", "slopes_of"]
+
+
+def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read residual (d, n) and Jacobian (d, n, d, n) that the equations left in a workspace.
+
+    Rows are those of the module; columns are brought into the order X_1..X_d.
+    """
+    at, n, d = header.layout, header.n, header.degree
+    place = np.argsort(header.coordinate_order)
+    unknown = (
+        np.arange(d)[:, None] * at["EQUATION_ROW_STEP"] + place * at["EQUATION_PLACE_STEP"]
+    ).ravel()
+    residual = run.rows("RESIDUAL", d * n)[unknown].reshape(d, n)
+    near = np.abs(place[:, None] - place) <= at["BAND"]
+    inside = np.tile(near, (d, d))
+    entries = unknown[:, None] * at["EQUATION_STRIDE"] + at["EQUATION_OFFSET"] + unknown
+    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
+    jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
+    return residual, jacobian[
+        :, :, [header.tables["COLUMN_ORDER"].index(k) for k in range(1, d + 1)]
+    ]
+
+
+def _columns(header: Header) -> list[int]:
+    """Return the block column of each of X_1..X_d."""
+    order = header.tables["COLUMN_ORDER"]
+    return [order.index(k) for k in range(1, header.degree + 1)]
+
+
+def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Read residual and Jacobian with constraints: rows of phi and columns of mu come last.
+
+    In the workspace they are divided by h, as what they stand beside.
+    """
+    at, n, d, m = header.layout, header.n, header.degree, len(header.constraints)
+    own_residual, own = equations_of(header, run)
+    place = np.array(header.tables["HELD_PLACE"])
+    place[:n] = place[np.argsort(header.coordinate_order)]
+    blocks = np.arange(d)[:, None] * at["HELD_ROW_STEP"]
+    of_q, of_mu = (blocks + some * at["HELD_PLACE_STEP"] for some in (place[:n], place[n:]))
+    rows = np.concatenate([of_q.ravel(), of_mu.ravel()])
+    order = _columns(header)
+    columns = np.concatenate([of_q[order].ravel(), of_mu.ravel()])
+    near = np.abs(rows[:, None] - columns) < d * (at["HELD_BAND"] + 1)
+    entries = rows[:, None] * at["SOLVE_STRIDE"] + at["SOLVE_OFFSET"] + columns
+    matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
+    jacobian = np.where(near, matrix[np.where(near, entries, 0)], h * 0)
+    jacobian[: d * n, : d * n] += own.reshape(d * n, d * n)
+    jacobian[d * n :] *= h
+    jacobian[:, d * n :] *= h
+    phi = run.rows("RESIDUAL", d * (n + m))[d * n :] * h
+    return np.concatenate([own_residual.ravel(), phi]), jacobian
+
+
+def slopes_of(header: Header, rows: NDArray[Any]) -> NDArray[Any]:
+    """Read Phi, shape (..., m, n), from second derivatives of lambda.phi, shape (..., rows)."""
+    at, n = header.layout, header.n
+    place = np.array(header.tables["HELD_PLACE"])
+    behind = place[n:, None]
+    place = place[np.argsort(header.coordinate_order)]
+    near = np.abs(behind - place) <= at["HELD_BAND"]
+    entries = behind * at["HELD_STRIDE"] + at["HELD_OFFSET"] + place
+    return np.where(near, rows[..., np.where(near, entries, 0)], rows[..., :1, None] * 0)
