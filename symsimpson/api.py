@@ -21,8 +21,7 @@ from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.kernels.numbers import Numbers
 from symsimpson.runtime.kernels.texts import kept_text
-from symsimpson.runtime.loaded import Tools
-from symsimpson.runtime.reading import read_stepper
+from symsimpson.runtime.program import Program, Tools, new_program, read_program
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
 from symsimpson.runtime.stepper import Stepper
@@ -128,7 +127,7 @@ def compile(
         from symsimpson.runtime.kernels.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
-    return _compiled(system, found, read_exploit(exploit), numbers, progress, None)
+    return Stepper(_compiled(system, found, read_exploit(exploit), numbers, progress, None))
 
 
 def _compiled(
@@ -139,8 +138,8 @@ def _compiled(
     progress: bool | None,
     varied: tuple[str, ...] | None,
     running: Any = None,
-) -> Stepper:
-    """Make a stepper; its steps are differentiated if it is said by what, beside q and p.
+) -> Program:
+    """Make a program; its steps are differentiated if it is said by what, beside q and p.
 
     Then it can integrate a ``running`` cost, too.
     """
@@ -153,7 +152,7 @@ def _compiled(
         tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
         derivation = _derived(system, scheme, exploit, varied, running)
-    return Stepper(
+    return new_program(
         derivation.text,
         f"{system.name}__{scheme.name}",
         defaults={symbol.name: value for symbol, value in system.parameters.items()},
@@ -283,7 +282,7 @@ def load(path: str | os.PathLike[str]) -> Stepper:
             f"{os.fspath(path)}: the file cannot be read: {error}.\n"
             "Generate it with symsimpson.generate(system, scheme)."
         ) from error
-    return read_stepper(text, os.fspath(path), TOOLS)
+    return Stepper(read_program(text, os.fspath(path), TOOLS))
 
 
 @explained()
@@ -332,9 +331,9 @@ def resume(
     True
     """
     asked = read_asked(read_path("the checkpoint", path))
-    stepper = read_stepper(asked["source"], os.fspath(path), TOOLS)
+    stepper = Stepper(read_program(asked["source"], os.fspath(path), TOOLS))
     values = dict(zip(stepper.parameters, asked["parameters"], strict=True))
-    own = stepper._module.header.from_start
+    own = stepper.program.header.from_start
     parameters = {name: value for name, value in values.items() if name not in own}
     end = {"t_end": asked["t_end"]} if "t_end" in asked else {"steps": asked["steps"]}
     return stepper.integrate(

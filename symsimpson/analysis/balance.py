@@ -36,7 +36,7 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
     symmetries : list of Symmetry
         Those of L; none where it is not known, or depends on the time.
     """
-    system, header = s.stepper._module.declared, s.stepper._module.header
+    system, header = s.stepper.program.declared, s.stepper.program.header
     if system is None or header.conformal or "equations" not in header.functions:
         return 0.0, []
     plain = system.plain
@@ -44,7 +44,7 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
         return 0.0, []
     found = linear_symmetries(s.precise, s.z)
     scheme, force = read_scheme(s.stepper.scheme), _force(system)
-    given = (*s.precise.parameters.values(), *(s.stepper._held or {}).values())
+    given = (*s.precise.parameters.values(), *(s.stepper.program.default_inputs or {}).values())
     values = [s.precise.context.mpf(x) for x in given]
     worst = 0.0
     for j in range(STEPS if found else 0):
@@ -78,7 +78,7 @@ def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
     points = q + share[:, None] * (s.path.q[j + 1] - q)
     for _ in range(ITERATIONS):
         left, slope = evaluate_equations(
-            s.precise.stepper, q, p, points, s.h, s.precise.parameters, t, None
+            s.precise.program, q, p, points, s.h, s.precise.parameters, t, None
         )
         change = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
         points = points - np.array(list(change), dtype=object).reshape(d, n)

@@ -136,7 +136,7 @@ class Wanted:
         return end, min(max(growth, 1.0), 3.0), work, coarse.steps, seconds
 
     def _run(self, stepper: Stepper, steps: int, every: int | None) -> Any:
-        length = {"t_end": self.pilot} if stepper._module.header.retimed else {"steps": steps}
+        length = {"t_end": self.pilot} if stepper.program.header.retimed else {"steps": steps}
         run = stepper.integrate(
             self.q,
             p0=self.p,
@@ -152,7 +152,7 @@ class Wanted:
         return run
 
     def _seen(self, stepper: Stepper, steps: int) -> Seen | None:
-        whole = self.on == "energy" or stepper._module.header.retimed
+        whole = self.on == "energy" or stepper.program.header.retimed
         run = self._run(stepper, steps, 1 if whole else steps // 2)
         if run is None:
             return None
@@ -173,13 +173,13 @@ class Wanted:
     def reason(self, best: Found, found: Sequence[Found], steps: int) -> str:
         """Say what was chosen and why."""
         part = "" if self.pilot == self.t_end else f" until t = {self.pilot:g}"
-        what, retimed = f"{self.on} error", best.stepper._module.header.retimed
+        what, retimed = f"{self.on} error", best.stepper.program.header.retimed
         count = "the first step; then they adapt" if retimed else f"{steps} steps"
         lines = [
             f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the {what} "
             f"measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
         ]
-        fixed = [one for one in found if not one.stepper._module.header.retimed]
+        fixed = [one for one in found if not one.stepper.program.header.retimed]
         if retimed:
             taken = f"{best.stepper.system} takes {best.taken} steps{part}"
             fewest = min((one.taken for one in fixed), default=0)
@@ -205,4 +205,4 @@ class Wanted:
 
 
 def _name(stepper: Stepper) -> str:
-    return stepper.scheme + (" in tau" if stepper._module.header.retimed else "")
+    return stepper.scheme + (" in tau" if stepper.program.header.retimed else "")

@@ -55,22 +55,22 @@ def certify(
 ) -> Certificate:
     """Measure order, symplecticity and all else that a stepper should have."""
     begin = time.perf_counter()
-    if not stepper._module.numbers.compiled:
+    if not stepper.program.numbers.compiled:
         raise InputError(
             "a stepper of many digits has no certificate: it tests double-precision code.\n"
             "Certify the stepper compiled without precision; its equations are the same."
         )
     stepper = with_inputs(stepper, inputs)
-    values = stepper._free_values(parameters)
+    values = stepper.program.free_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
     z, timed = np.concatenate([q, p]), None
     own, exact = stepper, values
-    if stepper._module.header.retimed:  # its steps are those of tau, where E0 is a number
+    if stepper.program.header.retimed:  # its steps are those of tau, where E0 is a number
         timed = Precise(stepper, values, DIGITS)
         own, exact = in_tau(stepper), timed.from_start(z)
     step = choose_step(own, q, p, exact, LONG) if h is None else read_step(h, FLOAT64)
     precise = Precise(own, exact, DIGITS)
-    held = bool(stepper._module.header.constraints)
+    held = bool(stepper.program.header.constraints)
     subject = Subject(own, precise, precise.placed(z) if held else z, step, timed)
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
@@ -100,7 +100,7 @@ def _guarded(measure: Callable[[Subject], Iterator[Check]], subject: Subject) ->
 
 def _symplectic(s: Subject) -> Iterator[Check]:
     """symplectic: the derivative of a step, Newton's method included; damped momenta shrink it."""
-    conformal = s.stepper._module.header.conformal
+    conformal = s.stepper.program.header.conformal
     if s.forced and not conformal:
         what = "not asked: forces change it, as they change that of the flow"
         reason = "Without forces a step would be symplectic."
@@ -121,7 +121,7 @@ def _symplectic(s: Subject) -> Iterator[Check]:
     defect = max(map(abs, (D.T @ J @ D - factor * (E.T @ J @ E)).ravel()))
     size = max(map(abs, D.ravel()))
     what = f"D^T J D - {'exp(-2 gamma h) ' if conformal else ''}J of one step, relative to D^2"
-    if s.stepper._module.header.constraints:
+    if s.stepper.program.header.constraints:
         what += "; for all displacements that constraints allow"
     yield Check.at_most(
         "conformal" if conformal else "symplectic",
@@ -165,7 +165,7 @@ def _momenta(s: Subject) -> Iterator[Check]:
             )
             return
     if not s.symmetries:
-        header = s.stepper._module.header
+        header = s.stepper.program.header
         what = "none: there is no linear symmetry"
         if not header.conservative:
             what = "not asked: forces" if header.forces else "not asked: what depends on the time"
@@ -183,16 +183,16 @@ def _momenta(s: Subject) -> Iterator[Check]:
 
 def _equations(s: Subject) -> Iterator[Check]:
     """equations: derivatives of the residual against differences."""
-    if "equations" not in s.stepper._module.header.functions:
+    if "equations" not in s.stepper.program.header.functions:
         return
-    precise, n, d = s.precise, s.n, s.stepper._module.header.degree
+    precise, n, d = s.precise, s.n, s.stepper.program.header.degree
     q, p = s.path.q, s.path.p
     share = np.arange(1, d + 1)[:, None] / precise.context.mpf(d)
     nodes = q[0] + share * (q[1] - q[0])
 
     def evaluate(points: Any) -> tuple[Any, Any]:
         return evaluate_equations(
-            precise.stepper, q[0], p[0], points, s.h, precise.parameters, 0, None
+            precise.program, q[0], p[0], points, s.h, precise.parameters, 0, None
         )
 
     exact = evaluate(nodes)[1]
@@ -214,7 +214,7 @@ def _equations(s: Subject) -> Iterator[Check]:
 
 def _jacobian(s: Subject) -> Iterator[Check]:
     """Jacobian: the one of the iteration, which may be reduced, at the solution of a step."""
-    if s.stepper._module.header.newton_unknowns == 0:
+    if s.stepper.program.header.newton_unknowns == 0:
         return
     yield Check.at_most(
         "Jacobian",
@@ -227,7 +227,7 @@ def _jacobian(s: Subject) -> Iterator[Check]:
 
 def _newton(s: Subject) -> Iterator[Check]:
     """Newton: corrections shrink quadratically."""
-    if s.stepper._module.header.newton_unknowns == 0:
+    if s.stepper.program.header.newton_unknowns == 0:
         return
     sizes = s.precise.corrections(s.z, s.h, 8)
     usable = [x for x in sizes if x > 10.0 ** (5 - DIGITS)]
@@ -272,7 +272,7 @@ def _invariants(s: Subject) -> Iterator[Check]:
 
 def _constraints(s: Subject) -> Iterator[Check]:
     """constraints: of positions and of velocities, along compiled steps."""
-    held = s.stepper._module.header.constraints
+    held = s.stepper.program.header.constraints
     if not held:
         return
     run = s.compiled(1000, every=10)
@@ -317,7 +317,7 @@ def _rounding(s: Subject) -> Iterator[Check]:
 
 def _iterations(s: Subject) -> Iterator[Check]:
     """iterations: for each step, of Newton's method or over stages."""
-    most = 16.0 if s.stepper._module.header.by_stages else 4.0
+    most = 16.0 if s.stepper.program.header.by_stages else 4.0
     run = s.compiled(1000, every=None)
     yield Check.at_most(
         "iterations",

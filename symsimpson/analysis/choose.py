@@ -149,7 +149,7 @@ def choose(
     retimed, adapting = _in_other_time(system, schemes)
     original = system.original if isinstance(system, RetimedSystem) else system
     first = compile_system(original, "simpson")
-    known = compile_system(system, "simpson")._free_values(parameters)
+    known = compile_system(system, "simpson").program.free_values(parameters)
     values = {name: known[name] for name in first.parameters}
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
     h0 = choose_step(first, q, p, values, 64)
@@ -197,7 +197,7 @@ def _first_step(
 ) -> tuple[float, float]:
     """Find a step in tau that follows the motion, and the time that a pilot run of them takes."""
     stepper = compile_system(retimed, "simpson")
-    given = stepper.integrate(q, p0=p, h=1.0, steps=0, parameters=values)._values
+    given = stepper.integrate(q, p0=p, h=1.0, steps=0, parameters=values).parameter_values
     known = dict(zip(stepper.parameters, given, strict=True))
     h = choose_step(in_tau(stepper), q, p, known, 64)
     run = stepper.integrate(

@@ -24,9 +24,9 @@ ROUNDED = 1e-12
 
 def keeps_shadow(stepper: Stepper) -> bool:
     """Return whether runs have a shadow energy that tells much more than the energy."""
-    header = stepper._module.header
+    header = stepper.program.header
     family = "equations" in header.functions and not header.constraints
-    made = stepper._differentiate is not None
+    made = stepper.program.differentiate is not None
     return family and header.conservative and made and header.order <= HIGHEST_ORDER
 
 
@@ -52,7 +52,7 @@ def shadow(s: Subject) -> Iterator[Check]:
 
 def drift(s: Subject) -> Iterator[Check]:
     """drift: of energy, momenta and invariants over many steps."""
-    if not s.stepper._module.header.conservative:
+    if not s.stepper.program.header.conservative:
         yield from _balance(s)
         return
     run = s.compiled(LONG, every=20)
@@ -83,7 +83,7 @@ def drift(s: Subject) -> Iterator[Check]:
 
 def _balance(s: Subject) -> Iterator[Check]:
     """balance: of the energy and the work that was done, with two steps."""
-    if "work" not in s.stepper._module.header.functions:
+    if "work" not in s.stepper.program.header.functions:
         return
     largest = []
     for parts in (1, 2):

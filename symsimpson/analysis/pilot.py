@@ -61,7 +61,7 @@ def choose_state(
     for attempt in range(TRIES):
         random = np.random.default_rng(attempt)
         q, v = random.uniform(0.3, 1.2, stepper.n), random.uniform(-0.6, 0.6, stepper.n)
-        declared = stepper._module.declared
+        declared = stepper.program.declared
         try:
             if declared is not None:
                 q, v = declared.consistent(q, v, parameters=parameters)
@@ -86,14 +86,14 @@ def choose_step(
     InputError
         If there is none.
     """
-    most = STAGE_ITERATIONS if stepper._module.header.by_stages else NEWTON_ITERATIONS
+    most = STAGE_ITERATIONS if stepper.program.header.by_stages else NEWTON_ITERATIONS
     for halvings in range(60):
         h = 4.0 / 2**halvings  # a power of two: its parts are exact
         run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
         if run.steps < 64 or run.newton_iterations.sum() > most * 64:
             continue
         kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
-        if stepper._module.header.conservative and np.ptp(run.energy) > ENOUGH * kinetic:
+        if stepper.program.header.conservative and np.ptp(run.energy) > ENOUGH * kinetic:
             continue
         # some schemes keep the energy of some systems at any step: the path must be right, too
         finer = stepper.integrate(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
+from symsimpson.runtime.program import new_program
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
@@ -38,10 +39,15 @@ class Precise:
     def __init__(self, stepper: Stepper, parameters: Mapping[str, float], digits: int) -> None:
         arithmetic = "arb" if importlib.util.find_spec("flint") else "mpmath"
         numbers = read_precision(digits, arithmetic)
-        self.stepper = Stepper(
-            stepper.source, stepper.system, numbers=numbers, names=stepper._names
+        program = stepper.program
+        self.program = new_program(
+            program.source,
+            program.system,
+            numbers=numbers,
+            names=program.names,
+            default_inputs=program.default_inputs,
         )
-        self.stepper._held = stepper._held
+        self.stepper = Stepper(self.program)
         self.n, self.parameters = stepper.n, parameters
         assert isinstance(numbers, Digits)
         self._numbers, self.context = numbers, numbers.context
@@ -70,25 +76,25 @@ class Precise:
     def placed(self, z: Iterable[Any]) -> Vector:
         """Return a state without what constraints do not allow; as it is, where there are none."""
         point = np.array([self.context.convert(x) for x in z], dtype=object)
-        held, n = self.stepper._module.header.constraints, self.n
+        held, n = self.program.header.constraints, self.n
         if not held:
             return point
         q, p = point[:n], point[n:]
-        values = self.stepper._values(self.parameters)[None]
-        q = allowed(self.stepper, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
+        values = self.program.values(self.parameters)[None]
+        q = allowed(self.program, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
         taken = self._at("start", "MULTIPLIER", len(held), q, p)
         return np.concatenate([q, p - taken @ self.slopes(q)])
 
     def slopes(self, q: Vector) -> Vector:
         """Return dphi/dq of all constraints, shape (m, n)."""
-        header = self.stepper._module.header
+        header = self.program.header
         rows = self._at("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"], q, 0 * q)
         return slopes_of(header, rows)
 
     def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector) -> Vector:
         """Evaluate a kernel at a state."""
-        t, values = self._numbers.zeros(1), self.stepper._values(self.parameters)
-        found: Vector = evaluate(self.stepper, kernel, block, count, t, q[None], p[None], values)
+        t, values = self._numbers.zeros(1), self.program.values(self.parameters)
+        found: Vector = evaluate(self.program, kernel, block, count, t, q[None], p[None], values)
         return found[0]
 
     def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
@@ -127,7 +133,7 @@ class Precise:
 
     def from_start(self, z: Vector) -> dict[str, Any]:
         """Return the parameters of a run from a state, with those that follow from it."""
-        return dict(zip(self.stepper.parameters, self.run(z, 1, 0)._values, strict=True))
+        return dict(zip(self.stepper.parameters, self.run(z, 1, 0).parameter_values, strict=True))
 
     def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
         """Return the sizes of the first Newton corrections, relative to the increments."""
@@ -155,7 +161,7 @@ class Precise:
             run = self._begun(z, h)
             for _ in range(8):
                 self._iterate(run)
-            rows = run.rows("INCREMENT", self.stepper._module.header.degree * self.n)
+            rows = run.rows("INCREMENT", self.program.header.degree * self.n)
             solution = self._numbers.result(rows.copy())
             step = self.small * max(map(abs, solution))
             worst = 0.0
@@ -171,26 +177,26 @@ class Precise:
 
     def decay(self, z: Vector, h: Any) -> Any:
         """Return exp(-2 gamma h), by which a step shrinks momenta that are damped alike."""
-        nodes = self.stepper._module.header.layout["NODES"]
+        nodes = self.program.header.layout["NODES"]
         with self._numbers.working():
             last = self._begun(z, h).rows("GROWTH", nodes + 1)[-1:]
             return 1 / self._numbers.result(last)[0]
 
     def _begun(self, z: Vector, h: Any) -> Run:
-        numbers, stepper = self._numbers, self.stepper
-        values = stepper._values(self.parameters)
+        numbers, program = self._numbers, self.program
+        values = program.values(self.parameters)
         step, start = numbers.read(h).item(), numbers.read(list(z))
-        run = Run(stepper._module, values, step, 0 * step, 0, 1, ("newton",))
+        run = Run(program, values, step, 0 * step, 0, 1, ("newton",))
         run.begin(start[: self.n], start[self.n :], velocity=False)
-        inputs = read_driving(stepper, None, step, 1)
-        numbers.driver("give")(run.W, stepper._module.header.told, inputs, 0)
+        inputs = read_driving(program, None, step, 1)
+        numbers.driver("give")(run.W, program.header.told, inputs, 0)
         run.rows("RELATIVE", 1)[:] = numbers.read(float("inf"))
         return run
 
     def _iterate(self, run: Run) -> None:
         run.rows("ACTIVE", 1)[:] = self._numbers.read(1.0)
         self._numbers.driver("call")(
-            self.stepper._module.kernels.address("newton"), run.h, 0 * run.h, run.W
+            self.program.kernels.address("newton"), run.h, 0 * run.h, run.W
         )
 
     def _moved(self, z: Iterable[Any]) -> list[tuple[Vector, Vector]]:

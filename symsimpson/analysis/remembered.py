@@ -40,7 +40,7 @@ def remembered(
         return Choice(compile_system(whole, str(found["scheme"])), h, str(found["reason"]))
 
     def content(made: Choice) -> dict[str, Any]:
-        own = made.stepper._module.declared
+        own = made.stepper.program.declared
         adapting = isinstance(own, RetimedSystem) and own is not system
         return {
             "scheme": made.stepper.scheme,

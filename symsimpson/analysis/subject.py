@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from symsimpson.errors import InputError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
 from symsimpson.runtime.inputs import read_number
+from symsimpson.runtime.program import Findings
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 
@@ -44,12 +44,11 @@ def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
         return stepper
     held = dict.fromkeys(stepper.inputs, 1.0)
     for key, value in (given or {}).items():
-        name = stepper.inputs[stepper._names.inputs.found(key)]
-        held[name] = read_number(f"input {name}", value, stepper._module.numbers)
-    fixed = copy.copy(stepper)
-    fixed._held = held
+        name = stepper.inputs[stepper.program.names.inputs.found(key)]
+        held[name] = read_number(f"input {name}", value, stepper.program.numbers)
+    fixed = replace(stepper.program, default_inputs=held, findings=Findings())
     read_driving(fixed, None, 1.0, 1)
-    return fixed
+    return Stepper(fixed)
 
 
 @dataclass(frozen=True)
@@ -85,12 +84,12 @@ class Subject:
     @property
     def forced(self) -> bool:
         """Whether forces act beside those of L."""
-        return bool(self.stepper._module.header.forces)
+        return bool(self.stepper.program.header.forces)
 
     @cached_property
     def symmetries(self) -> list[Symmetry]:
         """The linear symmetries of the system; none where forces may change their momenta."""
-        conservative = self.stepper._module.header.conservative
+        conservative = self.stepper.program.header.conservative
         return linear_symmetries(self.precise, self.z) if conservative else []
 
     def exact(self, end: Any, *, timed: bool = False) -> list[Any]:
@@ -101,14 +100,17 @@ class Subject:
             return list(extrapolate(rates_and_t, start, [end], LOCAL, MOST)[0])
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
-        declared = self.stepper._module.declared
-        if not self.stepper._module.header.conservative:
+        declared = self.stepper.program.declared
+        if not self.stepper.program.header.conservative:
             if declared is None:
                 raise InputError("a module by itself does not tell what its forces are")
             equations = canonical(declared).function("mpmath")
-            given = (*self.precise.parameters.values(), *(self.stepper._held or {}).values())
+            given = (
+                *self.precise.parameters.values(),
+                *(self.stepper.program.default_inputs or {}).values(),
+            )
             values = [mpmath.mpf(x) for x in given]
-            start += [] if self.stepper._module.header.autonomous else [mpmath.mpf(0)]
+            start += [] if self.stepper.program.header.autonomous else [mpmath.mpf(0)]
 
             def forced(y: Any) -> list[Any]:
                 return list(equations(*y, *values))

@@ -103,7 +103,7 @@ def _of_constraints(
     precise: Precise, z: NDArray[np.float64], random: np.random.Generator
 ) -> list[NDArray[Any]]:
     """Ask that a symmetry moves along the constraints: Phi (A q + b) = 0 where phi = 0."""
-    n, held = precise.n, len(precise.stepper._module.header.constraints)
+    n, held = precise.n, len(precise.stepper.program.header.constraints)
     rows = []
     for _ in range(n * (n + 1) // held + 4 if held else 0):
         point = z + NEARBY * (1 + np.abs(z)) * random.uniform(-1, 1, 2 * n)

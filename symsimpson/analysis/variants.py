@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest, with_facts
+from symsimpson.runtime.program import new_program
 from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["in_tau", "oversolved", "rewritten"]
@@ -38,13 +39,14 @@ def _with(stepper: Stepper, text: str, changes: Mapping[str, str]) -> Stepper:
     banner = SIGNED.search(text)
     assert banner is not None
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
-    return Stepper(
+    program = new_program(
         text,
         f"{stepper.system}, changed",
         reference_state=stepper.reference_state,
-        tools=stepper._module.tools,
-        names=stepper._names,
+        tools=stepper.program.tools,
+        names=stepper.program.names,
     )
+    return Stepper(program)
 
 
 def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
@@ -53,7 +55,7 @@ def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
     Its energy is K = g (H - E0), E0 and the first rate are parameters as others are; ``values``
     are those that all have unless given.
     """
-    if not stepper._module.header.retimed:
+    if not stepper.program.header.retimed:
         return stepper
     lines = stepper.source.splitlines(keepends=True)
     first, end = definitions(stepper.source)["energy_in_tau"]
@@ -67,7 +69,7 @@ def in_tau(stepper: Stepper, values: Iterable[float] | None = None) -> Stepper:
 
 def oversolved(stepper: Stepper) -> Stepper:
     """Return a stepper whose iterations go on until corrections stagnate in rounding."""
-    if stepper._module.header.newton_unknowns == 0:
+    if stepper.program.header.newton_unknowns == 0:
         return stepper
-    names = ("LOST", "ROUNDING") if stepper._module.header.by_stages else ("NEGLIGIBLE",)
+    names = ("LOST", "ROUNDING") if stepper.program.header.by_stages else ("NEGLIGIBLE",)
     return rewritten(stepper, dict.fromkeys(names, "0.0"))

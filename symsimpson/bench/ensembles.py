@@ -20,6 +20,7 @@ from symsimpson.reference import canonical
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.members import read_task
 from symsimpson.runtime.ensembles.task import available_threads, lanes_of_machine
+from symsimpson.runtime.runs.request import Request
 
 __all__ = ["report"]
 
@@ -45,13 +46,11 @@ def report(members: int = MEMBERS) -> Iterator[str]:
         return f"{members / seconds:>8,.0f} trajectories/s"
 
     def ours(scheme: str, steps: int, lanes: int | None = None, threads: int = threads) -> Run:
-        stepper = ss.compile(ss.systems.double_pendulum(), scheme)
-        times = (T_END / steps, None, steps, 0.0)
-        task = read_task(
-            stepper, angles, None, [0, 0], None, times, None, None, threads, False, on_disk=False
-        )
+        program = ss.compile(ss.systems.double_pendulum(), scheme).program
+        request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
+        task = read_task(program, request, None, threads, False, on_disk=False)
         task = replace(task, lanes=lanes or task.lanes)
-        return lambda: run_blocks(stepper, task, lambda done: None)[0].q
+        return lambda: run_blocks(program, task, lambda done: None)[0].q
 
     yield f"{members} double pendulums, 500 Simpson steps of h = 0.02"
     shapes = ((wide, threads), (wide, 1), (1, 1))

@@ -88,7 +88,7 @@ def make_problem(
     retimed = system if isinstance(system, RetimedSystem) else None
     system = system if retimed is None else retimed.original
     stepper = compile_system(system, "simpson")
-    q, p = choose_state(stepper, state, stepper._named_values())
+    q, p = choose_state(stepper, state, stepper.program.named_values())
     if system.constraints:
         raise InputError(
             f"{system.name} has constraints, which the other programs do not keep to: their states "

@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
         # compiles and loads all that a run needs
         steps = max(1, min(16, _steps(options)))
         brief: dict[str, Any]
-        brief = {"t_end": options.h} if stepper._module.header.retimed else {"steps": steps}
+        brief = {"t_end": options.h} if stepper.program.header.retimed else {"steps": steps}
         if "inputs" in given:
             brief["inputs"] = {name: x[:steps] for name, x in given["inputs"].items()}
         for _ in range(2):
@@ -131,8 +131,8 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
 
 
 def _report(found: Trajectory, given: dict[str, Any]) -> None:
-    stepper, steps = found._stepper, max(found.steps, 1)
-    print(f"{stepper.system}, {stepper.scheme} (order {stepper.order}), h = {found.h:g}")
+    program, steps = found.program, max(found.steps, 1)
+    print(f"{program.system}, {program.scheme} (order {program.order}), h = {found.h:g}")
     for name in ("q0", "v0", "p0"):
         if name in given:
             print(f"  {name} = ({', '.join(f'{x:g}' for x in given[name])})")
@@ -140,7 +140,7 @@ def _report(found: Trajectory, given: dict[str, Any]) -> None:
         print(f"  {name} = {value:g}")
     last = found.newton_iterations.sum() / steps
     print(f"  {found.steps} steps to t = {found.t[-1]:g}, {last:.2f} Newton iterations a step")
-    if stepper._module.header.conservative:
+    if program.header.conservative:
         print(f"  largest relative energy error {np.abs(found.energy_error).max():.2e}")
     else:
         print(f"  energy {found.energy[0]:.9g} at the start, {found.energy[-1]:.9g} at the end")

@@ -109,7 +109,7 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
     frames = max(2, round(length * fps))
     t = np.linspace(float(run.t[0]), float(run.t[-1]), (frames - 1) * FINE + 1)
     scene = scene_of(run.at(t), FINE)
-    title = f"{run._stepper.system}, {run._stepper.scheme}"
+    title = f"{run.program.system}, {run.program.scheme}"
     make, size = (film_in_space, (640, 720)) if scene.spatial else (film_in_plane, (420, 470))
     shown = scene, t[::FINE], fps, title
     return Animation(partial(make, *shown), partial(write_film, *shown), frames, size)
@@ -122,7 +122,7 @@ def plot_path(run: States, *, ax: Any = None) -> Any:
     ax = axes(ax, (5, 5) if scene.spatial else (4.5, 4.5), **in_space)
     if scene.spatial and not hasattr(ax, "set_zlim"):
         raise InputError(
-            f"{run._stepper.system} moves in space, and these axes are plane.\n"
+            f"{run.program.system} moves in space, and these axes are plane.\n"
             "Make axes with plt.subplots(subplot_kw={'projection': '3d'}), or leave ax out."
         )
     for k, name in enumerate(scene.names):
@@ -136,7 +136,7 @@ def plot_path(run: States, *, ax: Any = None) -> Any:
     for axis, middle in zip("xyz", scene.middle, strict=False):
         getattr(ax, f"set_{axis}lim")(middle - scene.reach, middle + scene.reach)
     ax.set_aspect("equal")
-    ax.set(title=f"{run._stepper.system}, {run._stepper.scheme}", xlabel="x", ylabel="y")
+    ax.set(title=f"{run.program.system}, {run.program.scheme}", xlabel="x", ylabel="y")
     if len(scene.names) > 1:
         ax.legend(fontsize=8)
     return ax

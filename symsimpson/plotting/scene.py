@@ -88,17 +88,17 @@ def scene_of(some: States, stride: int = 1) -> Scene:
     InputError
         If there are none.
     """
-    declared = some._stepper._module.declared
+    declared = some.program.declared
     positions = getattr(declared, "positions", None)
     if not positions:
         raise InputError(
-            f"{some._stepper.system}: nothing says where its points are.\n"
+            f"{some.program.system}: nothing says where its points are.\n"
             "Declare them: MechanicalSystem(..., positions={'bob': (l*sin(q), -l*cos(q))}), and "
             "compile that system; a stepper from a file has none."
         )
     if not len(some):
         raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
-    found = points_of(declared, some.t, some.q, some._values)
+    found = points_of(declared, some.t, some.q, some.parameter_values)
     dimension = max(2, *(x.shape[-1] for x in found.values()))
     flat = {
         name: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, dimension - x.shape[-1])])

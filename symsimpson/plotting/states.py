@@ -41,12 +41,12 @@ def with_unit(name: Any, units: Mapping[str, str]) -> str:
 def plot(some: States | Saved, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
     single = isinstance(names, str) or hasattr(names, "free_symbols")
-    wanted = [names] if single else list(names or some._stepper.coordinates)
-    found, units = {spelled(name): some[name] for name in wanted}, some._stepper.units
+    wanted = [names] if single else list(names or some.program.coordinates)
+    found, units = {spelled(name): some[name] for name in wanted}, some.program.units
     by_unit: dict[str | None, list[str]] = {}
     for name in found:
         by_unit.setdefault(units.get(name), []).append(name)
-    title = f"{some._stepper.system}, {some._stepper.scheme}"
+    title = f"{some.program.system}, {some.program.scheme}"
     if ax is None and len(by_unit) > 1:  # one above the other: lengths say nothing beside angles
         size = (7, 1.2 + 1.6 * len(by_unit))
         panels = list(axes(None, size, nrows=len(by_unit), sharex=True))
@@ -74,7 +74,7 @@ def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any
     """Draw a quantity of members over time, or how its last values are spread."""
     from symsimpson.runtime.ensembles.ensemble import spread  # which draws by this module
 
-    values, some, units = many[name], spread(len(many), max(1, most)), many._stepper.units
+    values, some, units = many[name], spread(len(many), max(1, most)), many.program.units
     ax = axes(ax, (7, 3.5))
     if values.ndim == 2:
         times = np.broadcast_to(many.t, values.shape)
@@ -84,7 +84,7 @@ def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any
         last = values[np.isfinite(values)]
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
         ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
-    stepper = many._stepper
+    stepper = many.program
     ax.set_title(f"{stepper.system}, {stepper.scheme}: {len(some)} of {len(many)} members")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
@@ -94,13 +94,13 @@ def plot_phase(
     some: States, x: Any = None, y: Any = None, *, connected: bool = True, ax: Any = None
 ) -> Any:
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
-    x = some._stepper.coordinates[0] if x is None else x
+    x = some.program.coordinates[0] if x is None else x
     y = f"p_{spelled(x)}" if y is None else y
     found = some[x], some[y]
     ax = axes(ax, (4.5, 4.5))
     ax.plot(*found, **({"lw": 0.8} if connected else DOTS))
-    title = f"{some._stepper.system}, {some._stepper.scheme}"
-    units = some._stepper.units
+    title = f"{some.program.system}, {some.program.scheme}"
+    units = some.program.units
     ax.set(xlabel=with_unit(x, units), ylabel=with_unit(y, units), title=title)
     ax.grid(lw=0.4, alpha=0.6)
     return ax
@@ -109,20 +109,20 @@ def plot_phase(
 def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
-    constant = run._stepper._module.header.conservative
+    constant = run.program.header.conservative
     change = run.energy_error if constant else run.energy_balance
     ax.plot(run.t, change, lw=0.8, label="energy" if shadow else None)
     if shadow:
         kept = run.shadow_energy
         ax.plot(run.t, (kept - kept[0]) / run.energy_scale, lw=0.8, label="shadow energy")
         ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
-    name = f"{run._stepper.system}, {run._stepper.scheme}, h = {float(run.h):g}"
+    name = f"{run.program.system}, {run.program.scheme}, h = {float(run.h):g}"
     relative = constant and run.energy[0] != 0
-    unit = run._stepper.units.get("energy")
+    unit = run.program.units.get("energy")
     shown = "(H - H0) / |H0|" if relative else "H - H0" if constant else "H - H0 - work"
     shown += f" [{unit}]" if unit and not relative else ""
     what = "energy error" if constant else "energy balance"
-    time = with_unit("t", run._stepper.units)
+    time = with_unit("t", run.program.units)
     ax.set(xlabel=time, ylabel=shown, title=f"{what}: {name}")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
@@ -133,7 +133,7 @@ def plot_exponents(chaos: Chaos, *, ax: Any = None) -> Any:
     ax = axes(ax, (7, 3))
     for k, history in enumerate(chaos.history.T):
         ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
-    stepper = chaos.trajectory._stepper
+    stepper = chaos.trajectory.program
     ax.set(xlabel="t", ylabel="exponent, 1 / time", title=f"{stepper.system}, {stepper.scheme}")
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     ax.grid(lw=0.4, alpha=0.6)

@@ -17,7 +17,7 @@ from symsimpson.runtime.kernels.observed import read_expression
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
 
@@ -64,13 +64,13 @@ class StateCost:
         If it contains something else.
     """
 
-    def __init__(self, stepper: Evaluator, what: str, expression: Any) -> None:
+    def __init__(self, program: Program, what: str, expression: Any) -> None:
         import sympy as sp  # only who asks for gradients waits for it
 
-        found = read_expression(stepper, expression)
-        n, self._stepper = stepper.n, stepper
+        found = read_expression(program, expression)
+        n, self.program = program.n, program
         names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
-        names += [f"a_{j}" for j in range(len(stepper.parameters))] + ["t"]
+        names += [f"a_{j}" for j in range(len(program.parameters))] + ["t"]
         symbols = {name: sp.Symbol(name, real=True) for name in names}
         functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "energy": sp.Symbol("energy")}
         # the text was written anew from a list of what is allowed; numbers are what they say
@@ -81,13 +81,13 @@ class StateCost:
                 "Write it with coordinates, velocities and parameters."
             )
         self._moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
-        if self._moving and stepper._module.header.constraints:
+        if self._moving and program.header.constraints:
             raise InputError(
                 f"{what} contains velocities, whose derivatives are not known with constraints.\n"
                 "Write it with coordinates and momenta, or as running=."
             )
         self._symbols = list(symbols.values())
-        varied, own = stepper._module.header.varied_by or (), stepper._module.header.parameters
+        varied, own = program.header.varied_by or (), program.header.parameters
         #: Which of the parameters are varied; inputs are none of them.
         self._varied = [own.index(name) if name in own else None for name in varied]
 
@@ -103,7 +103,7 @@ class StateCost:
 
         value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
         every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
-        numbers = self._stepper._module.numbers
+        numbers = self.program.numbers
         return numbers.lambdified(self._symbols, [one.replace(Whole, sp.floor) for one in every])
 
     def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
@@ -112,9 +112,9 @@ class StateCost:
         Velocities are functions of (q, p) and the parameters: what depends on them is
         differentiated through p = L_v(q, v).
         """
-        stepper, n = self._stepper, self._stepper.n
-        numbers = stepper._module.numbers
-        v = evaluate(stepper, "start", "VELOCITY", n, t, q, p, values)
+        program, n = self.program, self.program.n
+        numbers = program.numbers
+        v = evaluate(program, "start", "VELOCITY", n, t, q, p, values)
         found = self._evaluate(*q.T, *p.T, *v.T, *values, t)
         rows = [np.broadcast_to(numbers.read(row), len(q)) for row in found]
         value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
@@ -124,24 +124,24 @@ class StateCost:
         parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
         if self._moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
-            still = evaluate(stepper, "start", "VELOCITY", n, t, q, 0 * p, values)
-            mu = evaluate(stepper, "start", "VELOCITY", n, t, q, by_velocity, values) - still
+            still = evaluate(program, "start", "VELOCITY", n, t, q, 0 * p, values)
+            mu = evaluate(program, "start", "VELOCITY", n, t, q, by_velocity, values) - still
             given = np.concatenate([0 * q, -mu], axis=1)
-            pulled, further = pull_velocities(stepper, t, q, p, given, values)
+            pulled, further = pull_velocities(program, t, q, p, given, values)
             state = state + np.concatenate([pulled[:, :n], mu], axis=1)
             parameters = parameters + further
         return Slopes(value, state, parameters)
 
 
 def pull_velocities(
-    stepper: Evaluator, t: Reals, q: Reals, p: Reals, given: Reals, values: Reals
+    program: Program, t: Reals, q: Reals, p: Reals, given: Reals, values: Reals
 ) -> tuple[Reals, Reals]:
     """Turn derivatives by q and p into those by q and v, and by what is varied at given q and v.
 
     ``given`` has shape (M, 2 n), for as many states; the results have shapes (M, 2 n) and (M, k).
     """
-    numbers, header = stepper._module.numbers, stepper._module.header
-    kernels = stepper._module.kernels
+    numbers, header = program.numbers, program.header
+    kernels = program.kernels
     W = workspace(header, numbers, values)
     varied, nodes = len(header.varied_by or ()), header.nodes
     out, slopes = given.copy(), numbers.zeros((len(q), max(1, varied * nodes)))
@@ -177,13 +177,13 @@ class Measured:
         return Slopes(off * off, changed.state, changed.parameters)
 
 
-def read_cost(stepper: Evaluator, cost: Any) -> StateCost | None:
+def read_cost(program: Program, cost: Any) -> StateCost | None:
     """Read a cost of the last state."""
-    return None if cost is None else StateCost(stepper, "cost", cost)
+    return None if cost is None else StateCost(program, "cost", cost)
 
 
 def read_samples(
-    stepper: Evaluator, samples: Mapping[Any, ArrayLike] | None, steps: int, every: int
+    program: Program, samples: Mapping[Any, ArrayLike] | None, steps: int, every: int
 ) -> tuple[Measured, ...]:
     """Read samples by the expressions that they are of.
 
@@ -192,7 +192,7 @@ def read_samples(
     InputError
         If their number is not that of the states, or none is a number.
     """
-    numbers, found = stepper._module.numbers, []
+    numbers, found = program.numbers, []
     count = steps // every + 1
     for expression, given in (samples or {}).items():
         values = read_array(f"samples of {expression}", given, numbers)
@@ -204,5 +204,5 @@ def read_samples(
             )
         if not numbers.finite(values).any():
             raise InputError(f"samples of {expression}: none is finite.\nPass at least one number.")
-        found.append(Measured(StateCost(stepper, f"samples of {expression}", expression), values))
+        found.append(Measured(StateCost(program, f"samples of {expression}", expression), values))
     return tuple(found)

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import InputError
 from symsimpson.runtime.gradients import Wanted, gradient_of
-from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.results.chaos import Chaos
 from symsimpson.runtime.results.gradient import Gradient
-from symsimpson.runtime.runs.chaos import find_chaos
-from symsimpson.runtime.runs.integrate import integrate
-from symsimpson.runtime.runs.spec import read_run
-from symsimpson.runtime.runs.timed import timed_run
-from symsimpson.runtime.runs.variations import read_varied, varied_stepper
-from symsimpson.runtime.stepping import Stepping, of_a_step
+from symsimpson.runtime.runs.chaos import lyapunov
+from symsimpson.runtime.runs.request import Request, of_a_step
+from symsimpson.runtime.runs.requested import tangent_of_step
+from symsimpson.runtime.runs.variations import read_varied
+from symsimpson.runtime.stepping import Stepping
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator, Parameters
+    from symsimpson.runtime.evaluator import Parameters
 
 __all__ = ["Differentiating"]
 
@@ -82,17 +79,13 @@ class Differentiating(Stepping):
         """
         n, given = self.n, (wrt,) if isinstance(wrt, str) else tuple(wrt)
         own = [name for name in given if name not in ("q", "p")]
-        names, retimed = read_varied(self, own), self._module.header.retimed
-        stepper = self if retimed else varied_stepper(self, names)
-        spec = read_run(
-            stepper, (q, v, p), (h, None, 1, t), parameters, None, of_a_step(stepper, inputs), 2 * n
+        names = read_varied(self.program, own)
+        request = Request(
+            q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
         )
-        if retimed:
-            end = timed_run(self, spec, names, False, "raise", fixed_steps=True)
-        else:
-            end = integrate(stepper, spec, None, None, None, "raise")
-        assert end._tangents is not None
-        D = end._tangents[0]
+        end = tangent_of_step(self.program, request._replace(tangents=2 * n), names)
+        assert end.variations is not None
+        D = end.variations[0]
         places = {"q": range(n), "p": range(n, 2 * n)}
         columns: list[int] = []
         for name in given:
@@ -171,11 +164,9 @@ class Differentiating(Stepping):
         >>> found.gradient.shape, sorted(found.parts)
         ((3,), ['l', 'q', 'v'])
         """
-        self._not_retimed("gradients of costs")
+        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
         wanted = Wanted(cost, running, samples, every, wrt)
-        return gradient_of(
-            self, (q0, v0, p0), (h, t_end, steps, t0), parameters, inputs, wanted, progress
-        )
+        return gradient_of(self.program, request, wanted, progress)
 
     def lyapunov(
         self,
@@ -230,69 +221,5 @@ class Differentiating(Stepping):
         >>> chaos.exponents.shape, bool(chaos.exponents[0] > 1), bool(chaos.sali[-1] < 1e-12)
         ((4,), True, True)
         """
-        self._not_retimed("Lyapunov exponents")
-        stepper = varied_stepper(self, ())
-        spec = read_run(stepper, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
-        return find_chaos(stepper, spec, exponents, every, progress)
-
-    def _telling(self, reduce: Any, tangents: Any, sensitivities: Any, store: Any) -> Self:
-        """Return the stepper whose ensembles carry along what they are asked for.
-
-        Raises
-        ------
-        InputError
-            If that cannot be stored, or both are asked for.
-        """
-        telling = any(one.of_variations for one in read_reductions(self, reduce))
-        carrying = tangents is not None or sensitivities is not None
-        if carrying or telling:
-            self._not_retimed("derivatives of ensembles")
-        if carrying and (telling or store is not None):
-            other = "reductions that tell of variations" if telling else "a store"
-            raise InputError(
-                f"tangents and sensitivities of an ensemble do not go with {other}.\n"
-                "Leave out one of them."
-            )
-        if telling:
-            return cast(Self, varied_stepper(self, ()))
-        return cast(Self, self._differentiating(tangents, sensitivities, None))
-
-    def _not_retimed(self, what: str) -> None:
-        """Refuse what is not there for steps that are fixed in another time.
-
-        Raises
-        ------
-        InputError
-        """
-        if self._module.header.retimed:
-            raise InputError(
-                f"{self.system} is retimed, and {what} are not taken in another time yet.\n"
-                "Single runs carry tangents= and sensitivities=; or take the system as it was."
-            )
-
-    def _differentiating(self, tangents: Any, sensitivities: Any, checkpoint: Any) -> Evaluator:
-        """Return the stepper that carries along what a run is asked for.
-
-        Raises
-        ------
-        InputError
-            If that cannot be kept in a checkpoint.
-        """
-        if tangents is None and sensitivities is None:
-            return self
-        return varied_stepper(self, self._names_to_vary(sensitivities, checkpoint))
-
-    def _names_to_vary(self, sensitivities: Any, checkpoint: Any) -> tuple[str, ...]:
-        """Read what a run is differentiated by.
-
-        Raises
-        ------
-        InputError
-            If there is no such parameter, or derivatives cannot be kept in a checkpoint.
-        """
-        if checkpoint is not None:
-            raise InputError(
-                "a checkpoint keeps states alone, and no derivatives of them.\n"
-                "Leave out checkpoint, or tangents and sensitivities."
-            )
-        return read_varied(self, () if sensitivities is None else sensitivities)
+        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
+        return lyapunov(self.program, request, exponents, every, progress)

@@ -14,7 +14,7 @@ from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.run import Run
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["evaluate_equations"]
 
@@ -23,7 +23,7 @@ Reals = NDArray[Any]
 
 
 def evaluate_equations(
-    stepper: Evaluator,
+    program: Program,
     q0: ArrayLike,
     p0: ArrayLike,
     nodes: ArrayLike,
@@ -40,15 +40,15 @@ def evaluate_equations(
     InputError
         If there are no equations, or arrays of other shapes.
     """
-    header, n, numbers = stepper._module.header, stepper.n, stepper._module.numbers
+    header, n, numbers = program.header, program.n, program.numbers
     d, m = header.degree, len(header.constraints)
     if "equations" not in header.functions:
         raise InputError(
-            f"{stepper.scheme} is explicit: a step has no equations to evaluate.\n"
+            f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
             "Ask a stepper of another scheme, as 'simpson'."
         )
     with numbers.working():
-        names = stepper._names.coordinates
+        names = program.names.coordinates
         q = read_vector("q0", q0, names, numbers)
         p = read_vector("p0", p0, names, numbers)
         h, t = read_number("h", h, numbers), read_number("t", t, numbers)
@@ -61,12 +61,12 @@ def evaluate_equations(
         mu = None if multipliers is None else read_array("multipliers", multipliers, numbers)
         if mu is not None and (mu.shape != (d, m) or not m):
             raise InputError(
-                f"multipliers has shape {mu.shape}, but {stepper.system} has {m} constraints and "
-                f"{stepper.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
+                f"multipliers has shape {mu.shape}, but {program.system} has {m} constraints and "
+                f"{program.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
                 "at X_0, ..., X_(d-1); none to a system without constraints."
             )
-        kernels = stepper._module.kernels
-        run = Run(stepper._module, stepper._values(given), h, h * 0, 0, 1)
+        kernels = program.kernels
+        run = Run(program, program.values(given), h, h * 0, 0, 1)
         run.rows("POSITION", n)[:] = q
         run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
@@ -84,7 +84,7 @@ def evaluate_equations(
             p[None, :],
             header.layout["RESIDUAL"],
             numbers.zeros((1, 0)),
-            read_driving(stepper, inputs, h, 1),
+            read_driving(program, inputs, h, 1),
         )
         found = equations_of(header, run) if mu is None else held_equations_of(header, run, h)
         residual, jacobian = map(numbers.result, found)

@@ -16,7 +16,7 @@ from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import workspace
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = [
     "evaluate",
@@ -32,7 +32,7 @@ Reals = NDArray[Any]
 
 
 def evaluate(
-    stepper: Evaluator,
+    program: Program,
     kernel: str,
     block: str,
     count: int,
@@ -48,10 +48,10 @@ def evaluate(
     ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
     come ``before`` it.
     """
-    header, numbers = stepper._module.header, stepper._module.numbers
+    header, numbers = program.header, program.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, stepper, kernel, block, count, t, q, p, inputs, before=before)
+        return evaluate_in(W, program, kernel, block, count, t, q, p, inputs, before=before)
 
 
 def velocities_by(header: Header) -> str:
@@ -60,7 +60,7 @@ def velocities_by(header: Header) -> str:
 
 
 def evaluate_members(
-    stepper: Evaluator,
+    program: Program,
     kernel: str,
     block: str,
     count: int,
@@ -78,16 +78,16 @@ def evaluate_members(
     own, group = np.unique(values, axis=0, return_inverse=True)
     for k, parameters in enumerate(own):
         here = np.flatnonzero(group.ravel() == k)
-        some_q, some_p = (x[here].reshape(-1, stepper.n) for x in (q, p))
+        some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
         times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
-        rows = evaluate(stepper, kernel, block, count, times, some_q, some_p, parameters)
+        rows = evaluate(program, kernel, block, count, times, some_q, some_p, parameters)
         found[here] = rows.reshape(found[here].shape)
     return found
 
 
 def evaluate_in(
     W: Reals,
-    stepper: Evaluator,
+    program: Program,
     kernel: str,
     block: str,
     count: int,
@@ -102,16 +102,16 @@ def evaluate_in(
 
     Fast sines have no value for huge angles: there the library's are taken.
     """
-    numbers, kernels = stepper._module.numbers, stepper._module.kernels
-    place = stepper._module.header.layout[block], count
+    numbers, kernels = program.numbers, program.kernels
+    place = program.header.layout[block], count
 
     def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
         address = kernels.address(kernel, any_angle=any_angle)
         first = kernels.address(before, any_angle=any_angle) if before else 0
-        return _evaluated(stepper, W, (first, address), place, t, q, p, inputs)
+        return _evaluated(program, W, (first, address), place, t, q, p, inputs)
 
     found = values(t, q, p, inputs, any_angle=False)
-    if stepper._module.header.fast_sines and not numbers.all_finite(found):
+    if program.header.fast_sines and not numbers.all_finite(found):
         again = ~numbers.finite(found).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
@@ -121,7 +121,7 @@ def evaluate_in(
 
 
 def watching(
-    stepper: Evaluator, found: Sequence[Observed], values: Reals
+    program: Program, found: Sequence[Observed], values: Reals
 ) -> Callable[[Reals, Reals, Reals], Reals]:
     """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
 
@@ -130,18 +130,18 @@ def watching(
     InputError
         If the stepper has many digits.
     """
-    header, numbers = stepper._module.header, stepper._module.numbers
-    kernels = stepper._module.kernels
+    header, numbers = program.header, program.numbers
+    kernels = program.kernels
     kernel = kernels.observing(observing_kernel(header, found), len(found))
     energy = kernels.address("energy") if any(one.energetic for one in found) else 0
     W = workspace(header, numbers, numbers.read(values), more=len(found))
     return lambda t, q, p: _evaluated(
-        stepper, W, (energy, kernel), (header.rows, len(found)), t, q, p
+        program, W, (energy, kernel), (header.rows, len(found)), t, q, p
     )
 
 
 def _evaluated(
-    stepper: Evaluator,
+    program: Program,
     W: Reals,
     kernels: tuple[Any, Any],
     block: tuple[int, int],
@@ -151,14 +151,14 @@ def _evaluated(
     inputs: Reals = NO_INPUTS,
 ) -> Reals:
     """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
-    numbers, (first, count) = stepper._module.numbers, block
+    numbers, (first, count) = program.numbers, block
     out = numbers.zeros((len(q), count))
     numbers.driver("evaluate")(
-        stepper._module.kernels.address("prepare"),
+        program.kernels.address("prepare"),
         *kernels,
         numbers.read(1.0).item(),
         W,
-        stepper._module.header.told,
+        program.header.told,
         numbers.read(t),
         numbers.read(q),
         numbers.read(p),
@@ -170,14 +170,14 @@ def _evaluated(
 
 
 def evaluate_energy(
-    stepper: Evaluator,
+    program: Program,
     given_q: ArrayLike,
     given_p: ArrayLike,
     parameters: Mapping[Any, Any] | None,
     t: ArrayLike,
 ) -> Reals:
     """Evaluate the Hamiltonian at states of any origin."""
-    numbers, n = stepper._module.numbers, stepper.n
+    numbers, n = program.numbers, program.n
     with numbers.working():
         states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
         for name, state in zip("qp", states, strict=True):
@@ -186,8 +186,8 @@ def evaluate_energy(
                     f"{name} has shape {state.shape}, expected (N, {n}).\n"
                     "Pass one row for each state; q and p of equal length."
                 )
-        values = stepper._values(parameters)
+        values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
     q, p = states
-    found: Reals = evaluate(stepper, "energy", "ENERGY", 1, times, q, p, values)
+    found: Reals = evaluate(program, "energy", "ENERGY", 1, times, q, p, values)
     return found[:, 0]

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.errors import InputError
-from symsimpson.module.header import read_header
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.evaluating import evaluate_energy
-from symsimpson.runtime.inputs import read_parameters
-from symsimpson.runtime.kernels.numbers import FLOAT64, Numbers
-from symsimpson.runtime.loaded import Loaded, Tools
-from symsimpson.runtime.names import Names
+from symsimpson.runtime.program import Program
 from symsimpson.support.calling import explaining
-from symsimpson.support.derivation import Derivation
-from symsimpson.support.names import spelled
 
 __all__ = ["Evaluator"]
 
@@ -35,73 +26,26 @@ class Evaluator:
     :class:`Stepper` is one that also takes steps, and describes parameters and attributes.
     """
 
-    def __init__(
-        self,
-        source: str,
-        where: str,
-        *,
-        defaults: Mapping[str, float] | None = None,
-        numbers: Numbers | None = None,
-        reference_state: Mapping[str, Any] | None = None,
-        declared: Any = None,
-        derivation: Derivation | None = None,
-        tools: Tools | None = None,
-        differentiate: Callable[[tuple[str, ...], Any], Evaluator] | None = None,
-        names: Names | None = None,
-    ) -> None:
-        header = read_header(source, where)
-        self.source, self._where = source, where
-        numbers = numbers or FLOAT64
-        kernels = numbers.kernels(source, header)
-        self._module = Loaded(header, numbers, kernels, declared, derivation, tools)
-        self.system, self.scheme, self.order = header.system, header.scheme, header.order
-        self._names = names = names or Names(header, declared, defaults)
-        self.coordinates, self.parameters = names.coordinates.shown, names.parameters.shown
-        self.inputs, self.invariants = names.inputs.shown, names.invariants.shown
-        self.reference_state = reference_state
-        self._differentiate = differentiate
-        #: Steppers that differentiate by these parameters and inputs, and a running cost.
-        self._variants: dict[tuple[tuple[str, ...], Any], Evaluator] = {}
-        self._looked_at: set[tuple[Any, bytes]] = set()
-        #: By values of parameters: a box of positions without singular points of the coordinates.
-        self._regular: dict[bytes, tuple[Any, Any]] = {}
-        #: How often such a box was not found.
-        self._irregular: dict[bytes, int] = {}
-        #: What is prepared for short runs, where states need not be looked at one by one.
-        special = header.constraints or header.inputs
-        free = header.real_everywhere and not special
-        self._prepared: list[Any] | None = [] if free and numbers.compiled else None
-        #: Steps and lengths of runs that are not short, though it did not seem so.
-        self._long: set[tuple[float, float]] = set()
-        #: What inputs are in runs that are given none.
-        self._held: Mapping[str, float] | None = None
-        self._defaults = numbers.read(header.defaults)
-        self._given = defaults
-        if defaults is not None:
-            self._defaults = numbers.read(list(defaults.values()))
+    def __init__(self, program: Program) -> None:
+        #: The module, compiled, as the package knows it.
+        self.program = program
+        self.source, self.reference_state = program.source, program.reference_state
+        self.system, self.scheme, self.order = program.system, program.scheme, program.order
+        self.coordinates, self.parameters = program.coordinates, program.parameters
+        self.inputs, self.invariants = program.inputs, program.invariants
 
     @property
     def n(self) -> int:
         """Number of coordinates."""
-        return self._module.header.n
+        return self.program.n
 
     @property
     def units(self) -> dict[str, str]:
         """Units of quantities by name, as they were declared with the system."""
-        return dict(getattr(self._module.declared, "units", {}))
+        return self.program.units
 
     def __reduce__(self) -> tuple[Any, ...]:
-        state = self.reference_state
-        given = {
-            "defaults": self._given and dict(self._given),
-            "declared": self._module.declared,
-            "reference_state": state and dict(state),
-            "numbers": self._module.numbers,
-            "tools": self._module.tools,
-            "differentiate": self._differentiate,
-            "names": self._names,
-        }
-        return partial(type(self), self.source, self._where, **given), ()
+        return type(self), (self.program,)
 
     def __repr__(self) -> str:
         return f"Stepper({self.system}, {self.scheme}, order {self.order})"
@@ -148,7 +92,9 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs, multipliers)[0]
+        return evaluate_equations(
+            self.program, q0, p0, nodes, h, parameters, t, inputs, multipliers
+        )[0]
 
     def jacobian(
         self,
@@ -173,7 +119,9 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(self, q0, p0, nodes, h, parameters, t, inputs, multipliers)[1]
+        return evaluate_equations(
+            self.program, q0, p0, nodes, h, parameters, t, inputs, multipliers
+        )[1]
 
     def energy(
         self,
@@ -203,39 +151,4 @@ class Evaluator:
         >>> stepper.energy([[0.0]], [[0.0]]).round(2)
         array([-9.81])
         """
-        return evaluate_energy(self, q, p, parameters, t)
-
-    def _named_values(self, given: Parameters | None = None) -> dict[str, Any]:
-        return dict(zip(self.parameters, self._values(given).tolist(), strict=True))
-
-    def _free_values(self, given: Parameters | None = None) -> dict[str, Any]:
-        """Return the values of those parameters that do not follow from the start."""
-        values = self._named_values(given)
-        own = self._module.header.from_start
-        return {name: value for name, value in values.items() if name not in own}
-
-    def _check_given(self, given: Parameters | None) -> None:
-        """Refuse values of parameters that follow from the start of a run.
-
-        Raises
-        ------
-        InputError
-        """
-        own = self._module.header.from_start
-        if own and isinstance(given, Mapping) and not own.isdisjoint(map(spelled, given)):
-            raise InputError(
-                f"parameters give {', '.join(sorted(own))}, or one of them, which follow from the "
-                "start of a run.\nLeave them out: E0 is the energy there."
-            )
-
-    def _values(self, given: Parameters | None) -> Reals:
-        if given is None:
-            return self._defaults.copy()
-        header = self._module.header
-        self._check_given(given)
-        values = read_parameters(
-            self._names.parameters, header.signs, self._defaults, given, self._module.numbers
-        )
-        if self._names.idle:
-            self._names.warn_of_idle(self.system, np.flatnonzero(values != self._defaults))
-        return values
+        return evaluate_energy(self.program, q, p, parameters, t)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.derivatives import Differentiating
 from symsimpson.runtime.evaluator import Parameters
-from symsimpson.runtime.runs.spec import read_run
+from symsimpson.runtime.program import report_of
+from symsimpson.runtime.runs.request import Request
 from symsimpson.support.calling import explaining
 from symsimpson.support.derivation import Report
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.runtime.results.events import Events
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Examining"]
 
@@ -42,12 +42,7 @@ class Examining(Differentiating):
         >>> report.form, report.operations < 35, list(report.seconds)
         ('unrolled', True, ['reading', 'structure', 'jet', 'text', 'compilation'])
         """
-        derived, lines = self._module.derivation, len(self.source.splitlines())
-        seconds = {"compilation": float(getattr(self._module.kernels, "seconds", 0.0))}
-        if derived is None:
-            return Report(seconds, lines, None, "")
-        form = "unrolled" if derived.unrolled else "loops"
-        return Report({**derived.seconds, **seconds}, lines, derived.operations, form)
+        return report_of(self.program)
 
     def poincare(
         self,
@@ -94,12 +89,12 @@ class Examining(Differentiating):
         >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
         (True, True)
         """
+        from symsimpson.runtime.results.events import read_zeros
         from symsimpson.runtime.runs.section import poincare
 
-        spec = read_run(self, (q0, v0, p0), (h, t_end, steps, t0), parameters, None, inputs)
-        return poincare(
-            cast("Stepper", self), expression, spec, direction, wrap, progress, on_failure
-        )
+        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
+        wanted = read_zeros(self.program, expression, direction, wrap)
+        return poincare(self.program, request, wanted, progress, on_failure)
 
     def certify(
         self,
@@ -142,10 +137,10 @@ class Examining(Differentiating):
         >>> certificate.passed, round(certificate["order"].measured, 1)
         (True, 4.0)
         """
-        if self._module.tools is None:
+        tools = self.program.tools
+        if tools is None:
             raise InputError(
                 f"this stepper of {self.system} came with a stored result: it has no certificate.\n"
                 "Certify one that symsimpson.compile or symsimpson.load made."
             )
-        more: dict[str, Any] = {"h": h, "parameters": parameters, "inputs": inputs}
-        return self._module.tools.certify(self, q0, v0, p0=p0, **more)
+        return tools.certify(self, q0, v0, p0=p0, h=h, parameters=parameters, inputs=inputs)

@@ -15,13 +15,14 @@ from symsimpson.runtime.inputs import read_count
 from symsimpson.runtime.results.gradient import Gradient
 from symsimpson.runtime.runs.backward import Objective, differentiate_back
 from symsimpson.runtime.runs.driving import Samples, given_inputs, steps_a_period
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import RunSpec, read_run
-from symsimpson.runtime.runs.variations import read_varied, varied_stepper
+from symsimpson.runtime.runs.variations import read_varied, refuse_retimed, varied_program
 from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
+    from symsimpson.runtime.program import Program
 
 __all__ = ["Wanted", "gradient_of"]
 
@@ -52,15 +53,9 @@ class Wanted:
 
 
 def gradient_of(
-    stepper: Evaluator,
-    start: Any,
-    times: Any,
-    parameters: Any,
-    inputs: Any,
-    wanted: Wanted,
-    progress: bool | None,
+    program: Program, request: Request, wanted: Wanted, progress: bool | None
 ) -> Gradient:
-    """Return the cost of a run and its derivatives; arguments as ``read_run`` takes them.
+    """Return the cost of a run and its derivatives.
 
     Raises
     ------
@@ -69,21 +64,22 @@ def gradient_of(
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
     asked = [spelled(one) for one in (wanted.wrt if several else [wanted.wrt])]
     names = [name for name in asked if name not in STATE]
-    _check(wanted, asked, velocities=start[1] is not None)
-    stepper = varied_stepper(stepper, read_varied(stepper, names), wanted.running)
-    spec = read_run(stepper, start, times, parameters, None, inputs)
+    _check(wanted, asked, velocities=request.v0 is not None)
+    refuse_retimed(program, "gradients of costs")
+    program = varied_program(program, read_varied(program, names), wanted.running)
+    spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)
     objective = Objective(
-        read_cost(stepper, wanted.cost),
-        read_samples(stepper, wanted.samples, spec.steps, every),
+        read_cost(program, wanted.cost),
+        read_samples(program, wanted.samples, spec.steps, every),
         every,
     )
-    header = stepper._module.header
+    header = program.header
     varied = header.varied_by or ()
     of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
-    found = differentiate_back(stepper, spec, objective, of_inputs, progress)
-    given = given_inputs(stepper, inputs) if of_inputs else {}
-    n, parts = stepper.n, {}
+    found = differentiate_back(program, spec, objective, of_inputs, progress)
+    given = given_inputs(program, request.inputs) if of_inputs else {}
+    n, parts = program.n, {}
     for name in asked:
         if name in STATE:
             parts[name] = found.state[:n] if name == "q" else found.state[n:]
@@ -91,8 +87,8 @@ def gradient_of(
         own = varied[names.index(name)]
         if own in header.inputs:
             slopes = found.by_step[:, of_inputs.index(names.index(name))]
-            key = stepper.inputs[header.inputs.index(own)]
-            parts[name] = _of_input(key, slopes, given[key], spec, stepper._module.numbers)
+            key = program.inputs[header.inputs.index(own)]
+            parts[name] = _of_input(key, slopes, given[key], spec, program.numbers)
         else:
             parts[name] = np.asarray(found.parameters[names.index(name)])
     return Gradient(found.value, parts)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.runtime.runs.request import Request
 from symsimpson.support.names import Named
 
 if TYPE_CHECKING:
@@ -88,10 +89,11 @@ def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
 
 
 def read_steps(
-    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers, *, retimed: bool = False
+    request: Request, numbers: Numbers, *, retimed: bool = False
 ) -> tuple[Any, int, Any]:
     """Read step, number of steps and start time; exactly one of ``t_end`` and ``steps``."""
-    h, t0 = read_step(h, numbers), read_number("t0", t0, numbers)
+    h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
+    t_end, steps = request.t_end, request.steps
     if (t_end is None) == (steps is None):
         given = "neither" if t_end is None else "both"
         raise InputError(
@@ -142,22 +144,20 @@ def _check_times(h: Any, t0: Any, steps: int, numbers: Numbers) -> None:
         )
 
 
-def read_times(
-    h: Any, t_end: Any, steps: Any, t0: Any, numbers: Numbers, *, retimed: bool
-) -> tuple[Any, int, Any, Any]:
+def read_times(request: Request, numbers: Numbers, *, retimed: bool) -> tuple[Any, int, Any, Any]:
     """Read step, number of steps and start time; and the end of a run of unknown length.
 
     That is one whose steps are fixed in another time: the number of steps is then the most.
     """
-    if not retimed or t_end is None:
-        return *read_steps(h, t_end, steps, t0, numbers, retimed=retimed), None
-    h, t0, end = read_step(h, numbers), read_number("t0", t0, numbers), None
-    if steps is not None:
+    if not retimed or request.t_end is None:
+        return *read_steps(request, numbers, retimed=retimed), None
+    h, t0 = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
+    if request.steps is not None:
         raise InputError(
             "a run needs exactly one of t_end and steps, and has both.\n"
             "Pass t_end=10.0 or steps=1000."
         )
-    end = read_number("t_end", t_end, numbers)
+    end = read_number("t_end", request.t_end, numbers)
     if (end - t0) * h < 0:
         raise InputError(
             f"t_end={float(end):g} is not reached from t0={float(t0):g} with h={float(h):g}.\n"
@@ -187,25 +187,22 @@ def read_every(every: Any) -> int:
     return 0 if every is None else read_count("every", every, least=1)
 
 
-def refuse_together(
-    tangents: Any, sensitivities: Any, checkpoint: Any, every: Any, t_eval: Any
-) -> None:
+def refuse_together(request: Request) -> None:
     """Refuse what does not go with chosen times or quantities.
 
     Raises
     ------
     InputError
     """
-    given = {"tangents": tangents, "sensitivities": sensitivities, "checkpoint": checkpoint}
-    for name, value in given.items():
-        if value is not None:
+    for name in ("tangents", "sensitivities", "checkpoint"):
+        if getattr(request, name) is not None:
             raise InputError(
                 f"{name} needs the states of all steps, of which t_eval or save keeps some.\n"
                 "Leave t_eval and save out, and take run.at(times) or run['energy'] afterwards."
             )
-    if t_eval is not None and every != 1:
+    if request.t_eval is not None and request.every != 1:
         raise InputError(
-            f"every={every!r} and t_eval both say which states to keep.\nPass one of them."
+            f"every={request.every!r} and t_eval both say which states to keep.\nPass one of them."
         )
 
 
@@ -277,10 +274,9 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def read_given(
-    who: str, how: str, v0: ArrayLike | None, p0: ArrayLike | None
-) -> tuple[Literal["v0", "p0"], ArrayLike]:
+def read_given(who: str, how: str, request: Request) -> tuple[Literal["v0", "p0"], ArrayLike]:
     """Return the one of v0 and p0 that is there, with its name."""
+    v0, p0 = request.v0, request.p0
     if v0 is not None and p0 is None:
         return "v0", v0
     if p0 is not None and v0 is None:

@@ -8,15 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import Interrupted
 from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.examining import Examining
-from symsimpson.runtime.inputs import read_failure, refuse_together
 from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.brief import brief_run
-from symsimpson.runtime.runs.integrate import integrate
-from symsimpson.runtime.runs.spec import read_run
-from symsimpson.runtime.runs.timed import timed_run
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.requested import run
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
@@ -32,26 +28,8 @@ class Stepper(Examining):
 
     Parameters
     ----------
-    source : str
-        Text of a generated module.
-    where : str
-        Names it in messages.
-    defaults : mapping from str to float, optional
-        Default parameter values in the module's order, keyed by the names that users may pass.
-    numbers : Numbers, optional
-        What to compute with; double precision unless given.
-    reference_state : mapping, optional
-        A state to start from: q0, and v0 or p0.
-    declared : MechanicalSystem, optional
-        The system that the module was generated from; needed to warn of too large steps.
-    derivation : Derivation, optional
-        Record of its generation.
-    tools : Tools, optional
-        Functions that certify the stepper and check the step size.
-    differentiate : callable, optional
-        Returns a stepper that also differentiates its steps by the named parameters and inputs.
-    names : Names, optional
-        What users call things, if another stepper knows.
+    program : Program
+        A module, compiled, with names and values.
 
     Attributes
     ----------
@@ -71,7 +49,7 @@ class Stepper(Examining):
     def _repr_html_(self) -> str:
         from symsimpson.runtime.results.html import stepper
 
-        return stepper(self)
+        return stepper(self.program)
 
     @overload
     def integrate(
@@ -229,28 +207,10 @@ class Stepper(Examining):
         >>> run.q.shape, bool(abs(run.energy_error).max() < 1e-5)
         ((201, 1), True)
         """
-        start, times = (q0, v0, p0), (h, t_end, steps, t0)
-        if t_eval is not None or save is not None:
-            from symsimpson.runtime.runs.chosen import chosen_run, last_time
-
-            refuse_together(tangents, sensitivities, checkpoint, every, t_eval)
-            if t_eval is not None and t_end is None and steps is None:
-                times = (h, *last_time(self, t_eval, h, t0), t0)
-            spec = read_run(self, start, times, parameters, every, inputs)
-            return chosen_run(self, spec, t_eval, save, progress, on_failure)
-        more = inputs, tangents, sensitivities, checkpoint, progress
-        if all(one is None for one in more) and on_failure in ("raise", "return"):
-            over = brief_run(self, start, times, parameters, every)
-            if over is not None:
-                return over
-        carried = 0 if tangents is None and sensitivities is not None else tangents
-        if self._module.header.retimed and carried is not None:
-            names = self._names_to_vary(sensitivities, checkpoint)
-            spec = read_run(self, start, times, parameters, every, inputs, carried)
-            return timed_run(self, spec, names, progress, on_failure)
-        stepper = self._differentiating(tangents, sensitivities, checkpoint)
-        spec = read_run(stepper, start, times, parameters, every, inputs, carried)
-        return integrate(stepper, spec, checkpoint, checkpoint_every, progress, on_failure)
+        begin = q0, v0, p0, h, t_end, steps, t0
+        derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
+        request = Request(*begin, parameters, inputs, every, *derivatives, *kept)
+        return run(self.program, request, checkpoint_every, progress, on_failure)
 
     def ensemble(
         self,
@@ -337,27 +297,9 @@ class Stepper(Examining):
         ((30, 1), True)
         """
         from symsimpson.runtime.ensembles.dispatch import run_ensemble
-        from symsimpson.runtime.ensembles.members import read_task
 
-        read_failure(on_failure)
-        stepper = self._telling(reduce, tangents, sensitivities, store)
-        carried = 0 if tangents is None and sensitivities is not None else tangents
-        task = read_task(
-            stepper,
-            q0,
-            v0,
-            p0,
-            parameters,
-            (h, t_end, steps, t0),
-            every,
-            reduce,
-            threads,
-            progress,
-            inputs=inputs,
-            tangents=carried,
-            on_disk=store is not None,
+        begin = q0, v0, p0, h, t_end, steps, t0
+        request = Request(*begin, parameters, inputs, every, tangents, sensitivities)
+        return run_ensemble(
+            self.program, request, reduce, store, threads, client, progress, on_failure
         )
-        found, interrupted = run_ensemble(stepper, task, store, client)
-        if interrupted and on_failure == "raise":
-            raise Interrupted(found.message, trajectory=found)
-        return found

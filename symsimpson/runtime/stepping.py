@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.errors import InputError
 from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
-from symsimpson.runtime.inputs import read_count, read_number, read_step
-from symsimpson.runtime.runs.brief import brief_run
-from symsimpson.runtime.runs.driving import places
-from symsimpson.runtime.runs.integrate import integrate
+from symsimpson.runtime.runs.driving import node_times
+from symsimpson.runtime.runs.request import Request, of_a_step
+from symsimpson.runtime.runs.requested import end_of_step
 from symsimpson.runtime.runs.spec import read_run
 from symsimpson.support.calling import explaining
 
@@ -68,11 +65,10 @@ class Stepping(Evaluator):
         >>> bool(q1[0] < 1.0), bool(p1[0] < 0.0)
         (True, True)
         """
-        start, times = (q, v, p), (h, None, 1, t)
-        end = brief_run(self, start, times, parameters, None) if inputs is None else None
-        if end is None:
-            spec = read_run(self, start, times, parameters, None, of_a_step(self, inputs))
-            end = integrate(self, spec, None, None, None, "raise")
+        request = Request(
+            q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
+        )
+        end = end_of_step(self.program, request)
         return end.q[0], end.p[0]
 
     def node_times(self, h: Any, steps: int, t0: Any = 0.0) -> Reals:
@@ -101,17 +97,7 @@ class Stepping(Evaluator):
         >>> cart.node_times(0.1, 2).round(12).tolist()
         [[0.0, 0.05, 0.1], [0.1, 0.15, 0.2]]
         """
-        if not self.inputs:
-            raise InputError(
-                f"{self.system} has no inputs, so there are no times to take them at.\n"
-                "Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,))."
-            )
-        numbers = self._module.numbers
-        with numbers.working():
-            step, start = read_step(h, numbers), read_number("t0", t0, numbers)
-            count = read_count("steps", steps, least=0)
-            place = numbers.counted(0, count, 1)[:, None] + places(self)
-            return numbers.result(start + step * place)
+        return node_times(self.program, h, steps, t0)
 
     def start(
         self,
@@ -154,19 +140,7 @@ class Stepping(Evaluator):
         from symsimpson.runtime.runs.loop import ControlLoop
 
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
-        spec = read_run(
-            self, (q0, v0, p0), (h, None, 1, t0), parameters, None, of_a_step(self, zeros)
+        request = Request(
+            q0, v0, p0, h, steps=1, t0=t0, parameters=parameters, inputs=of_a_step(zeros)
         )
-        return ControlLoop(self, spec)
-
-
-def of_a_step(stepper: Evaluator, inputs: Any) -> Any:
-    """Return inputs of one step as those of a run of one step."""
-    if isinstance(inputs, Mapping):
-        return {key: _first_axis(value) for key, value in inputs.items()}
-    return inputs if inputs is None else _first_axis(inputs)
-
-
-def _first_axis(value: Any) -> Any:
-    array = np.asarray(value)
-    return array[None] if array.ndim else value
+        return ControlLoop(self.program, read_run(self.program, request))

@@ -46,7 +46,7 @@ def test_multipliers_where_the_mass_matrix_is_not_constant():
     near = [1, 1.5, 2, 2.5, 3, 3.5, 0, 0.5, 1.0, 1.3, 1.6, 1.8]
     q0, v0 = system.consistent(near, np.cos(np.arange(12.0)))
     stepper = ss.compile(system, precision=20)
-    assert not stepper._module.header.unrolled
+    assert not stepper.program.header.unrolled
     run = stepper.integrate(q0, v0, h=0.01, steps=1)
     for k in (0, 1):
         _, exact = index_one(system)(run.q[k].astype(float), run.v[k].astype(float))

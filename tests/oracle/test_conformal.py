@@ -120,7 +120,7 @@ def test_large_systems_damp_by_forces():
         dissipation=k * kinetic,
     )
     made = ss.compile(system)
-    assert not made._module.header.conformal
+    assert not made.program.header.conformal
     run = made.integrate(np.linspace(0, 2, 20), v0=np.ones(20), h=0.05, steps=40)
     # the sum of all momenta decays by itself
     assert abs(run.p.sum(axis=1)[-1] / 20 - np.exp(-0.2)) < 1e-8

@@ -6,6 +6,7 @@ from support.forms import limited
 
 import symsimpson as ss
 from symsimpson.codegen import pipeline
+from symsimpson.runtime.program import new_program
 from symsimpson.runtime.stepper import Stepper
 
 pytestmark = pytest.mark.slow
@@ -58,5 +59,6 @@ def drift(stepper, together):
 def test_the_mean_energy_stays(scheme, exploit, loops, together, monkeypatch):
     if loops:
         limited(monkeypatch, UNROLLED_UNKNOWNS=0)
-    stepper = Stepper(pipeline.source(ss.systems.henon_heiles(), scheme, exploit), "drift")
+    text = pipeline.source(ss.systems.henon_heiles(), scheme, exploit)
+    stepper = Stepper(new_program(text, "drift"))
     assert abs(drift(stepper, together)) < MOST

@@ -197,7 +197,7 @@ def test_stages_solve_the_equations(system, scheme):
 def test_compiled_stages_against_many_digits(name, scheme):
     system = ss.systems.CATALOGUE[name]()
     stepper = ss.compile(system, scheme)
-    assert stepper._module.header.by_stages
+    assert stepper.program.header.by_stages
     h = 1 / 64
     run = stepper.integrate(**system.reference_state, h=h, steps=20)
     precise = ss.compile(system, scheme, precision=BY_NEWTON, arithmetic="arb")
@@ -222,7 +222,7 @@ def test_the_trapezoidal_rule_is_stoermer_verlet():
     """Where M is constant a step is explicit: kick, drift, kick."""
     system = ss.systems.henon_heiles()
     stepper = ss.compile(system, "lobatto2")
-    assert stepper._module.header.newton_unknowns == 0
+    assert stepper.program.header.newton_unknowns == 0
     run = stepper.integrate(**system.reference_state, h=0.05, steps=100)
     (q, p), h = (run.q[0].copy(), run.p[0].copy()), 0.05
 

@@ -269,7 +269,7 @@ def test_loops_take_forces_too(force):
     )
     q, v = [0.3 * np.sin(i) for i in range(18)], [0.1] * 18
     stepper = ss.compile(system)
-    assert not stepper._module.header.unrolled
+    assert not stepper.program.header.unrolled
     exact = truth(system, q, v, 1.0)
     errors = [
         np.abs(np.concatenate([run.q[-1], run.p[-1]]) - exact).max()
@@ -292,7 +292,7 @@ def test_the_catalogue_of_driven_systems(name):
     assert certificate.passed, certificate
     exempt = [check.name for check in certificate.checks if check.exempt]
     forced = bool(system.forces or system.dissipation)
-    assert ("symplectic" in exempt) == (forced and not stepper._module.header.conformal)
+    assert ("symplectic" in exempt) == (forced and not stepper.program.header.conformal)
     assert "balance" in [check.name for check in certificate.checks]
 
 

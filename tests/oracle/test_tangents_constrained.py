@@ -17,7 +17,7 @@ def case(name, scheme):
     stepper, state = ss.compile(system, scheme), dict(system.reference_state)
     q0 = state.pop("q0")
     first = stepper.integrate(q0, **state, h=FINE.get(name, H), steps=1)
-    values = stepper._named_values()
+    values = stepper.program.named_values()
     start = np.concatenate([first.q[0], first.p[0]])
     return stepper, values, Precise(stepper, values, DIGITS).placed(start)
 
@@ -43,7 +43,7 @@ def test_tangent_and_adjoint_of_a_pendulum_in_many_digits():
     """The kernels themselves, without a compiler: on the constraint, and transposed."""
     system = ss.systems.cartesian_pendulum()
     stepper = ss.compile(system, "midpoint", precision=DIGITS)
-    values = stepper._named_values()
+    values = stepper.program.named_values()
     precise = Precise(ss.compile(system, "midpoint"), values, DIGITS)
     z = precise.placed([0.6, 0.0, -0.8, 0.4, 1.7, 0.3])
     of_end, of_start = precise.tangent(z, H)

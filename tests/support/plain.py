@@ -171,6 +171,6 @@ class _Refusing(event.Listener):
 @contextlib.contextmanager
 def plain(monkeypatch):
     """Run kernels of steppers that are made meanwhile in Python, and refuse to compile."""
-    monkeypatch.setattr("symsimpson.runtime.evaluator.FLOAT64", PLAIN)
+    monkeypatch.setattr("symsimpson.runtime.program.FLOAT64", PLAIN)
     with event.install_listener("numba:compiler_lock", _Refusing()):
         yield

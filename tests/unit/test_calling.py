@@ -102,4 +102,4 @@ def test_parameters_of_positions_alone_are_no_idle_ones():
         parameters={l: 1.0},
         positions={"bob": (l * sp.sin(x),), "body": [(0, l), (1, x), (0, 0)]},
     )
-    assert not ss.compile(system)._names.idle
+    assert not ss.compile(system).program.names.idle

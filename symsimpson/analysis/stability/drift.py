@@ -109,7 +109,7 @@ def energy_drift(
     -------
     Drift
     """
-    values = stepper._named_values(parameters)
+    values = stepper.program.named_values(parameters)
     q, p = choose_state(stepper, state, values)
     moved = q + spread * np.random.default_rng(5).uniform(-1, 1, (members, stepper.n))
     energies, momenta, failed = _sampled(stepper, moved, p, h, steps, values, progress)

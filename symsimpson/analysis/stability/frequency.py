@@ -22,7 +22,7 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.program import Program
 
 __all__ = [
     "fastest_rotation",
@@ -203,7 +203,7 @@ def largest_stable(scheme: str) -> float:
 
 
 def warn_of_step(
-    stepper: Stepper,
+    program: Program,
     system: MechanicalSystem,
     q: Iterable[float],
     v: Iterable[float],
@@ -213,17 +213,17 @@ def warn_of_step(
 ) -> None:
     """Warn of a step that does not resolve what is fast at the start: oscillations, or damping."""
     if system.constraints:
-        warn_of_turning(stepper, system, v, h)
+        warn_of_turning(program, system, v, h)
     if system.n > MOST_COORDINATES:
         return
     if not system.constraints:  # else M says little of what damps
-        _warn_of_damping(stepper, system, (q, v, values, t), h)
+        _warn_of_damping(program, system, (q, v, values, t), h)
     omega = largest_frequency(system, q, values, t)
     if abs(h) * omega >= ALWAYS_STABLE:
-        limit = largest_stable(stepper.scheme)
+        limit = largest_stable(program.scheme)
         if abs(h) * omega > limit:
             warn(
-                f"{stepper.system}, {stepper.scheme}: h={h:g} is beyond the limit of linear "
+                f"{program.system}, {program.scheme}: h={h:g} is beyond the limit of linear "
                 f"stability. The fastest oscillation at the start has omega={omega:.4g}; h omega "
                 f"is {abs(h) * omega:.3g}, and from {limit:.3g} on oscillations may grow.\n"
                 f"Take h below {limit / omega:.3g}, or a Gauss scheme ('midpoint', 'gauss8'), "
@@ -235,7 +235,7 @@ def warn_of_step(
         omega = fastest_rotation(system, q, values, t)
     if abs(h) * omega > math.pi:
         warn(
-            f"{stepper.system}, {stepper.scheme}: what turns or swings fastest at the start, of "
+            f"{program.system}, {program.scheme}: what turns or swings fastest at the start, of "
             f"omega={omega:.4g}, turns by {abs(h) * omega:.3g} rad in a step of h={h:g}. From pi "
             "on states one step apart cannot show that: it looks slower, or as if it turned the "
             f"other way, and is not resolved.\nTake h below {math.pi / omega:.3g}, and well below "
@@ -245,17 +245,17 @@ def warn_of_step(
 
 
 def _warn_of_damping(
-    stepper: Stepper, system: MechanicalSystem, state: tuple[Any, ...], h: float
+    program: Program, system: MechanicalSystem, state: tuple[Any, ...], h: float
 ) -> None:
     """Warn where momenta would keep a part that damping takes from the motion in no time."""
     rate = largest_damping(system, *state)
     if rate == 0:
         return
-    scheme = read_scheme(stepper.scheme)
+    scheme = read_scheme(program.scheme)
     if abs(h) * rate <= 2 * scheme.degree or not scheme.symmetric:
         return
     warn(
-        f"{stepper.system}, {stepper.scheme}: h={h:g} does not resolve the strongest damping at "
+        f"{program.system}, {program.scheme}: h={h:g} does not resolve the strongest damping at "
         f"the start, of rate {rate:.4g}: the damped part of the momenta hardly decays, or "
         f"alternates in sign.\nTake h below {2 * scheme.degree / rate:.3g}, or the scheme 'radau3' "
         "or 'radau5', with which it decays.",

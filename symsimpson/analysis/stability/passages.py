@@ -22,10 +22,12 @@ from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.requested import run as run_again
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.program import Program
     from symsimpson.runtime.results.trajectory import Trajectory
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["at_pole", "regular_box", "unresolved_pole"]
 
@@ -93,13 +95,13 @@ def at_pole(system: MechanicalSystem, run: Trajectory) -> str:
 
 
 def unresolved_pole(
-    stepper: Stepper, system: MechanicalSystem, run: Trajectory
+    program: Program, system: MechanicalSystem, run: Trajectory
 ) -> tuple[float, str] | None:
     """Return when a run passed a singular point of the coordinates unresolved, and which.
 
     Parameters
     ----------
-    stepper : Stepper
+    program : Program
     system : MechanicalSystem
     run : Trajectory
         One that stored all its states.
@@ -124,8 +126,8 @@ def unresolved_pole(
     places = np.flatnonzero(close) + 1
     plain = int(np.argsort(sizes)[len(sizes) // 2])
     for place in sorted(places[np.argsort(sizes[places])[:PASSAGES]]):
-        apart = _apart(stepper, system, run, int(place))
-        if apart > APART and apart > ORDINARY * _apart(stepper, system, run, plain):
+        apart = _apart(program, system, run, int(place))
+        if apart > APART and apart > ORDINARY * _apart(program, system, run, plain):
             return float(t[place]), _named(system, run, int(place))
     return None
 
@@ -163,47 +165,45 @@ def regular_box(
 
 
 def _states(run: Trajectory) -> tuple[Reals, Reals, list[float]]:
-    inputs = np.asarray(run._inputs, dtype=np.float64)[0, 0, 0]
-    values = [*map(float, run._values), *map(float, inputs)]
+    inputs = np.asarray(run.input_values, dtype=np.float64)[0, 0, 0]
+    values = [*map(float, run.parameter_values), *map(float, inputs)]
     return run.t.astype(np.float64), run.q.astype(np.float64), values
 
 
 def _named(system: MechanicalSystem, run: Trajectory, place: int) -> str:
-    names, q = run._stepper.coordinates, run.q[place]
+    names, q = run.program.coordinates, run.q[place]
     return ", ".join(f"{names[i]}={float(q[i]):.6g}" for i in _mass(system)[1])
 
 
-def _apart(stepper: Stepper, system: MechanicalSystem, run: Trajectory, place: int) -> float:
+def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: int) -> float:
     """Return how far from the run much finer steps past a state lead, in moves of a step, squared.
 
     Nothing is known where inputs are polynomials of the steps: 0.
     """
     first, last = max(0, place - BEFORE), min(len(run) - 1, place + BEHIND)
     inputs: Any = None
-    if stepper.inputs:
-        if run._inputs.shape[2] > 1:
+    if program.inputs:
+        if run.input_values.shape[2] > 1:
             return 0.0
-        own = run._inputs[0, min(first, run._inputs.shape[1] - 1) : last, 0]
+        own = run.input_values[0, min(first, run.input_values.shape[1] - 1) : last, 0]
         inputs = {
             name: own[0, k] if len(own) == 1 else np.repeat(own[:, k], FINER)
-            for k, name in enumerate(stepper.inputs)
+            for k, name in enumerate(program.inputs)
         }
-    free = {name: run.parameters[name] for name in stepper._free_values()}
+    free = {name: run.parameters[name] for name in program.free_values()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            finer = stepper.integrate(
+            asked = Request(
                 run.q[first],
                 p0=run.p[first],
                 h=run.h / FINER,
                 steps=FINER * (last - first),
                 t0=run.t[first],
                 parameters=free,
-                every=None,
-                progress=False,
-                on_failure="return",
                 inputs=inputs,
             )
+            finer = run_again(program, asked, None, False, "return")
         except SymsimpsonError:
             return np.inf
     if not finer.success:

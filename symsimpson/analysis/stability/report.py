@@ -39,10 +39,10 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     str
         Lines.
     """
-    q, p = choose_state(stepper, None, stepper._free_values())
-    if stepper._module.header.retimed:
-        stepper = in_tau(stepper, stepper.integrate(q, p0=p, h=1.0, steps=0)._values)
-    values = stepper._named_values()
+    q, p = choose_state(stepper, None, stepper.program.free_values())
+    if stepper.program.header.retimed:
+        stepper = in_tau(stepper, stepper.integrate(q, p0=p, h=1.0, steps=0).parameter_values)
+    values = stepper.program.named_values()
     step = choose_step(stepper, q, p, values, 10_000) if h is None else h
     state = {"q0": q, "p0": p}
     yield f"{stepper.system}, {stepper.scheme}: from q0 = {q.tolist()}, p0 = {p.tolist()}"
@@ -62,7 +62,7 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
         error = float(np.abs(run.energy_error).max())
         mean = run.newton_iterations.sum() / max(1, run.steps)
         yield f"  h = {step * factor:<10.4g} {error:9.1e} {mean:6.2f}  {run.status.name}"
-    if stepper._module.header.constraints:
+    if stepper.program.header.constraints:
         return  # states beside another one, or turned by themselves, leave the constraints
     yield "there with h and back with -h"
     for count in (100, 1000, 10_000):

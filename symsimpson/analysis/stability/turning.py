@@ -14,7 +14,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.runtime.program import Program
 
 __all__ = ["LARGEST_TURN", "fastest_turn", "warn_of_turning"]
 
@@ -49,13 +49,13 @@ def fastest_turn(system: MechanicalSystem, v: Iterable[float]) -> float:
 
 
 def warn_of_turning(
-    stepper: Stepper, system: MechanicalSystem, v: Iterable[float], h: float
+    program: Program, system: MechanicalSystem, v: Iterable[float], h: float
 ) -> None:
     """Warn of a step in which a body turns too far."""
     speed = fastest_turn(system, v)
     if speed * abs(h) > LARGEST_TURN:
         warn(
-            f"{stepper.system}, {stepper.scheme}: a step of h={h:g} turns a body by "
+            f"{program.system}, {program.scheme}: a step of h={h:g} turns a body by "
             f"{speed * abs(h):.3g} rad, at {speed:.4g} rad/s; with quaternions a step "
             f"resolves about {LARGEST_TURN} rad.\nTake h below {LARGEST_TURN / speed:.3g}; or use "
             "Euler angles, where the spin of a symmetric body is cyclic and any step resolves it.",

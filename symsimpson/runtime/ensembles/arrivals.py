@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.module.interface import ARRIVED
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.task import Results, Task
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.arrival import states_at
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["take_last_parts", "with_ends"]
 
 
-def take_last_parts(stepper: Stepper, task: Task, results: Results) -> None:
+def take_last_parts(program: Program, task: Task, results: Results) -> None:
     """Take the parts of a step from where members have arrived to their end.
 
     Where states on the way are stored, their end is not.
@@ -30,7 +28,7 @@ def take_last_parts(stepper: Stepper, task: Task, results: Results) -> None:
         return
     states = tuple(np.ascontiguousarray(x[arrived, 0]) for x in (results.q, results.p))
     part, q, p, fine = states_at(
-        stepper,
+        program,
         task.parameters[arrived],
         task.h,
         (results.kept[arrived, 0, 0], *states),

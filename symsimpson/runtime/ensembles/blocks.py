@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,10 @@ from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
 from symsimpson.runtime.kernels.observed import KINDS, observing_kernel
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.runs.chaos import directions, kept_growth
 from symsimpson.runtime.runs.run import NOTHING_KEPT, TIME_KEPT
 from symsimpson.runtime.runs.variations import kept_variations
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["run_blocks"]
 
@@ -37,10 +34,10 @@ FIRST_BUDGET = 2000
 Floats = NDArray[np.float64]
 
 
-def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
+def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
     """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
-    results = Results(task, stepper.n)
-    work_off = _prepared(stepper, task, results)
+    results = Results(task, program.n)
+    work_off = _prepared(program, task, results)
     lanes = task.lanes
     blocks = -(-task.members // lanes)
     queue = _Queue(blocks, task.threads)
@@ -52,9 +49,9 @@ def run_blocks(stepper: Stepper, task: Task, count: Callable[[int], None]) -> tu
 
     _wait([work] * threads, queue)
     if task.t_end is not None:
-        take_last_parts(stepper, task, results)
-    stopped = queue.stopped or run_singly(stepper, task, results)
-    return ensemble_of(stepper, task, **results.columns()), stopped
+        take_last_parts(program, task, results)
+    stopped = queue.stopped or run_singly(program, task, results)
+    return ensemble_of(program, task, **results.columns()), stopped
 
 
 class _Queue:
@@ -92,11 +89,11 @@ def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
             future.result()
 
 
-def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., None]:
+def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
-    header, lanes = stepper._module.header, task.lanes
-    numbers = stepper._module.numbers
-    kernels = numbers.kernels(stepper.source, header, lanes)
+    header, lanes = program.header, task.lanes
+    numbers = program.numbers
+    kernels = numbers.kernels(program.source, header, lanes)
     kept, columns, told = NOTHING_KEPT, np.zeros((0, 0)), header.told.copy()
     watched, observing, slopes = 0, 0, 0
     if task.tangents is not None:
@@ -107,7 +104,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
     if task.of_variations:
         if header.constraints:
             raise InputError(
-                f"{stepper.system} has constraints, and ensembles do not tell how variations that "
+                f"{program.system} has constraints, and ensembles do not tell how variations that "
                 "these allow grow.\nAsk for single motions: stepper.lyapunov."
             )
         if task.steps < RENEWAL:
@@ -115,7 +112,7 @@ def _prepared(stepper: Stepper, task: Task, results: Results) -> Callable[..., N
                 f"a run of {task.steps} steps does not tell how variations grow.\n"
                 f"Take {RENEWAL} at least."
             )
-        kept, columns = kept_growth(stepper, PAIR, RENEWAL), directions(2 * header.n, PAIR)
+        kept, columns = kept_growth(program, PAIR, RENEWAL), directions(2 * header.n, PAIR)
         told = header.told_to_renew(PAIR, RENEWAL)
     if not all(r.of_variations for r in task.reductions):
         watched = len(task.reductions)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from functools import lru_cache
 from itertools import islice
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,13 +21,10 @@ from symsimpson.runtime.ensembles.ensemble import names_in_dataset
 from symsimpson.runtime.ensembles.store import Store, members_of, said, write_chunk
 from symsimpson.runtime.ensembles.task import Task, lanes_for
 from symsimpson.runtime.kernels.observed import read_reductions
-from symsimpson.runtime.reading import read_stepper
+from symsimpson.runtime.program import Program, read_program
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.extras import library
 from symsimpson.support.progress import Progress
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["check_client", "compute_chunk", "run_on_cluster"]
 
@@ -70,7 +67,7 @@ def run_on_cluster(store: Store, client: Any) -> bool:
     """
     import distributed
 
-    module = digest(store.stepper.source)
+    module = digest(store.program.source)
     chunks = list(store.missing())
     waiting = iter(chunks)
 
@@ -135,14 +132,14 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
             f"{path}: the module in the store is not the one that was asked for.\n"
             "It was changed or damaged. Begin a new store."
         )
-    stepper = _stepper(source)
+    program = _program(source)
     reduce = {name: (kind, text) for name, kind, text in json.loads(asked["reduce"])}
-    reductions = read_reductions(stepper, reduce)
-    _, names = names_in_dataset(reduce, stepper.parameters)
+    reductions = read_reductions(program, reduce)
+    _, names = names_in_dataset(reduce, program.parameters)
     members = members_of(chunk, size, asked["members"])
     with said(path, "read"):
         q0, other0 = (group[name][members] for name in ("q0", asked["given"]))
-        columns = [group[names[name]][members] for name in stepper.parameters]
+        columns = [group[names[name]][members] for name in program.parameters]
     parameters = np.array(columns).reshape(-1, len(q0)).T.copy()
     task = Task(
         q0,
@@ -157,13 +154,13 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         reductions,
         threads=1,
         progress=False,
-        lanes=lanes_for(stepper._module.header),
+        lanes=lanes_for(program.header),
     )
-    found, _ = run_blocks(stepper, task, lambda done: None)
+    found, _ = run_blocks(program, task, lambda done: None)
     write_chunk(path, group, members, found)
     return len(found)
 
 
 @lru_cache(maxsize=16)
-def _stepper(source: str) -> Stepper:
-    return read_stepper(source, "the module in a store")
+def _program(source: str) -> Program:
+    return read_program(source, "the module in a store")

@@ -2,81 +2,123 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, Interrupted
 from symsimpson.runtime.ensembles.arrivals import with_ends
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.cluster import check_client, run_on_cluster
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.judged import look_at_ends, look_at_steps
+from symsimpson.runtime.ensembles.members import read_task
 from symsimpson.runtime.ensembles.store import open_store, run_missing
 from symsimpson.runtime.ensembles.task import Task
+from symsimpson.runtime.inputs import read_failure
+from symsimpson.runtime.kernels.observed import read_reductions
+from symsimpson.runtime.program import Program
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.requested import differentiating
+from symsimpson.runtime.runs.variations import refuse_retimed, varied_program
 from symsimpson.support.progress import Progress
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["run_ensemble"]
 
 
-def run_ensemble(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
-    """Run an ensemble; tells whether Ctrl-C stopped it.
+def run_ensemble(
+    program: Program,
+    request: Request,
+    reduce: Mapping[str, Any] | None,
+    store: Any,
+    threads: int | None,
+    client: Any,
+    progress: bool | None,
+    on_failure: str,
+) -> Ensemble:
+    """Run an ensemble as requested; arguments are those of :meth:`Stepper.ensemble`.
 
     Raises
     ------
     InputError
         If no member could begin, or it cannot be kept or computed there.
+    Interrupted
+        At Ctrl-C, with what is done.
     """
-    look_at_steps(stepper, task)
-    found, stopped = _run(stepper, task, store, client)
+    read_failure(on_failure)
+    program = _telling(program, request, reduce, store)
+    task = read_task(program, request, reduce, threads, progress, on_disk=store is not None)
+    look_at_steps(program, task)
+    found, stopped = _run(program, task, store, client)
     if not stopped:
-        look_at_ends(stepper, task, found)
-    return found, stopped
+        look_at_ends(program, task, found)
+    elif on_failure == "raise":
+        raise Interrupted(found.message, trajectory=found)
+    return found
 
 
-def _run(stepper: Stepper, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
+def _telling(program: Program, request: Request, reduce: Any, store: Any) -> Program:
+    """Return the program whose ensembles carry along what they are asked for.
+
+    Raises
+    ------
+    InputError
+        If that cannot be stored, or both are asked for.
+    """
+    telling = any(one.of_variations for one in read_reductions(program, reduce))
+    if request.varied or telling:
+        refuse_retimed(program, "derivatives of ensembles")
+    if request.varied and (telling or store is not None):
+        other = "reductions that tell of variations" if telling else "a store"
+        raise InputError(
+            f"tangents and sensitivities of an ensemble do not go with {other}.\n"
+            "Leave out one of them."
+        )
+    if telling:
+        return varied_program(program, ())
+    return differentiating(program, request)
+
+
+def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
     if store is not None and task.retimed:
         raise InputError(
-            f"{stepper.system} is retimed: its members have times of their own, and a store has "
+            f"{program.system} is retimed: its members have times of their own, and a store has "
             "one row of times for all.\nLeave store out, and store few states of each."
         )
     if client is not None:
         check_client(client, store)
         if task.inputs.size:
             raise InputError(
-                f"{stepper.system} has inputs, which a store does not hand to workers.\n"
+                f"{program.system} has inputs, which a store does not hand to workers.\n"
                 "Run the ensemble on this machine: leave client out."
             )
     if store is None:
         with Progress(task.members, task.progress) as progress:
             if task.t_end is not None and task.every:
-                return _run_to_ends(stepper, task, progress.add)
-            return run_blocks(stepper, task, progress.add)
-    opened = open_store(store, stepper, task)
+                return _run_to_ends(program, task, progress.add)
+            return run_blocks(program, task, progress.add)
+    opened = open_store(store, program, task)
     interrupted = run_missing(opened) if client is None else run_on_cluster(opened, client)
     return opened.ensemble(), interrupted
 
 
 def _run_to_ends(
-    stepper: Stepper, task: Task, count: Callable[[int], None]
+    program: Program, task: Task, count: Callable[[int], None]
 ) -> tuple[Ensemble, bool]:
     """Store states on the way to ends that come after numbers of steps not known before.
 
     They are known when all members have run once.
     """
-    ends, stopped = run_blocks(stepper, replace(task, every=0), count)
+    ends, stopped = run_blocks(program, replace(task, every=0), count)
     if stopped:
         return ends, stopped
     steps = int(ends.steps.max()) + 1  # of the last one a part is taken
     again = replace(task, steps=steps, reductions=())
     try:
-        found, stopped = run_blocks(stepper, again, lambda done: None)
+        found, stopped = run_blocks(program, again, lambda done: None)
     except MemoryError:
         raise InputError(
-            f"{task.members} members with up to {again.stored} stored states of {2 * stepper.n} "
+            f"{task.members} members with up to {again.stored} stored states of {2 * program.n} "
             "numbers do not fit into memory.\nStore fewer: every=100, or every=None for the last "
             "states only."
         ) from None

@@ -7,12 +7,13 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import chain, count
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.evaluating import evaluate_members
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States, with_units
@@ -20,9 +21,6 @@ from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import columns, dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Ensemble", "names_in_dataset", "spread"]
 
@@ -97,9 +95,9 @@ class Ensemble(Quantities, Differentiated):
     parameters: Mapping[str, Floats]
     reduced: Mapping[str, Floats]
     initial: Mapping[str, Floats]
-    _stepper: Stepper = field(repr=False)
+    program: Program = field(repr=False)
     store: str | None = None
-    _tangents: NDArray[Any] | None = field(default=None, repr=False)
+    variations: NDArray[Any] | None = field(default=None, repr=False)
     tau: Floats | None = None
 
     @overload
@@ -126,12 +124,14 @@ class Ensemble(Quantities, Differentiated):
             return self._named(key)
         if not -len(self) <= member < len(self):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
-        n = self._stepper.n
+        n = self.program.n
         t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
         if self.tau is not None:  # times of its own, up to its end
             t = self.t[member].reshape(-1)
             t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
-        return States(t=t, q=q, p=p, _stepper=self._stepper, _values=self._values[member])
+        return States(
+            t=t, q=q, p=p, program=self.program, parameter_values=self.parameter_values[member]
+        )
 
     #: Iterating over quantities or over members: neither is what everybody expects.
     __iter__ = None
@@ -142,18 +142,18 @@ class Ensemble(Quantities, Differentiated):
         return int(self.q.shape[1]) if self.q.ndim == 3 else 1
 
     @property
-    def _values(self) -> Floats:
+    def parameter_values(self) -> Floats:
         """Values of the parameters, a row for each member."""
-        columns = [self.parameters[name] for name in self._stepper.parameters]
+        columns = [self.parameters[name] for name in self.program.parameters]
         return np.column_stack(columns) if columns else np.zeros((len(self), 0))
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         q, p = np.asarray(self.q), np.asarray(self.p)
         t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
-        return evaluate_members(self._stepper, kernel, block, count, t, q, p, self._values)
+        return evaluate_members(self.program, kernel, block, count, t, q, p, self.parameter_values)
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        values = self._values
+        values = self.parameter_values
         return self.t, np.asarray(self.q), values[:, None] if self.q.ndim == 3 else values
 
     def _own(self, key: str) -> Any:
@@ -188,7 +188,7 @@ class Ensemble(Quantities, Differentiated):
         ('member', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
-        own = self._stepper._names.parameters.own  # identifiers, as in a store
+        own = self.program.names.parameters.own  # identifiers, as in a store
         reduced, parameters = names_in_dataset(self.reduced, own)
         coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
         if self.store is not None:
@@ -203,12 +203,12 @@ class Ensemble(Quantities, Differentiated):
         for name, values in self.reduced.items():
             variables[reduced[name]] = (("member",), values)
         named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
-        named |= {"coord": list(self._stepper.coordinates), "member": np.arange(len(self))}
+        named |= {"coord": list(self.program.coordinates), "member": np.arange(len(self))}
         if self.tau is not None:
             named |= {"t": (dims[:-1], self.t), "tau": (dims[:-1], self.tau)}
         elif self.q.ndim == 3:
             named["time"] = self.t
-        return with_units(xarray.Dataset(variables, named, self._about()), self._stepper.units)
+        return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
 
     def to_pandas(self) -> Any:
         """Return a ``pandas.DataFrame``, a row for each stored state of each member.
@@ -229,7 +229,7 @@ class Ensemble(Quantities, Differentiated):
         >>> many.to_pandas().shape
         (12, 10)
         """
-        return dataframe(self._table(), "member", self._about(), self._stepper.units)
+        return dataframe(self._table(), "member", self._about(), self.program.units)
 
     def _table(self) -> dict[str, NDArray[Any]]:
         shape = np.shape(self.energy)
@@ -301,16 +301,16 @@ class Ensemble(Quantities, Differentiated):
         """
         from symsimpson.plotting.states import plot_members
 
-        return plot_members(self, name or self._stepper.coordinates[0], most, ax=ax)
+        return plot_members(self, name or self.program.coordinates[0], most, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""
-        stepper = self._stepper
+        program = self.program
         return {
-            "system": stepper.system,
-            "scheme": stepper.scheme,
-            "order": stepper.order,
-            "digest": stepper._module.header.digest,
+            "system": program.system,
+            "scheme": program.scheme,
+            "order": program.order,
+            "digest": program.header.digest,
             "outcome": self.message,
             "t_end": float(np.nanmax(self.t)),
         }
@@ -324,9 +324,9 @@ class Ensemble(Quantities, Differentiated):
         return ensemble(self)
 
     def __repr__(self) -> str:
-        stepper = self._stepper
+        program = self.program
         return (
-            f"Ensemble({stepper.system}, {stepper.scheme}: {len(self)} members, "
+            f"Ensemble({program.system}, {program.scheme}: {len(self)} members, "
             f"{self.stored} states of each stored; {self.message})"
         )
 

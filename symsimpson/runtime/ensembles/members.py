@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.ensembles.task import Task, available_threads, lanes_for
@@ -20,12 +20,11 @@ from symsimpson.runtime.inputs import (
 )
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.kernels.observed import read_reductions
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.variations import read_tangents
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["read_task"]
 
@@ -33,19 +32,12 @@ MOST_THREADS = 1024
 
 
 def read_task(
-    stepper: Stepper,
-    q0: ArrayLike,
-    v0: ArrayLike | None,
-    p0: ArrayLike | None,
-    parameters: Mapping[Any, Any] | None,
-    times: tuple[Any, Any, Any, Any],
-    every: int | None,
+    program: Program,
+    request: Request,
     reduce: Mapping[str, Any] | None,
     threads: int | None,
     progress: bool | None,
     *,
-    inputs: Any = None,
-    tangents: Any = None,
     on_disk: bool,
 ) -> Task:
     """Read the arguments of ``ensemble``.
@@ -55,23 +47,24 @@ def read_task(
     InputError
         If they make no sense, or what is to be stored does not fit into memory.
     """
-    if not stepper._module.numbers.compiled:
+    if not program.numbers.compiled:
         raise InputError(
             "an ensemble runs in double precision, and this stepper has another precision.\n"
             "Compile one without precision."
         )
-    retimed = stepper._module.header.retimed
-    h, count, t0, end = read_times(*times, FLOAT64, retimed=retimed)
+    retimed = program.header.retimed
+    h, count, t0, end = read_times(request, FLOAT64, retimed=retimed)
     how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
-    second, other0 = read_given("an ensemble", how, v0, p0)
+    second, other0 = read_given("an ensemble", how, request)
     names = ("q0", second)
     states = [
-        _states(name, given, stepper) for name, given in zip(names, (q0, other0), strict=True)
+        _states(name, given, program)
+        for name, given in zip(names, (request.q0, other0), strict=True)
     ]
-    columns = _parameters(stepper, parameters)
+    columns = _parameters(program, request.parameters)
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
-    driving = read_driving(stepper, inputs, h, count, max(sizes.values(), default=1))
+    driving = read_driving(program, request.inputs, h, count, max(sizes.values(), default=1))
     sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
     members = max(sizes.values(), default=1)
     for name, size in sizes.items():
@@ -80,30 +73,30 @@ def read_task(
                 f"{name} has {size} members, another argument has {members}.\n"
                 "Give each argument one row for each member, or one for all."
             )
-    stride, reductions = read_every(every), read_reductions(stepper, reduce)
+    stride, reductions = read_every(request.every), read_reductions(program, reduce)
     if retimed and any(one.kind == "mean" for one in reductions):
         raise InputError(
-            f"{stepper.system} is retimed: the mean over its steps is no mean over the time.\n"
+            f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
             "Store states, every=..., and take the mean of them."
         )
     workers = _threads(threads)
-    lanes = lanes_for(stepper._module.header)
+    lanes = lanes_for(program.header)
     stored = count // stride + 1 if stride and end is None else 1
     try:
-        values = np.empty((members, len(stepper.parameters)))
-        shape = (members, stepper.n)
+        values = np.empty((members, len(program.parameters)))
+        shape = (members, program.n)
         q, other = (np.array(np.broadcast_to(x, shape), order="C") for x in states)
         room = lanes if on_disk else members
-        np.empty((2, room, stored, stepper.n))  # is there room?
+        np.empty((2, room, stored, program.n))  # is there room?
     except (MemoryError, ValueError):
         raise InputError(
-            f"{members} members with the states that every={every!r} stores do not fit into "
-            "memory.\nStore fewer: every=1000, or every=None for the last states only; or let them "
-            "go to disk: store='folder'."
+            f"{members} members with the states that every={request.every!r} stores do not fit "
+            "into memory.\nStore fewer: every=1000, or every=None for the last states only; or let "
+            "them go to disk: store='folder'."
         ) from None
-    for k, name in enumerate(stepper.parameters):
+    for k, name in enumerate(program.parameters):
         values[:, k] = columns[name]
-    q, other = allowed(stepper, q, other, second, values, t0)
+    q, other = allowed(program, q, other, second, values, t0)
     return Task(
         q,
         other,
@@ -119,20 +112,20 @@ def read_task(
         progress,
         lanes,
         retimed,
-        tangents=None if tangents is None else _columns(stepper, tangents),
+        tangents=None if request.carried is None else _columns(program, request.carried),
         t_end=end,
     )
 
 
-def _columns(stepper: Stepper, tangents: Any) -> NDArray[np.float64]:
+def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
     """Return variations of the state, and behind them those of what is varied, which begin at 0."""
-    varied = len(stepper._module.header.varied_by or ())
-    own = read_tangents(stepper, tangents)
+    varied = len(program.header.varied_by or ())
+    own = read_tangents(program, tangents)
     return np.ascontiguousarray(np.concatenate([own, np.zeros((len(own), varied))], axis=1))
 
 
-def _states(name: str, value: Any, stepper: Stepper) -> NDArray[np.float64]:
-    names = stepper._names.coordinates
+def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
+    names = program.names.coordinates
     if isinstance(value, Mapping):
         rows = names.in_order(name, value)
         columns = [
@@ -164,12 +157,12 @@ def _states(name: str, value: Any, stepper: Stepper) -> NDArray[np.float64]:
 
 
 def _parameters(
-    stepper: Stepper, given: Mapping[Any, Any] | None
+    program: Program, given: Mapping[Any, Any] | None
 ) -> dict[str, NDArray[np.float64]]:
     """Read parameter values, one or K of each."""
-    stepper._check_given(given)
-    names = stepper._names.parameters
-    found = dict(zip(names.shown, (np.asarray(x) for x in stepper._defaults), strict=True))
+    program.check_given(given)
+    names = program.names.parameters
+    found = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
     if given is not None and not isinstance(given, Mapping):
         raise InputError(
             f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
@@ -182,14 +175,12 @@ def _parameters(
                 "Pass one number, or one for each member."
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
-            read_parameters(
-                names, stepper._module.header.signs, stepper._defaults, {key: extreme}, FLOAT64
-            )
+            read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
         found[names.shown[names.found(key)]] = column
-    if stepper._names.idle:
-        places = enumerate(zip(found.values(), stepper._defaults, strict=True))
+    if program.names.idle:
+        places = enumerate(zip(found.values(), program.defaults, strict=True))
         changed = [i for i, (x, default) in places if (x != default).any()]
-        stepper._names.warn_of_idle(stepper.system, changed)
+        program.names.warn_of_idle(program.system, changed)
     return found
 
 

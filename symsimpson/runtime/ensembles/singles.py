@@ -13,14 +13,15 @@ from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, 
 from symsimpson.runtime.ensembles.task import Results, Task
 from symsimpson.runtime.evaluating import evaluate_members, watching
 from symsimpson.runtime.kernels.observed import reduce_values
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.chaos import find_chaos
 from symsimpson.runtime.runs.folds import SINGULAR, close, independence_of
+from symsimpson.runtime.runs.requested import run
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.runtime.results.trajectory import Trajectory
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["PAIR", "RENEWAL", "run_singly"]
 
@@ -31,7 +32,7 @@ FAST_SINES = 5e8
 PAIR, RENEWAL = 2, 20
 
 
-def run_singly(stepper: Stepper, task: Task, results: Results) -> bool:
+def run_singly(program: Program, task: Task, results: Results) -> bool:
     """Run members that failed once more, each by itself, where robust kernels may help it.
 
     What a member comes to then is what a single run of it comes to. So are those at whose stored
@@ -40,10 +41,10 @@ def run_singly(stepper: Stepper, task: Task, results: Results) -> bool:
     """
     status, small = results.codes[:, 0], (np.abs(task.q0) < FAST_SINES).all(axis=1)
     good = status == Status.SUCCESS
-    if not stepper._module.header.real_everywhere:
-        good &= _real(stepper, task, results)
-    if len(stepper._module.header.constraints) > 1 and task.every:
-        good &= _unfolded(stepper, task, results)
+    if not program.header.real_everywhere:
+        good &= _real(program, task, results)
+    if len(program.header.constraints) > 1 and task.every:
+        good &= _unfolded(program, task, results)
     good |= (status == Status.BAD_INPUT) & small
     every = 1 if task.reductions else task.every or None
     for member in np.flatnonzero(~good):
@@ -52,12 +53,9 @@ def run_singly(stepper: Stepper, task: Task, results: Results) -> bool:
                 warnings.simplefilter("ignore", ResolutionWarning)
                 warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
                 warnings.simplefilter("ignore", ConstraintWarning)
-                run = stepper.integrate(
-                    **task.of_member(member, stepper),
-                    every=every,
-                    on_failure="return",
-                    **_carrying(stepper, task),
-                )
+                carried = _carrying(program, task)
+                asked = task.of_member(member, program, every=every, **carried)
+                found = run(program, asked, on_failure="return")
         except InputError:
             for array in (results.q, results.p, results.kept, results.seen):
                 array[member] = np.nan
@@ -65,24 +63,24 @@ def run_singly(stepper: Stepper, task: Task, results: Results) -> bool:
             continue
         except KeyboardInterrupt:
             return True
-        if run.status is Status.INTERRUPTED:
+        if found.status is Status.INTERRUPTED:
             return True
-        _put(stepper, task, results, member, run)
+        _put(program, task, results, member, found)
     return False
 
 
-def _put(stepper: Stepper, task: Task, results: Results, member: Any, run: Trajectory) -> None:
+def _put(program: Program, task: Task, results: Results, member: Any, run: Trajectory) -> None:
     """Put what a single run has come to into the arrays of all."""
     kept = run.t[:, None] if task.retimed else np.zeros((len(run), 0))
-    if run._tangents is not None:
-        kept = run._tangents.swapaxes(1, 2).reshape(len(run), -1)
+    if run.variations is not None:
+        kept = run.variations.swapaxes(1, 2).reshape(len(run), -1)
     whole = run.steps // run.every + 1 if run.every else 1  # behind them, the end if retimed
     if task.reductions:
         t, q, p = (x[:whole] for x in (run.t, run.q, run.p))
-        seen = watching(stepper, task.reductions, run._values)(t, q, p)
+        seen = watching(program, task.reductions, run.parameter_values)(t, q, p)
         values = reduce_values(task.reductions, t, seen)
         if task.of_variations and run.success:
-            values = _of_variations(stepper, task, member, values)
+            values = _of_variations(program, task, member, values)
         results.seen[member, : 2 * len(values) : 2] = values
     if task.retimed:
         results.part[member] = run.tau[-1] - run.h * run.steps
@@ -93,16 +91,16 @@ def _put(stepper: Stepper, task: Task, results: Results, member: Any, run: Traje
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
 
 
-def _carrying(stepper: Stepper, task: Task) -> dict[str, Any]:
+def _carrying(program: Program, task: Task) -> dict[str, Any]:
     """Return what a single run is asked to carry along."""
     if task.tangents is None:
         return {}
-    names = stepper._module.header.varied_by or ()
+    names = program.header.varied_by or ()
     given = task.tangents[:, : task.tangents.shape[1] - len(names)]
     return {"tangents": given, "sensitivities": names}
 
 
-def _of_variations(stepper: Stepper, task: Task, member: Any, values: list[float]) -> list[float]:
+def _of_variations(program: Program, task: Task, member: Any, values: list[float]) -> list[float]:
     """Return what reductions of a member come to, with those of its variations."""
     own = replace(
         task,
@@ -111,13 +109,13 @@ def _of_variations(stepper: Stepper, task: Task, member: Any, values: list[float
         parameters=task.parameters[member],
         inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
     )
-    chaos = find_chaos(stepper, own, PAIR, RENEWAL, progress=False)
+    chaos = find_chaos(program, own, PAIR, RENEWAL, progress=False)
     told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
     pairs = zip(task.reductions, values, strict=True)
     return [float(told.get(reduction.kind, value)) for reduction, value in pairs]
 
 
-def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
+def _real(program: Program, task: Task, results: Results) -> NDArray[np.bool_]:
     """Return which members have a real energy where they begin, and at all stored states."""
     # a momentum of zero where velocities were given: V has its value all the same
     first = 0 * task.other0 if task.velocities else task.other0
@@ -126,16 +124,16 @@ def _real(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
     t = np.zeros(1)  # where it is retimed, no time matters
     if not task.retimed:
         t = np.concatenate([[task.t0], task.times])
-    energies = evaluate_members(stepper, "energy", "ENERGY", 1, t, q, p, task.parameters)
+    energies = evaluate_members(program, "energy", "ENERGY", 1, t, q, p, task.parameters)
     nothing = np.isnan(q).all(axis=2)  # behind the end of a member
     return np.asarray((np.isfinite(energies[..., 0]) | nothing).all(axis=1))
 
 
-def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool_]:
+def _unfolded(program: Program, task: Task, results: Results) -> NDArray[np.bool_]:
     """Return at whose stored states all constraints are independent; warn of those nearly not."""
-    count = len(stepper._module.header.constraints)
+    count = len(program.header.constraints)
     pivots = evaluate_members(
-        stepper,
+        program,
         "multipliers",
         "HELD_PIVOT",
         count,
@@ -150,7 +148,7 @@ def _unfolded(stepper: Stepper, task: Task, results: Results) -> NDArray[np.bool
     near = np.flatnonzero(close(independence).any(axis=1) & ~folded)
     if near.size and task.every == 1:
         warn(
-            f"{stepper.system}, {stepper.scheme}: in {near.size} of {task.members} members, the "
+            f"{program.system}, {program.scheme}: in {near.size} of {task.members} members, the "
             f"first of them {near[0]}, constraints may follow from one another between two steps, "
             f"as where bars of a linkage fold into a line. The linkage may continue along either "
             f"branch, and h={task.h:g} does not resolve which.\nTake a smaller h, or lengths at "

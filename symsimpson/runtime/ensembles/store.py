@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -24,13 +24,11 @@ from symsimpson.module.header import digest
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, names_in_dataset
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_chunk"]
 
@@ -49,7 +47,7 @@ class Store:
     ----------
     path : str
     group : zarr.Group
-    stepper : Stepper
+    program : Program
     task : Task
     chunk : int
         Members of a chunk.
@@ -57,7 +55,7 @@ class Store:
 
     path: str
     group: Any
-    stepper: Stepper
+    program: Program
     task: Task
     chunk: int
 
@@ -101,15 +99,15 @@ class Store:
 
     def ensemble(self) -> Ensemble:
         """Return what is in the store; states stay on disk."""
-        group, task, stepper = self.group, self.task, self.stepper
-        reduced, _ = names_in_dataset([r.name for r in task.reductions], stepper.parameters)
+        group, task, program = self.group, self.task, self.program
+        reduced, _ = names_in_dataset([r.name for r in task.reductions], program.parameters)
         with said(self.path, "read"):
             status, steps, iterations = (
                 group[x][:] for x in ("status", "steps", "newton_iterations")
             )
             watched = {name: group[stored][:] for name, stored in reduced.items()}
         return ensemble_of(
-            stepper,
+            program,
             task,
             q=group["q"],
             p=group["p"],
@@ -126,7 +124,7 @@ def members_of(chunk: int, size: int, members: int) -> slice:
     return slice(chunk * size, min((chunk + 1) * size, members))
 
 
-def open_store(path: object, stepper: Stepper, task: Task) -> Store:
+def open_store(path: object, program: Program, task: Task) -> Store:
     """Make a store for an ensemble, or open the one that was begun.
 
     Raises
@@ -143,7 +141,7 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
     if "://" not in place:
         check_folder(Path(place), "store", "opened")
         place = os.path.abspath(place)
-    asked = _asked(stepper, task)
+    asked = _asked(program, task)
     with said(place, "opened"):
         try:
             group = zarr.open_group(place, mode="r")
@@ -154,16 +152,16 @@ def open_store(path: object, stepper: Stepper, task: Task) -> Store:
                 and (os.path.isfile(place) or os.listdir(place))
             ):
                 raise _other(place, "holds something that is no ensemble") from None
-            return _create(place, stepper, task, asked)
+            return _create(place, program, task, asked)
         found: dict[str, Any] = dict(group.attrs)
         if found.get("begun_by") != "symsimpson":
             raise _other(place, "holds a dataset that is no ensemble of symsimpson")
         if "asked" not in found:  # broken off while it was made: nothing is lost
-            return _create(place, stepper, task, asked)
+            return _create(place, program, task, asked)
         differing = [key for key in asked if found["asked"].get(key) != asked[key]]
         if differing:
             raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
-        return Store(place, zarr.open_group(place, mode="r+"), stepper, task, found["chunk"])
+        return Store(place, zarr.open_group(place, mode="r+"), program, task, found["chunk"])
 
 
 def _other(place: str, what: str) -> InputError:
@@ -173,10 +171,10 @@ def _other(place: str, what: str) -> InputError:
     )
 
 
-def _asked(stepper: Stepper, task: Task) -> dict[str, Any]:
+def _asked(program: Program, task: Task) -> dict[str, Any]:
     """Say what is to be computed, such that what is equal here has equal results."""
     return {
-        "module": digest(stepper.source),
+        "module": digest(program.source),
         **task.said(),
         "given": task.given,
         "members": task.members,
@@ -186,20 +184,20 @@ def _asked(stepper: Stepper, task: Task) -> dict[str, Any]:
     }
 
 
-def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> Store:
+def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> Store:
     """Lay out a store; what was asked for is written last, when all else stands."""
     import zarr
     from zarr.codecs import ZstdCodec
 
-    chunk = _chunk(stepper, task)
+    chunk = _chunk(program, task)
     one = task.part(slice(0, 1))
-    template = ensemble_of(stepper, one, **Results(one, stepper.n).columns()).to_xarray()
+    template = ensemble_of(program, one, **Results(one, program.n).columns()).to_xarray()
     about = {key: value for key, value in template.attrs.items() if key != "outcome"}
     group = zarr.create_group(
         place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
     )
     given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
-    own = stepper._names.parameters.own
+    own = program.names.parameters.own
     _, names = names_in_dataset([r.name for r in task.reductions], own)
     given |= {names[name]: task.parameters[:, k] for k, name in enumerate(own)}
     for name, variable in template.variables.items():
@@ -218,19 +216,19 @@ def _create(place: str, stepper: Stepper, task: Task, asked: dict[str, Any]) -> 
         )
         if name in given or variable.dims[0] != "member":
             array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
-    group.attrs.update({"source": stepper.source, "asked": asked})
-    return Store(place, group, stepper, task, chunk)
+    group.attrs.update({"source": program.source, "asked": asked})
+    return Store(place, group, program, task, chunk)
 
 
-def _chunk(stepper: Stepper, task: Task) -> int:
+def _chunk(program: Program, task: Task) -> int:
     """Choose how many members a chunk has."""
     lanes = task.lanes
-    enough = int(CHUNK_SECONDS * task.threads / _seconds(stepper, task)) // lanes * lanes
-    room = CHUNK_BYTES // (16 * task.stored * stepper.n)
+    enough = int(CHUNK_SECONDS * task.threads / _seconds(program, task)) // lanes * lanes
+    room = CHUNK_BYTES // (16 * task.stored * program.n)
     return max(1, min(max(enough, lanes), room, task.members))
 
 
-def _seconds(stepper: Stepper, task: Task) -> float:
+def _seconds(program: Program, task: Task) -> float:
     """Estimate the time of one member, by a trial with a block of them."""
     some = np.linspace(0, task.members - 1, task.lanes).astype(np.int64)
     trial = replace(
@@ -239,7 +237,7 @@ def _seconds(stepper: Stepper, task: Task) -> float:
     seconds = []
     for _ in range(2):  # the first compiles
         begin = time.perf_counter()
-        run_blocks(stepper, trial, lambda done: None)
+        run_blocks(program, trial, lambda done: None)
         seconds.append(time.perf_counter() - begin)
     return max(seconds[1], 1e-9) * task.steps / (trial.steps * task.lanes)
 
@@ -253,7 +251,7 @@ def run_missing(store: Store) -> bool:
             progress.add(task.members - sum(map(store.size, missing)))
             for chunk in missing:
                 part = task.part(store.members(chunk))
-                found, interrupted = run_blocks(store.stepper, part, progress.add)
+                found, interrupted = run_blocks(store.program, part, progress.add)
                 if interrupted:
                     return True
                 write_chunk(store.path, store.group, store.members(chunk), found)

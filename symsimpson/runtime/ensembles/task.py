@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from symsimpson.module.header import Header
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.kernels.observed import Reduction
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import RunSpec
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Results", "Task", "available_threads", "ensemble_of", "lanes_for"]
 
@@ -44,20 +43,21 @@ class Task(RunSpec):
         own = self.inputs[min(member, len(self.inputs) - 1)]
         return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
 
-    def of_member(self, member: Any, stepper: Stepper) -> dict[str, Any]:
+    def of_member(self, member: Any, program: Program, **more: Any) -> Request:
         """Return how a run of one member is asked for."""
-        names, header = stepper.parameters, stepper._module.header
+        names, header = program.parameters, program.header
         values = dict(zip(names, self.parameters[member], strict=True))
-        length = {"steps": self.steps} if self.t_end is None else {"t_end": self.t_end}
-        return {
-            "q0": self.q0[member],
-            self.given: self.other0[member],
-            "h": self.h,
-            "t0": self.t0,
-            "parameters": {name: values[name] for name in names if name not in header.from_start},
-            "inputs": self.inputs_of(member),
-            **length,
-        }
+        return Request(
+            self.q0[member],
+            **{self.given: self.other0[member]},
+            h=self.h,
+            t_end=self.t_end,
+            steps=self.steps if self.t_end is None else None,
+            t0=self.t0,
+            parameters={name: values[name] for name in names if name not in header.from_start},
+            inputs=self.inputs_of(member),
+            **more,
+        )
 
     def carried(self, n: int) -> int:
         """Return how many numbers of variations are stored beside a state, or 1 for its time."""
@@ -135,7 +135,7 @@ class Results:
         }
         kept = self.kept if task.every else self.kept[:, 0]
         if task.tangents is not None:
-            found["_tangents"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
+            found["variations"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
                 -1, -2
             )
         if task.retimed:
@@ -146,14 +146,14 @@ class Results:
         return found
 
 
-def ensemble_of(stepper: Stepper, task: Task, **found: Any) -> Ensemble:
+def ensemble_of(program: Program, task: Task, **found: Any) -> Ensemble:
     """Return what a task came to as an ensemble, with what it was asked for."""
     if not task.retimed:
         found["t"] = task.times
     return Ensemble(
-        parameters=dict(zip(stepper.parameters, task.parameters.T, strict=True)),
+        parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),
         initial={"q0": task.q0, task.given: task.other0},
-        _stepper=stepper,
+        program=program,
         **found,
     )
 

@@ -14,7 +14,7 @@ from symsimpson.module.header import Header
 from symsimpson.runtime.kernels.reader import Reader
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = [
     "KINDS",
@@ -70,7 +70,7 @@ class Reduction(Observed):
         return self.kind in OF_VARIATIONS
 
 
-def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
+def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
 
     Raises
@@ -79,12 +79,12 @@ def read_expression(stepper: Evaluator, expression: Any, wrapped: tuple[int, ...
         If it contains something else than arithmetic, functions and the names of coordinates,
         momenta, velocities, parameters, t and energy.
     """
-    reader = Reader(stepper, "the expression")
+    reader = Reader(program, "the expression")
     text = reader.read_any(expression)
     return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
 
 
-def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
+def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
     """Read a mapping from names to pairs of a kind and an expression.
 
     Raises
@@ -112,7 +112,7 @@ def read_reductions(stepper: Evaluator, given: Mapping[str, Any] | None) -> tupl
                 "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); or one of "
                 f"{', '.join(OF_VARIATIONS)}."
             )
-        reader = Reader(stepper, f"reduce[{name!r}]")
+        reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
         told = reader.portable(pair[1], text)
         found.append(Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0])))

@@ -11,7 +11,7 @@ from symsimpson.errors import InputError
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["Reader"]
 
@@ -63,10 +63,10 @@ class Reader:
         Whether it is a rest alone, as ``Mod(q1, 2*pi)``.
     """
 
-    def __init__(self, stepper: Evaluator, where: str) -> None:
-        self._where, self._header = where, stepper._module.header
+    def __init__(self, program: Program, where: str) -> None:
+        self._where, self._header = where, program.header
         self.energetic = self.rest = False
-        coordinates, parameters = stepper._names.coordinates, stepper._names.parameters
+        coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
         of_state = {f"{x}_{q}": f"{x}_{i}" for x in "pv" for q, i in coordinates.places.items()}

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
-from symsimpson.runtime.reading import read_stepper
+from symsimpson.runtime.program import Program, read_program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import TABLES, check_kind, write
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.extras import library
 from symsimpson.support.files import read_path
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["open_trajectory", "save"]
 
@@ -42,19 +39,19 @@ def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
 def _dataset(run: Trajectory) -> Any:
     """Return all that a trajectory is made of."""
     found = run.to_xarray()
-    text = np.frombuffer(run._stepper.source.encode(), dtype=np.uint8)  # long, for an attribute
+    text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
-    if run._inputs.size:
+    if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
-        found["inputs"] = (("step", "node", "input"), run._inputs[0], about)
+        found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
     found.attrs |= {
         "every": run.every or 0,
-        "parameter_values": run._values.tolist(),
+        "parameter_values": run.parameter_values.tolist(),
         "sha256": _digest(run),
     }
-    if run._tangents is not None:
+    if run.variations is not None:
         about = {"long_name": "variations of the state, then of what is varied"}
-        found["variations"] = (("time", "state", "variation"), run._tangents, about)
+        found["variations"] = (("time", "state", "variation"), run.variations, about)
         if run._varied_by is not None:
             found.attrs["varied_by"] = list(run._varied_by) or [""]
     return found
@@ -124,8 +121,8 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         )
     try:
         text = np.asarray(found["module"], dtype=np.uint8).tobytes().decode()
-        stepper = read_stepper(text, os.fspath(where))
-        run = _trajectory(found, stepper)
+        program = read_program(text, os.fspath(where))
+        run = _trajectory(found, program)
         if _digest(run) != found.attrs["sha256"]:
             raise ValueError("its content does not have the digest that it names")
         return run
@@ -139,17 +136,26 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 def _digest(run: Trajectory) -> str:
     """Return a digest of all that a trajectory is made of."""
-    about = (float(run.h), run.steps, run.every, run.status.name, run.message, run._stepper.source)
+    about = (float(run.h), run.steps, run.every, run.status.name, run.message, run.program.source)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run._tau is None else (run._tau,)
-    ways = () if run._tangents is None else (run._tangents,)
-    arrays = (run.t, run.q, run.p, run._values, run.newton_iterations, run._inputs, *tau, *ways)
+    ways = () if run.variations is None else (run.variations,)
+    arrays = (
+        run.t,
+        run.q,
+        run.p,
+        run.parameter_values,
+        run.newton_iterations,
+        run.input_values,
+        *tau,
+        *ways,
+    )
     for array in arrays:
         content.update(np.ascontiguousarray(array).tobytes())
     return content.hexdigest()
 
 
-def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
+def _trajectory(found: Any, program: Program) -> Trajectory:
     """Put a trajectory together, of which all parts must fit."""
     about = found.attrs
     t = np.asarray(found["time"], dtype=np.float64)
@@ -158,17 +164,17 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
     iterations = np.asarray(found["newton_iterations"], dtype=np.int64)
     h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
     stored = steps // every + 1 if every > 0 else 1
-    tau, retimed = t - t[0], stepper._module.header.retimed
+    tau, retimed = t - t[0], program.header.retimed
     if retimed:
         tau = np.asarray(found["tau"], dtype=np.float64)
         stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
     wanted = (
         (stored,),
-        (stored, stepper.n),
-        (stored, stepper.n),
+        (stored, program.n),
+        (stored, program.n),
         (stored,),
-        (len(stepper.parameters),),
+        (len(program.parameters),),
     )
     if shapes != wanted or not np.isfinite(h) or h == 0:
         raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
@@ -182,16 +188,16 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
     if retimed and not (np.diff(t) * h > 0).all():
         raise ValueError("times do not go on")
     inputs = NO_INPUTS
-    if stepper.inputs:
+    if program.inputs:
         inputs = np.ascontiguousarray(found["inputs"], dtype=np.float64)[None]
-        if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(stepper.inputs):
+        if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(program.inputs):
             raise ValueError(f"inputs have shape {inputs.shape[1:]}")
-        if inputs.shape[2] not in (1, len(stepper._module.header.input_places)):
+        if inputs.shape[2] not in (1, len(program.header.input_places)):
             raise ValueError(f"inputs have {inputs.shape[2]} nodes")
     ways = varied = None
     if "variations" in found:
         ways = np.ascontiguousarray(found["variations"], dtype=np.float64)
-        if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * stepper.n):
+        if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * program.n):
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
@@ -205,10 +211,10 @@ def _trajectory(found: Any, stepper: Stepper) -> Trajectory:
         every=every or None,
         status=Status[str(about["status"])],
         message=str(about["message"]),
-        _stepper=stepper,
-        _values=values,
-        _inputs=inputs,
+        program=program,
+        parameter_values=values,
+        input_values=inputs,
         _tau=tau if retimed else None,
-        _tangents=ways,
+        variations=ways,
         _varied_by=varied,
     )

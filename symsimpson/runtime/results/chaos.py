@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.runtime.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["Chaos", "chaos_of"]
 
@@ -76,7 +76,7 @@ class Chaos:
         return f"Chaos(exponents {found}; t = {self.t[-1]:g}, megno {self.megno[-1]:.4g})"
 
 
-def chaos_of(stepper: Evaluator, kept: Floats, trajectory: Trajectory, count: int) -> Chaos:
+def chaos_of(program: Program, kept: Floats, trajectory: Trajectory, count: int) -> Chaos:
     """Read what the driver kept of so many variations, one row for each time."""
     t = trajectory.t[1:]
     past = (t - trajectory.t[0])[:, None]

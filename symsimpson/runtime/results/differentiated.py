@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+from symsimpson.runtime.program import Program
 
 __all__ = ["Differentiated"]
 
@@ -17,13 +15,13 @@ __all__ = ["Differentiated"]
 class Differentiated:
     """Derivatives that were carried along beside states; ensembles have an axis of members."""
 
-    _stepper: Stepper
-    _tangents: NDArray[Any] | None
+    program: Program
+    variations: NDArray[Any] | None
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
         """Parameters and inputs that it was differentiated by."""
-        return self._stepper._names.varied(self._stepper._module.header.varied_by or ())
+        return self.program.names.varied(self.program.header.varied_by or ())
 
     @property
     def tangent(self) -> NDArray[Any]:
@@ -69,9 +67,9 @@ class Differentiated:
         return {name: found[..., first + j] for j, name in enumerate(names)}
 
     def _carried(self, how: str) -> NDArray[Any]:
-        if self._tangents is None:
+        if self.variations is None:
             raise InputError(
                 "this run carried no derivatives along.\n"
                 f"Ask for them: stepper.integrate(..., {how})."
             )
-        return self._tangents
+        return self.variations

@@ -20,7 +20,7 @@ class Energies(States):
     h: Any
     steps: int
     every: int | None
-    _inputs: NDArray[Any]
+    input_values: NDArray[Any]
 
     @cached_property
     def energy_scale(self) -> Any:
@@ -43,11 +43,11 @@ class Energies(States):
         InputError
             If forces do work, or the energy depends on the time.
         """
-        header = self._stepper._module.header
+        header = self.program.header
         if not header.conservative:
             why = "forces do work on it" if header.forces else "it depends on the time"
             raise InputError(
-                f"{self._stepper.system}: the energy is not constant, {why}, so its change does "
+                f"{self.program.system}: the energy is not constant, {why}, so its change does "
                 "not measure the error.\nUse run.energy_balance, the change of the energy minus "
                 "the work done; run.energy and run.work are its parts."
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import watching
 from symsimpson.runtime.kernels.observed import Observed, read_expression
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.interpolate import DenseOutput
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.support.names import did_you_mean, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Events", "find_events", "gather", "read_zeros", "zeros"]
 
@@ -81,7 +79,7 @@ class Events(States):
         return super()._about() | {"zeros of": self.expression, "message": self.message}
 
 
-def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> Zeros:
+def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> Zeros:
     """Read which zeros are wanted.
 
     Raises
@@ -93,9 +91,9 @@ def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> 
             f"direction is {direction!r}.\nPass 1 for zeros on the way up, -1 for those on the "
             "way down, or 0 for both."
         )
-    names = stepper._names.coordinates
+    names = program.names.coordinates
     several = isinstance(wrap, (tuple, list, set, frozenset))
-    given = stepper.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
+    given = program.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
     places = [names.place(one) for one in given]
     if None in places:
         unknown = spelled(list(given)[places.index(None)])
@@ -104,7 +102,7 @@ def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> 
             f"The system has {', '.join(names.shown)}; True wraps all."
         )
     wrapped = tuple(place for place in places if place is not None)
-    found = read_expression(stepper, expression, wrapped)
+    found = read_expression(program, expression, wrapped)
     if found.rest:
         raise InputError(
             f"{found.expression} is a rest alone, which jumps back to 0 and never changes its sign."
@@ -116,13 +114,13 @@ def read_zeros(stepper: Stepper, expression: Any, direction: int, wrap: Any) -> 
 
 def find_events(run: Trajectory, expression: Any, direction: int, wrap: Any) -> Events:
     """Find the zeros of an expression between the stored states of a run."""
-    wanted = read_zeros(run._stepper, expression, direction, wrap)
+    wanted = read_zeros(run.program, expression, direction, wrap)
     return gather(run, wanted, [zeros(run, wanted)])
 
 
 def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> Events:
     """Put zeros together that were found one after the other."""
-    n = run._stepper.n
+    n = run.program.n
     none = np.zeros(0), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0)
     t, q, p, direction = (np.concatenate(parts) for parts in zip(none, *found, strict=True))
     for a in wanted[0].wrapped:
@@ -135,8 +133,8 @@ def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) 
         expression=wanted[0].expression,
         status=run.status,
         message=run.message,
-        _stepper=run._stepper,
-        _values=run._values,
+        program=run.program,
+        parameter_values=run.parameter_values,
     )
 
 
@@ -145,7 +143,7 @@ def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Float
     wanted, direction = sought
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
     times, positions, momenta = _with_end(run, dense)
-    watched = watching(run._stepper, [wanted], run._values)
+    watched = watching(run.program, [wanted], run.parameter_values)
 
     def value(t: Floats, q: Floats, p: Floats, turns: Floats) -> Floats:
         q = q.copy()
@@ -172,7 +170,7 @@ def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Float
     here = np.flatnonzero(change if direction == 0 else change == -direction)
     start, turn, change = start[here], turn[here], change[here]
     first, last = first[here], last[here]
-    state: list[Floats] = [np.zeros((start.size, run._stepper.n)) for _ in "qp"]
+    state: list[Floats] = [np.zeros((start.size, run.program.n)) for _ in "qp"]
 
     def at(which: NDArray[np.int64], later: Floats) -> Floats:
         q, p, codes = dense.after(start[which], later)

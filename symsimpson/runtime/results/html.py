@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
 
@@ -14,7 +15,6 @@ if TYPE_CHECKING:
     from symsimpson.runtime.results.events import Events
     from symsimpson.runtime.results.states import States
     from symsimpson.runtime.results.trajectory import Trajectory
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
 
@@ -23,28 +23,28 @@ DRAWN = 6
 GOOD, BAD = "#3a9e6b", "#d1495b"
 
 
-def stepper(one: Stepper) -> str:
+def stepper(program: Program) -> str:
     """Show what was generated, and how a step is solved."""
-    values = ", ".join(f"{k} = {float(v):g}" for k, v in one._named_values().items())
+    values = ", ".join(f"{k} = {float(v):g}" for k, v in program.named_values().items())
     solved = "explicit, or one matrix for all"
-    unknowns = one._module.header.newton_unknowns
+    unknowns = program.header.newton_unknowns
     if unknowns:
         solved = "Newton's method with the exact Jacobian"
-        if one._module.header.by_stages:
-            solved = f"iterated over {one._module.header.layout['NODES']} stages; else {solved}"
-    lines = one.source.count("\n")
+        if program.header.by_stages:
+            solved = f"iterated over {program.header.layout['NODES']} stages; else {solved}"
+    lines = program.source.count("\n")
     return box(
-        f"Stepper of {one.system}",
+        f"Stepper of {program.system}",
         facts(
             [
-                ("scheme", f"{one.scheme}, order {one.order}"),
-                ("coordinates", ", ".join(one.coordinates)),
+                ("scheme", f"{program.scheme}, order {program.order}"),
+                ("coordinates", ", ".join(program.coordinates)),
                 ("parameters", values or "none"),
-                ("invariants", ", ".join(one.invariants) or "none declared"),
+                ("invariants", ", ".join(program.invariants) or "none declared"),
                 ("a step", solved),
                 ("Newton unknowns", unknowns or "none"),
                 ("module", f"{lines} lines; print(stepper.source) shows them"),
-                ("compiled code", one._module.kernels.location),
+                ("compiled code", program.kernels.location),
             ]
         ),
     )
@@ -63,7 +63,7 @@ def events(found: Events) -> str:
     if len(found) > 1:
         rows += [
             (f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
-            for q in found._stepper.coordinates[:DRAWN]
+            for q in found.program.coordinates[:DRAWN]
         ]
     return box(repr(found), facts(rows))
 
@@ -71,7 +71,7 @@ def events(found: Events) -> str:
 def trajectory(run: Trajectory) -> str:
     """Show how a run ended, with pictures."""
     rows: list[tuple[str, Any]] = [
-        ("scheme", f"{run._stepper.scheme}, order {run._stepper.order}"),
+        ("scheme", f"{run.program.scheme}, order {run.program.order}"),
         ("steps", f"{run.steps} of h = {float(run.h):g}, {len(run)} states stored"),
         ("status", verdict(run.status.name, run.success)),
     ]
@@ -80,18 +80,18 @@ def trajectory(run: Trajectory) -> str:
     iterations = int(run.newton_iterations.sum())
     if run.steps and iterations:
         rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
-    constant = run._stepper._module.header.conservative
+    constant = run.program.header.conservative
     energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
     if constant:
         rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
     if len(run) > 1:
         rows += _drawn(run)
         rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
-    return box(f"Trajectory of {run._stepper.system}", facts(rows))
+    return box(f"Trajectory of {run.program.system}", facts(rows))
 
 
 def _drawn(some: States) -> list[tuple[str, Any]]:
-    names = some._stepper.coordinates
+    names = some.program.coordinates
     if len(some) < 2:
         return [(name, f"{float(some[name][0]):.6g}") for name in names[:DRAWN] if len(some)]
     if len(names) > DRAWN:
@@ -101,10 +101,10 @@ def _drawn(some: States) -> list[tuple[str, Any]]:
 
 def ensemble(found: Ensemble) -> str:
     """Show the outcome of many runs, with pictures of their ends."""
-    names = found._stepper.coordinates
+    names = found.program.coordinates
     good = bool((found.status == Status.SUCCESS).all())
     rows: list[tuple[str, Any]] = [
-        ("scheme", f"{found._stepper.scheme}, order {found._stepper.order}"),
+        ("scheme", f"{found.program.scheme}, order {found.program.order}"),
         ("members", len(found)),
         ("to t", f"{np.nanmax(found.t):g}, {found.stored} states of each stored"),
         ("status", verdict(found.message, good)),
@@ -118,7 +118,7 @@ def ensemble(found: Ensemble) -> str:
         rows.append((f"ends: {what}", scatter(x, y)))
     for name, values in found.reduced.items():
         rows.append((name, curves(np.arange(len(values)), [np.sort(values)])))
-    return box(f"Ensemble of {found._stepper.system}", facts(rows))
+    return box(f"Ensemble of {found.program.system}", facts(rows))
 
 
 def verdict(text: str, good: bool) -> Markup:

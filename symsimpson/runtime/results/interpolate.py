@@ -60,14 +60,14 @@ class DenseOutput:
                 "Store states: every=1, or every=100."
             )
         self._run = run
-        numbers = run._stepper._module.numbers
+        numbers = run.program.numbers
         with numbers.working():  # float64 as it is, without a copy
             whole = [
                 np.ascontiguousarray(x) if x.dtype == np.float64 else numbers.read(x)
-                for x in (run.t, run.q, run.p, run._inputs)
+                for x in (run.t, run.q, run.p, run.input_values)
             ]
-        self._t, self._q, self._p, self._inputs = whole
-        self._retimed = run._stepper._module.header.retimed
+        self._t, self._q, self._p, self.input_values = whole
+        self._retimed = run.program.header.retimed
         self._end = run.t[-1] if self._retimed else run.t[0] + run.h * run.steps
         self._sign = 1.0 if run.h > 0 else -1.0
         self._forward = self._sign * np.asarray(run.t, dtype=float)
@@ -90,7 +90,7 @@ class DenseOutput:
             If part of a step cannot be taken where the whole could.
         """
         run = self._run
-        numbers = run._stepper._module.numbers
+        numbers = run.program.numbers
         with numbers.working():
             times = read_array("t", t, numbers)
         if times.ndim > 1:
@@ -112,7 +112,7 @@ class DenseOutput:
         if codes.any():
             worst = int(np.argmax(codes != 0))
             raise ConvergenceError(
-                f"{run._stepper.system}: part of a step, to t = {rough[worst]:g}, could not be "
+                f"{run.program.system}: part of a step, to t = {rough[worst]:g}, could not be "
                 f"taken. {Status(int(codes[worst])).message}",
                 trajectory=run,
                 step=int(start[worst]),
@@ -128,24 +128,20 @@ class DenseOutput:
         """Return q, p and a status so much later than stored states, by their numbers."""
         if self._retimed:
             return self._after_in_time(start, later)
-        run, stepper = self._run, self._run._stepper
-        numbers, header, kernels = (
-            stepper._module.numbers,
-            stepper._module.header,
-            stepper._module.kernels,
-        )
+        run, program = self._run, self._run.program
+        numbers, header, kernels = (program.numbers, program.header, program.kernels)
         h = run.h
         whole = np.maximum(np.floor(np.asarray(later / h, dtype=float)), 0).astype(np.int64)
         rest = later - whole * h
         none = np.abs(np.asarray(rest / h, dtype=float)) <= self._nothing
         order = np.lexsort((whole, start))
         with numbers.working():
-            W = workspace(header, numbers, numbers.read(run._values))
+            W = workspace(header, numbers, numbers.read(run.parameter_values))
             t, q, p, step = self._t, self._q, self._p, numbers.read(h)
             rest = numbers.read(np.where(none, 0 * rest, rest))
             first = start * (run.every or 1)
-            at = (rest / step)[:, None] * places(stepper)
-            rests = at_places(stepper, self._inputs, first + whole, at)
+            at = (rest / step)[:, None] * places(program)
+            rests = at_places(program, self.input_values, first + whole, at)
             found_q, found_p = numbers.zeros((2, len(order), header.n))
             fine = np.zeros(len(order), dtype=np.bool_)
             between = numbers.driver("between")
@@ -168,7 +164,7 @@ class DenseOutput:
                     p_out,
                     well,
                     run.every or 1,
-                    self._inputs,
+                    self.input_values,
                     rests[:, some],
                 )
                 found_q[some], found_p[some], fine[some] = q_out[:-1], p_out[:-1], well
@@ -182,12 +178,12 @@ class DenseOutput:
         self, start: NDArray[np.int64], later: Reals
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
         """Return states after steps that are fixed in another time."""
-        run, stepper = self._run, self._run._stepper
-        numbers = stepper._module.numbers
+        run, program = self._run, self._run.program
+        numbers = program.numbers
         with numbers.working():
-            values, h = numbers.read(run._values), numbers.read(run.h).item()
+            values, h = numbers.read(run.parameter_values), numbers.read(run.h).item()
             asked, states = self._t[start] + numbers.read(later), (self._t, self._q, self._p)
-            _, q, p, fine = states_at(stepper, values, h, states, start, asked, run.every or 1)
+            _, q, p, fine = states_at(program, values, h, states, start, asked, run.every or 1)
             codes = np.where(fine, Status.SUCCESS, Status.NOT_CONVERGED).astype(np.int64)
             return numbers.result(q), numbers.result(p), codes
 
@@ -196,29 +192,29 @@ class DenseOutput:
 
         Where part of a step does not resolve the motion it is divided further.
         """
-        stepper = self._run._stepper
-        h, first = stepper._module.numbers.read(self._run.h).item(), start * (self._run.every or 1)
+        program = self._run.program
+        h, first = program.numbers.read(self._run.h).item(), start * (self._run.every or 1)
         t, state = self._t[start], (self._q[start], self._p[start])
-        (q, p), status = self._run_on(t, state, h, whole, since(self._inputs, first))
+        (q, p), status = self._run_on(t, state, h, whole, since(self.input_values, first))
         if status is not Status.SUCCESS or rest == 0:
             return (q, p), status
         t, last = t + whole * h, first + whole
         for parts in DIVISIONS:
-            at = (np.arange(parts)[:, None] + places(stepper)) * (rest / h / parts)
-            inputs = at_places(stepper, self._inputs, np.full(parts, last), at)
+            at = (np.arange(parts)[:, None] + places(program)) * (rest / h / parts)
+            inputs = at_places(program, self.input_values, np.full(parts, last), at)
             state, status = self._run_on(t, (q, p), rest / parts, parts, inputs)
             if status is Status.SUCCESS:
                 return state, status
         if abs(float(rest / h)) < LITTLE:  # near enough to the line to the next state
-            ahead, status = self._run_on(t, (q, p), h, 1, since(self._inputs, last))
+            ahead, status = self._run_on(t, (q, p), h, 1, since(self.input_values, last))
             part = rest / h
             return [a + part * (b - a) for a, b in zip((q, p), ahead, strict=True)], status
         return state, status
 
     def _run_on(self, t: Any, state: Any, h: Any, steps: int, inputs: Reals) -> tuple[Any, Status]:
-        stepper, numbers = self._run._stepper, self._run._stepper._module.numbers
-        values, h = numbers.read(self._run._values), numbers.read(h).item()
-        one = Run(stepper._module, values, h, t, 0, 1, inputs=inputs)
+        program, numbers = self._run.program, self._run.program.numbers
+        values, h = numbers.read(self._run.parameter_values), numbers.read(h).item()
+        one = Run(program, values, h, t, 0, 1, inputs=inputs)
         one.begin(*state, velocity=False)
         one.advance(steps)
-        return [one.rows(name, stepper.n).copy() for name in ("POSITION", "MOMENTUM")], one.status
+        return [one.rows(name, program.n).copy() for name in ("POSITION", "MOMENTUM")], one.status

@@ -84,8 +84,8 @@ def part_of(run: Trajectory, places: NDArray[np.int64], key: Any) -> Part:
         t=run.t[some],
         q=run.q[some],
         p=run.p[some],
-        _stepper=run._stepper,
-        _values=run._values,
+        program=run.program,
+        parameter_values=run.parameter_values,
         _run=run,
         _places=some,
     )

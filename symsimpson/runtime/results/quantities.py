@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from symsimpson.errors import UnknownNameError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import velocities_by
+from symsimpson.runtime.program import Program
 from symsimpson.support.names import did_you_mean, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Quantities"]
 
@@ -25,7 +23,7 @@ class Quantities:
     t: NDArray[Any]
     q: Any
     p: Any
-    _stepper: Stepper
+    program: Program
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         """Return a block of rows at all states, shape (..., count)."""
@@ -34,8 +32,8 @@ class Quantities:
     @cached_property
     def v(self) -> NDArray[Any]:
         """Velocities, in the shape of q."""
-        kernel = velocities_by(self._stepper._module.header)
-        return self._evaluated(kernel, "VELOCITY", self._stepper.n)
+        kernel = velocities_by(self.program.header)
+        return self._evaluated(kernel, "VELOCITY", self.program.n)
 
     @cached_property
     def energy(self) -> NDArray[Any]:
@@ -50,7 +48,7 @@ class Quantities:
     @cached_property
     def invariants(self) -> dict[str, NDArray[Any]]:
         """The system's named invariants, each in the shape of the energy."""
-        names = self._stepper.invariants
+        names = self.program.invariants
         if not names:
             return {}
         found = self._evaluated("invariants", "INVARIANT", len(names))
@@ -62,7 +60,7 @@ class Quantities:
 
         Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body.
         """
-        module = self._stepper._module
+        module = self.program
         if module.tools is None or not getattr(module.declared, "positions", None):
             return {}
         return module.tools.points_of(module.declared, *self._where())
@@ -88,20 +86,20 @@ class Quantities:
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:
         """The generalised forces -Phi^T lambda of the constraints, in the shape of q."""
-        if not self._stepper._module.header.constraints:
+        if not self.program.header.constraints:
             return 0 * self.q
-        return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self._stepper.n)
+        return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self.program.n)
 
     def _held(self, block: str) -> NDArray[Any]:
         """Return a block of what constraints have, a row for each."""
-        held = self._stepper._module.header.constraints
+        held = self.program.header.constraints
         if not held:
             return np.zeros((*np.shape(self.q)[:-1], 0))
         return self._evaluated("multipliers", block, len(held))
 
     def _slopes(self) -> NDArray[Any]:
         """Return Phi = dphi/dq, shape (..., m, n)."""
-        header = self._stepper._module.header
+        header = self.program.header
         rows = self._evaluated("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"])
         return slopes_of(header, rows)
 
@@ -120,7 +118,7 @@ class Quantities:
         UnknownNameError
             With the names that there are.
         """
-        names, key = self._stepper._names, spelled(key)
+        names, key = self.program.names, spelled(key)
         coordinates, held, watched = (
             x.places for x in (names.coordinates, names.constraints, names.invariants)
         )

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
@@ -18,9 +19,6 @@ from symsimpson.runtime.results.tables import dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 from symsimpson.support.names import did_you_mean, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Sampled", "Saved"]
 
@@ -112,7 +110,7 @@ class Saved(Outcome):
     steps: int
     status: Status
     message: str
-    _stepper: Stepper
+    program: Program
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.
@@ -172,7 +170,7 @@ class Saved(Outcome):
         >>> list(kept.to_pandas().columns)
         ['theta', 'energy']
         """
-        return dataframe(self._table(), "t", self._about(), self._stepper.units)
+        return dataframe(self._table(), "t", self._about(), self.program.units)
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` with the dimension time, and coord for q, p and v.
@@ -195,8 +193,8 @@ class Saved(Outcome):
         for name, values in self.values.items():
             own = ("coord",) if name in VECTORS else (f"axis_{name}", f"corner_{name}")
             variables[name] = ("time", *own[: values.ndim - 1]), values
-        places = {"time": self.t, "coord": list(self._stepper.coordinates)}
-        return with_units(xarray.Dataset(variables, places, self._about()), self._stepper.units)
+        places = {"time": self.t, "coord": list(self.program.coordinates)}
+        return with_units(xarray.Dataset(variables, places, self._about()), self.program.units)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the quantities in a file, of the kind that its ending says.
@@ -229,23 +227,23 @@ class Saved(Outcome):
                 table[name] = values
             elif values.ndim == 2:
                 prefix = "" if name == "q" else f"{name}_"
-                parts = self._stepper.coordinates if name in VECTORS else "xyz"[: values.shape[1]]
+                parts = self.program.coordinates if name in VECTORS else "xyz"[: values.shape[1]]
                 table |= {f"{prefix}{x}": values[:, k] for k, x in enumerate(parts)}
         return table
 
     def _about(self) -> dict[str, Any]:
-        stepper = self._stepper
-        return {"system": stepper.system, "scheme": stepper.scheme} | self._outcome()
+        program = self.program
+        return {"system": program.system, "scheme": program.scheme} | self._outcome()
 
     def __repr__(self) -> str:
         return (
-            f"Saved({self._stepper.system}, {self._stepper.scheme}: {', '.join(self.values)} at "
+            f"Saved({self.program.system}, {self.program.scheme}: {', '.join(self.values)} at "
             f"{self.t.size} times, {self.status.name})"
         )
 
 
 def quantity(states: States, name: str) -> NDArray[Any]:
     """Return a quantity of states by its name, "q", "p" and "v" among them."""
-    if name in VECTORS and name not in states._stepper._names.coordinates.places:
+    if name in VECTORS and name not in states.program.names.coordinates.places:
         return np.asarray(getattr(states, name))
     return np.asarray(states._named(name))

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
-from symsimpson.runtime.evaluator import Evaluator
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.runs.run import workspace
-from symsimpson.runtime.runs.variations import varied_stepper
+from symsimpson.runtime.runs.variations import varied_program
 from symsimpson.support.derivation import LAGRANGIAN
 
 if TYPE_CHECKING:
@@ -57,12 +57,12 @@ def step_means(run: Energies) -> Reals:
 def _changes(run: Energies) -> Reals:
     """Return dH in the mean over each step, -(L_d - S)/h."""
     _check(run)
-    stepper = varied_stepper(run._stepper, (), LAGRANGIAN)
-    return (_actions(stepper, run) - _discrete_actions(stepper, run)) / run.h
+    program = varied_program(run.program, (), LAGRANGIAN)
+    return (_actions(program, run) - _discrete_actions(program, run)) / run.h
 
 
 def _check(run: Energies) -> None:
-    header = run._stepper._module.header
+    header = run.program.header
     why = ""
     if not header.conservative:
         why = "its energy is not constant: look at run.energy_balance"
@@ -78,11 +78,11 @@ def _check(run: Energies) -> None:
         raise InputError(f"{header.system}: there is no shadow energy of this run, {why}.")
 
 
-def _discrete_actions(stepper: Evaluator, run: Energies) -> Reals:
+def _discrete_actions(program: Program, run: Energies) -> Reals:
     """Return L_d of all steps, which are taken again."""
-    numbers, header = stepper._module.numbers, stepper._module.header
-    kernels, out = stepper._module.kernels, numbers.zeros(run.steps)
-    W = workspace(header, numbers, numbers.read(run._values))
+    numbers, header = program.numbers, program.header
+    kernels, out = program.kernels, numbers.zeros(run.steps)
+    W = workspace(header, numbers, numbers.read(run.parameter_values))
     t, q, p = (np.ascontiguousarray(numbers.read(x)) for x in (run.t, run.q, run.p))
     reached = numbers.driver("step_costs")(
         kernels.set("newton"),
@@ -95,19 +95,19 @@ def _discrete_actions(stepper: Evaluator, run: Energies) -> Reals:
         p,
         header.layout["COST"],
         out,
-        numbers.read(run._inputs),
+        numbers.read(run.input_values),
     )
     if reached < len(run):
         raise InputError(
-            f"{stepper.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
+            f"{program.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
             "\nTake a smaller step."
         )
     return out
 
 
-def _actions(stepper: Evaluator, run: Energies) -> Reals:
+def _actions(program: Program, run: Energies) -> Reals:
     """Return the actions of Hermite polynomials through the states, by Gauss quadrature."""
-    degree = 3 if stepper.order <= 4 else 5
+    degree = 3 if program.order <= 4 else 5
     places, weights = np.polynomial.legendre.leggauss(NODES[degree])
     h, q, v = run.h, run.q, run.v
     ends = [q[:-1], h * v[:-1], q[1:], h * v[1:]]
@@ -120,7 +120,7 @@ def _actions(stepper: Evaluator, run: Energies) -> Reals:
         here = sum(b(place) * x for b, x in zip(basis, ends, strict=True))
         slope = sum(b.deriv()(place) * x for b, x in zip(basis, ends, strict=True)) / h
         t = run.t[:-1] + place * h
-        L = evaluate(stepper, "running_cost", "NODE_COST", 1, t, here, slope, run._values)
+        L = evaluate(program, "running_cost", "NODE_COST", 1, t, here, slope, run.parameter_values)
         total += weight * h * L[:, 0]
     return total
 

@@ -6,18 +6,16 @@ import operator
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, overload
+from typing import Any, ClassVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.tables import columns, dataframe
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["States"]
 
@@ -77,8 +75,8 @@ class States(Quantities):
     t: NDArray[Any]
     q: NDArray[Any]
     p: NDArray[Any]
-    _stepper: Stepper = field(repr=False)
-    _values: NDArray[Any] = field(repr=False)
+    program: Program = field(repr=False)
+    parameter_values: NDArray[Any] = field(repr=False)
 
     def __init__(self, **fields: Any) -> None:
         self.__dict__.update(fields)  # a quarter of the time that setting each takes
@@ -86,7 +84,7 @@ class States(Quantities):
     @property
     def parameters(self) -> Mapping[str, float]:
         """Values of the parameters that the run used, by name."""
-        return dict(zip(self._stepper.parameters, self._values.tolist(), strict=True))
+        return dict(zip(self.program.parameters, self.parameter_values.tolist(), strict=True))
 
     @property
     def y(self) -> NDArray[Any]:
@@ -125,8 +123,8 @@ class States(Quantities):
             t=self.t[some],
             q=self.q[some],
             p=self.p[some],
-            _stepper=self._stepper,
-            _values=self._values,
+            program=self.program,
+            parameter_values=self.parameter_values,
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -235,7 +233,7 @@ class States(Quantities):
         >>> list(run.to_pandas().columns)
         ['theta', 'p_theta', 'v_theta', 'energy', 'bob_x', 'bob_y']
         """
-        return dataframe(self._table(), "t", self._about(), self._stepper.units)
+        return dataframe(self._table(), "t", self._about(), self.program.units)
 
     def _table(self) -> dict[str, NDArray[Any]]:
         return {"t": self.t, **columns(self)}
@@ -268,8 +266,8 @@ class States(Quantities):
             about = {"long_name": f"place of {name}"}
             variables[f"point_{name}"] = (("time", *corner, f"axis_{name}"), place, about)
         variables |= self._further()
-        names = {"time": self.t, "coord": list(self._stepper.coordinates)}
-        return with_units(xarray.Dataset(variables, names, self._about()), self._stepper.units)
+        names = {"time": self.t, "coord": list(self.program.coordinates)}
+        return with_units(xarray.Dataset(variables, names, self._about()), self.program.units)
 
     def _further(self) -> dict[str, Any]:
         """Variables of a dataset that not all states have."""
@@ -277,28 +275,28 @@ class States(Quantities):
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""
-        stepper = self._stepper
+        program = self.program
         return {
-            "system": stepper.system,
-            "scheme": stepper.scheme,
-            "order": stepper.order,
-            "digest": stepper._module.header.digest,
+            "system": program.system,
+            "scheme": program.scheme,
+            "order": program.order,
+            "digest": program.header.digest,
             **{
                 f"parameter {stored(name, own)}": float(value)
                 for (name, value), own in zip(
-                    self.parameters.items(), stepper._names.parameters.own, strict=True
+                    self.parameters.items(), program.names.parameters.own, strict=True
                 )
             },
         }
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-        return self.t, self.q, self._values
+        return self.t, self.q, self.parameter_values
 
     def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
         from symsimpson.runtime.evaluating import evaluate
 
         states = self.t, self.q, self.p
-        return evaluate(self._stepper, kernel, block, count, *states, self._values)
+        return evaluate(self.program, kernel, block, count, *states, self.parameter_values)
 
     def __len__(self) -> int:
         return self.t.size
@@ -312,4 +310,4 @@ class States(Quantities):
         times = f"{len(self)} states"
         if len(self):
             times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
-        return f"{type(self).__name__}({self._stepper.system}, {self._stepper.scheme}: {times})"
+        return f"{type(self).__name__}({self.program.system}, {self.program.scheme}: {times})"

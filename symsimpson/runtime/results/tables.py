@@ -55,7 +55,7 @@ def check_kind(place: Path) -> str:
 
 def columns(some: Quantities) -> dict[str, NDArray[Any]]:
     """Return q, p, v, the energy, invariants and points by name, in the shape of the energy."""
-    names = some._stepper.coordinates
+    names = some.program.coordinates
     found = {name: some._named(name) for name in names}
     found |= {f"{x}_{name}": some._named(f"{x}_{name}") for x in "pv" for name in names}
     found |= {"energy": some.energy, **some.invariants}

@@ -68,8 +68,8 @@ class Trajectory(Outcome, Energies, Differentiated):
     every: int | None
     status: Status
     message: str
-    _inputs: NDArray[Any] = field(repr=False)
-    _tangents: NDArray[Any] | None = field(default=None, repr=False)
+    input_values: NDArray[Any] = field(repr=False)
+    variations: NDArray[Any] | None = field(default=None, repr=False)
     _tau: NDArray[Any] | None = field(default=None, repr=False)
     _varied_by: tuple[str, ...] | None = field(default=None, repr=False)
 
@@ -77,7 +77,7 @@ class Trajectory(Outcome, Energies, Differentiated):
     def _names_varied(self) -> tuple[str, ...]:
         if self._varied_by is None:
             return super()._names_varied
-        return self._stepper._names.varied(self._varied_by)
+        return self.program.names.varied(self._varied_by)
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states.
@@ -100,12 +100,12 @@ class Trajectory(Outcome, Energies, Differentiated):
     def E0(self) -> Any:
         """The initial energy, the energy level on which a retimed system is integrated."""
         values = self.parameters
-        return values["E0"] if self._stepper._module.header.retimed else self.energy[0]
+        return values["E0"] if self.program.header.retimed else self.energy[0]
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
         """Values of the inputs by name: shape (N,), one per step, or (N, s), at the nodes."""
-        names, (given,) = self._stepper.inputs, self._inputs
+        names, (given,) = self.program.inputs, self.input_values
         values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
         shown = values[:, 0] if values.shape[1] == 1 else values
         return {name: shown[..., k] for k, name in enumerate(names)}
@@ -146,11 +146,13 @@ class Trajectory(Outcome, Energies, Differentiated):
         >>> run.at([0.05, 1/3])["theta"].shape
         (2,)
         """
-        numbers = self._stepper._module.numbers
+        numbers = self.program.numbers
         with numbers.working():
             times = np.atleast_1d(numbers.result(read_array("t", t, numbers)))
         q, p = self.sol.states(times)
-        return States(t=times, q=q, p=p, _stepper=self._stepper, _values=self._values)
+        return States(
+            t=times, q=q, p=p, program=self.program, parameter_values=self.parameter_values
+        )
 
     def events(self, expression: Any, *, direction: int = 0, wrap: Any = ()) -> Events:
         """Find the zeros of an expression along the run, to rounding error.
@@ -267,8 +269,8 @@ class Trajectory(Outcome, Energies, Differentiated):
         return trajectory(self)
 
     def __repr__(self) -> str:
-        stepper = self._stepper
+        program = self.program
         return (
-            f"Trajectory({stepper.system}, {stepper.scheme}: {self.steps} steps of "
+            f"Trajectory({program.system}, {program.scheme}: {self.steps} steps of "
             f"h={float(self.h):g}, {self.t.size} states stored, {self.status.name})"
         )

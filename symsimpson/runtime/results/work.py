@@ -24,7 +24,7 @@ Reals = NDArray[Any]
 
 def powers(run: Energies) -> dict[str, Reals]:
     """Return the power of each force at the stored states, and of all."""
-    header = run._stepper._module.header
+    header = run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}
     return _named(run, _powers_at(run))
@@ -36,34 +36,34 @@ def _powers_at(run: Energies, *, arriving: bool = False) -> Reals:
     With the inputs of the step that begins at a state, or of the one that arrives there.
     """
     return evaluate(
-        run._stepper,
+        run.program,
         "power",
         "POWER",
-        run._stepper._module.header.powers,
+        run.program.header.powers,
         run.t,
         run.q,
         run.p,
-        run._values,
+        run.parameter_values,
         _at_states(run, arriving),
     )
 
 
 def _at_states(run: Energies, arriving: bool) -> Reals:
     """Return the inputs at stored states, which stand in the places of steps."""
-    numbers = run._stepper._module.numbers
+    numbers = run.program.numbers
     last = max(run.steps - 1, 0)
     number = np.arange(len(run)) * run.every if run.every else np.array([run.steps])
     ended = (number > 0) if arriving else (number > last)
     with numbers.working():
-        inputs = numbers.read(run._inputs)
+        inputs = numbers.read(run.input_values)
         place = numbers.read(ended.astype(int))[:, None]
         step = number - 1 if arriving else np.minimum(number, last)
-        return at_places(run._stepper, inputs, np.maximum(step, 0), place)
+        return at_places(run.program, inputs, np.maximum(step, 0), place)
 
 
 def _named(run: Energies, found: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
-    names = run._stepper._names.forces.shown
+    names = run.program.names.forces.shown
     own = {name: found[:, k] for k, name in enumerate(names)}
     return own | {TOTAL: sum(own.values(), 0 * run.t)}
 
@@ -79,7 +79,7 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
     InputError
         If only the last state is stored, or the scheme is explicit.
     """
-    stepper, header = run._stepper, run._stepper._module.header
+    program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
     if run.every is None:
@@ -89,7 +89,7 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
         )
     if "work" not in header.functions:
         raise InputError(
-            f"{stepper.scheme} is explicit: its steps have no nodes at which forces do work.\n"
+            f"{program.scheme} is explicit: its steps have no nodes at which forces do work.\n"
             "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
         )
     found = _integrated(run)
@@ -100,7 +100,7 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
 def rough_parts(run: Energies) -> Reals:
     """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
     begins = _powers_at(run)
-    ends = _powers_at(run, arriving=True) if run._inputs.size else begins
+    ends = _powers_at(run, arriving=True) if run.input_values.size else begins
     spans = np.diff(np.asarray(run.t, dtype=np.float64))[:, None]
     means = np.asarray(begins[:-1] + ends[1:], dtype=np.float64) / 2
     return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
@@ -113,14 +113,14 @@ def parts_of_work(run: Energies) -> Reals:
 
 def _signed(run: Energies, parts: Reals) -> Reals:
     """Give dL/dt, the last of powers, the sign by which H follows it."""
-    if not run._stepper._module.header.autonomous:
+    if not run.program.header.autonomous:
         parts[:, -1] *= -1
     return parts
 
 
 def _integrated(run: Energies) -> Reals:
     """Return the integrals of powers over steps that are taken again, up to stored states."""
-    numbers, header = run._stepper._module.numbers, run._stepper._module.header
+    numbers, header = run.program.numbers, run.program.header
     with numbers.working():
         return np.asarray(numbers.result(_added_up(run, header.powers)))
 
@@ -130,12 +130,12 @@ def _added_up(run: Energies, count: int) -> Reals:
 
     Steps that the run took with more robust kernels are taken with these.
     """
-    module, every = run._stepper._module, run.every
+    module, every = run.program, run.every
     assert every is not None
     numbers, header, kernels = module.numbers, module.header, module.kernels
-    W = workspace(header, numbers, numbers.read(run._values))
+    W = workspace(header, numbers, numbers.read(run.parameter_values))
     t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
-    out, inputs = numbers.zeros((len(run), count)), numbers.read(run._inputs)
+    out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
     row = header.layout["WORK"]
     sets = [name for name in kernels.fallbacks if name != "stages"]
     done, number = 0, 0

@@ -13,8 +13,8 @@ from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import Run, Stored, workspace
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
+    from symsimpson.runtime.program import Program
 
 __all__ = ["ROOM", "STRIDE", "Collected", "last_part", "resolution", "states_at", "with_end"]
 
@@ -89,7 +89,7 @@ class Collected:
         return q, p, iterations, kept
 
 
-def last_part(stepper: Evaluator, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
+def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
     """Take the part of a step from where a run has arrived to its end.
 
     Returns
@@ -102,7 +102,7 @@ def last_part(stepper: Evaluator, run: Run, t_end: Any) -> tuple[Any, Reals, Rea
     q, p = run.end()
     start = np.zeros(1, dtype=np.int64)
     part, q, p, fine = states_at(
-        stepper,
+        program,
         run.parameters,
         run.h,
         (run.rows("TIME", 1).copy(), q, p),
@@ -114,7 +114,7 @@ def last_part(stepper: Evaluator, run: Run, t_end: Any) -> tuple[Any, Reals, Rea
 
 
 def states_at(
-    stepper: Evaluator,
+    program: Program,
     values: Reals,
     h: Any,
     states: tuple[Reals, Reals, Reals],
@@ -134,11 +134,7 @@ def states_at(
     fine : ndarray of bool, shape (m,)
         Whether its steps could be taken as usual.
     """
-    numbers, header, kernels = (
-        stepper._module.numbers,
-        stepper._module.header,
-        stepper._module.kernels,
-    )
+    numbers, header, kernels = (program.numbers, program.header, program.kernels)
     many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)
     part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
     fine = np.zeros(many, dtype=np.bool_)

@@ -28,7 +28,7 @@ from symsimpson.runtime.runs.run import Kept, workspace
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["Backward", "Objective", "differentiate_back"]
 
@@ -78,7 +78,7 @@ class Backward:
 
 
 def differentiate_back(
-    stepper: Evaluator,
+    program: Program,
     spec: RunSpec,
     objective: Objective,
     inputs: Sequence[int],
@@ -101,10 +101,10 @@ def differentiate_back(
     InputError, ConvergenceError, Interrupted
         As for a run.
     """
-    numbers = stepper._module.numbers
+    numbers = program.numbers
     with numbers.working():
-        way = _Way(stepper, spec, progress)
-        back = _Back(stepper, spec, objective, inputs)
+        way = _Way(program, spec, progress)
+        back = _Back(program, spec, objective, inputs)
         back.leave_end(way)
         for first, records, q, p in way.segments():
             back.carry(first, records, q, p)
@@ -114,18 +114,18 @@ def differentiate_back(
 class _Way:
     """The way there: a run that was made, and can be made again from places on it."""
 
-    def __init__(self, stepper: Evaluator, spec: RunSpec, progress: bool | None) -> None:
-        header, count = stepper._module.header, spec.steps
+    def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
+        header, count = program.header, spec.steps
         rows = 4 * header.n + header.layout["UNKNOWNS"]
         whole = count * rows <= RECORDED
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
         kept = Kept("record", rows, rows)
-        self._run = run = new_run(stepper, spec, 1, self.piece + 1, kept=kept)
-        begin_run(stepper, run, spec)
-        self.q0, self.p0 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
+        self._run = run = new_run(program, spec, 1, self.piece + 1, kept=kept)
+        begin_run(program, run, spec)
+        self.q0, self.p0 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
         if count:
-            look_at_step(stepper, run, spec)
+            look_at_step(program, run, spec)
         self._places: list[tuple[list[int], Reals]] = []
         with run.watched(count, progress):
             while run.step < count and run.alive:
@@ -134,9 +134,9 @@ class _Way:
                 self._places.append((run.position(), run.W[:, 0].copy()))
                 run.advance(min(run.step + self.piece, count))
         if run.status is not Status.SUCCESS:
-            trajectory = trajectory_of(stepper, run, count, run.status, spec, run.stored(), 0)
+            trajectory = trajectory_of(program, run, count, run.status, spec, run.stored(), 0)
             raise_failure(run, trajectory, trajectory)
-        self.q1, self.p1 = (run.rows(x, stepper.n).copy() for x in ("POSITION", "MOMENTUM"))
+        self.q1, self.p1 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
 
     def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
         """Go back over the segments: the number of the first step, records, and states."""
@@ -155,15 +155,15 @@ class _Back:
     """The way back: derivatives of the cost by the state, and what they give on the way."""
 
     def __init__(
-        self, stepper: Evaluator, spec: RunSpec, objective: Objective, inputs: Sequence[int]
+        self, program: Program, spec: RunSpec, objective: Objective, inputs: Sequence[int]
     ) -> None:
-        header, numbers = stepper._module.header, stepper._module.numbers
-        self._stepper, self._spec, self._objective = stepper, spec, objective
-        self._kernels = list(map(stepper._module.kernels.address, ("prepare", "adjoint")))
+        header, numbers = program.header, program.numbers
+        self.program, self._spec, self._objective = program, spec, objective
+        self._kernels = list(map(program.kernels.address, ("prepare", "adjoint")))
         self._W = workspace(header, numbers, spec.parameters)
         varied, self._nodes = len(header.varied_by or ()), header.nodes
         self._value = numbers.zeros(())[()]
-        self._state = self._rows("ADJOINT", 2 * stepper.n)
+        self._state = self._rows("ADJOINT", 2 * program.n)
         self._parameters = numbers.zeros(varied)
         #: Those through nodes, in all, and what rounding has taken from the sums.
         self._totals = numbers.zeros((2, varied * self._nodes))
@@ -173,7 +173,7 @@ class _Back:
         self._by_step = numbers.zeros((spec.steps, len(inputs), held))
 
     def _rows(self, block: str, count: int) -> Reals:
-        first = self._stepper._module.header.layout[block]
+        first = self.program.header.layout[block]
         return self._W[first : first + count, 0]
 
     def leave_end(self, way: _Way) -> None:
@@ -181,7 +181,7 @@ class _Back:
         cost, spec = self._objective.end, self._spec
         if cost is None:
             return
-        numbers = self._stepper._module.numbers
+        numbers = self.program.numbers
         t = numbers.read([spec.t0 + spec.h * spec.steps])
         found = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
         self._value = self._value + found.value[0]
@@ -191,7 +191,7 @@ class _Back:
     def carry(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
         """Go back over the steps of a segment."""
         spec, count = self._spec, len(records) - 1
-        header, numbers = self._stepper._module.header, self._stepper._module.numbers
+        header, numbers = self.program.header, self.program.numbers
         slopes = numbers.zeros((count, len(self._chosen)))
         jumps = self._jumps(first, q, p)
         numbers.driver("carry_back")(
@@ -218,10 +218,10 @@ class _Back:
 
     def _jumps(self, first: int, q: Reals, p: Reals) -> Reals:
         """Return what samples add at the states behind the steps of a segment, (count, 2 n)."""
-        every, numbers = self._objective.every, self._stepper._module.numbers
+        every, numbers = self._objective.every, self.program.numbers
         if not self._objective.samples:
             return numbers.zeros((0, 0))
-        jumps = numbers.zeros((len(q) - 1, 2 * self._stepper.n))
+        jumps = numbers.zeros((len(q) - 1, 2 * self.program.n))
         numbered = np.arange(first + 1, first + len(q))
         here = np.flatnonzero(numbered % every == 0)
         if here.size:
@@ -230,9 +230,9 @@ class _Back:
 
     def _sampled(self, places: NDArray[np.int64], q: Reals, p: Reals) -> Reals:
         """Add the samples at some states to the cost; return its derivatives by these states."""
-        spec, numbers = self._spec, self._stepper._module.numbers
+        spec, numbers = self._spec, self.program.numbers
         t = spec.t0 + numbers.read(places * self._objective.every) * spec.h
-        found = numbers.zeros((len(places), 2 * self._stepper.n))
+        found = numbers.zeros((len(places), 2 * self.program.n))
         for samples in self._objective.samples:
             slopes = samples.slopes(slice(places[0], places[-1] + 1), t, q, p, spec.parameters)
             self._value = self._value + slopes.value.sum()
@@ -242,7 +242,7 @@ class _Back:
 
     def arrived(self, way: _Way) -> Backward:
         """Return what there is at the start."""
-        spec, numbers = self._spec, self._stepper._module.numbers
+        spec, numbers = self._spec, self.program.numbers
         q0, p0 = way.q0[None], way.p0[None]
         if self._objective.samples:
             self._state += self._sampled(np.zeros(1, dtype=np.int64), q0, p0)[0]
@@ -252,11 +252,9 @@ class _Back:
         parameters = self._parameters + through_nodes.sum(axis=1)
         if spec.velocities:
             t = numbers.read([spec.t0])
-            pulled, further = pull_velocities(
-                self._stepper, t, q0, p0, state[None], spec.parameters
-            )
+            pulled, further = pull_velocities(self.program, t, q0, p0, state[None], spec.parameters)
             state, parameters = pulled[0], parameters + further[0]
-        if "COST" in self._stepper._module.header.layout:
+        if "COST" in self.program.header.layout:
             self._value = self._value + self._rows("COST", 1)[0]
         result = numbers.result
         return Backward(

@@ -20,6 +20,7 @@ from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import STRIDE, resolution
 from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.resolution import (
     LIMIT,
     SAMPLES,
@@ -32,7 +33,7 @@ from symsimpson.runtime.runs.run import workspace
 from symsimpson.support.ahead import compiles_late
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["MOST_ROWS", "brief_run"]
 
@@ -66,10 +67,10 @@ class Asked:
 class Prepared:
     """The inner means of a run: workspace, kernels, functions of the driver."""
 
-    def __init__(self, stepper: Evaluator) -> None:
-        header, kernels = stepper._module.header, stepper._module.kernels
-        numbers = stepper._module.numbers
-        self.W, self.told = workspace(header, numbers, stepper._defaults), header.told
+    def __init__(self, program: Program) -> None:
+        header, kernels = program.header, program.kernels
+        numbers = program.numbers
+        self.W, self.told = workspace(header, numbers, program.defaults), header.told
         self.kernels = kernels.set(kernels.fallbacks[0])
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
         iterated = header.newton_unknowns > 0
@@ -78,12 +79,12 @@ class Prepared:
             self.kernels = kernels.set(kernels.fallbacks[0], "clock")
             self.retime = kernels.address("retime")
             self.run_to_end = numbers.driver("run_to_end", iterated=iterated)
-            self.sampled = room(self.most // STRIDE, stepper.n)
+            self.sampled = room(self.most // STRIDE, program.n)
             self.kept = np.empty((self.most + 1, 1, 1))
             return
         self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
         #: Where states go that are looked at and forgotten.
-        self.sampled = room(SAMPLES, stepper.n)
+        self.sampled = room(SAMPLES, program.n)
 
     def run(
         self, asked: Asked, times: Times, every: int, few: int, stored: Stored, end: Floats
@@ -150,7 +151,7 @@ class Prepared:
         return found
 
 
-def make_ready(stepper: Evaluator) -> None:
+def make_ready(program: Program) -> None:
     """Compile all that a run may need, and a short one after it, so that no later one waits.
 
     Programs that make many steppers for a run each set ``SYMSIMPSON_COMPILE=late``: then each
@@ -158,9 +159,9 @@ def make_ready(stepper: Evaluator) -> None:
     """
     if compiles_late():
         return
-    stepper._module.numbers.make_ready(stepper._module.kernels)
-    if stepper._prepared == []:
-        stepper._prepared.append(Prepared(stepper))
+    program.numbers.make_ready(program.kernels)
+    if program.findings.prepared == []:
+        program.findings.prepared.append(Prepared(program))
 
 
 def room(last: int, n: int) -> Stored:
@@ -179,71 +180,54 @@ def read_plainly(value: Any, n: int) -> Floats | None:
     return found if found.dtype.char == "d" and found.shape == (n,) else None
 
 
-def read_asked(
-    stepper: Evaluator, given: tuple[Any, Any, Any], h: Any, parameters: Any, every: Any
-) -> Asked | None:
+def read_asked(program: Program, request: Request) -> Asked | None:
     """Read what is asked for; None if it is not plain, or this step was not looked at before."""
-    (q0, v0, p0), n = given, stepper.n
+    v0, p0, every, n = request.v0, request.p0, request.every, program.n
     one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
-    if stepper._prepared is None or not one or not isinstance(h, float):
+    if program.findings.prepared is None or not one or not isinstance(request.h, float):
         return None
-    if parameters and stepper._names.idle:  # which may be warned of, once
+    if request.parameters and program.names.idle:  # which may be warned of, once
         return None
-    values = stepper._values(parameters)
-    if (h, values.tobytes()) not in stepper._looked_at or not (every is None or every > 0):
+    values = program.values(request.parameters)
+    known = (request.h, values.tobytes()) in program.findings.checked_steps
+    if not known or not (every is None or every > 0):
         return None
-    q, other = read_plainly(q0, n), read_plainly(p0 if v0 is None else v0, n)
+    q, other = read_plainly(request.q0, n), read_plainly(p0 if v0 is None else v0, n)
     if q is None or other is None:
         return None
     return Asked(values, q, other, v0 is not None, every or 0)
 
 
-def brief_run(
-    stepper: Evaluator,
-    given: tuple[Any, Any, Any],
-    times: tuple[Any, Any, Any, Any],
-    parameters: Any,
-    every: Any,
-) -> Trajectory | None:
-    """Run, and return what it has come to; None if it is not short, or something came up.
-
-    Parameters
-    ----------
-    stepper : Stepper
-    given, times, parameters, every
-        As for :func:`symsimpson.runtime.runs.spec.read_run`.
-    """
-    asked, retimed = (
-        read_asked(stepper, given, times[0], parameters, every),
-        stepper._module.header.retimed,
-    )
-    if asked is None or (retimed and times[1] is None):
+def brief_run(program: Program, request: Request) -> Trajectory | None:
+    """Run, and return what it has come to; None if it is not short, or something came up."""
+    asked, retimed = read_asked(program, request), program.header.retimed
+    if asked is None or (retimed and request.t_end is None):
         return None
-    prepared = stepper._prepared
+    prepared = program.findings.prepared
     assert prepared is not None
     try:  # threads may do this at the same time
         made = prepared.pop()
     except IndexError:
-        made = Prepared(stepper)
-    found = (_to_end if retimed else _of_steps)(stepper, made, asked, times)
+        made = Prepared(program)
+    found = (_to_end if retimed else _of_steps)(program, made, asked, request)
     prepared.append(made)
     return found
 
 
 def _of_steps(
-    stepper: Evaluator, made: Prepared, asked: Asked, times: tuple[Any, Any, Any, Any]
+    program: Program, made: Prepared, asked: Asked, request: Request
 ) -> Trajectory | None:
     """Take a given number of steps."""
-    h, steps, t0 = read_steps(*times, FLOAT64)
-    if not 0 < steps * stepper._module.header.rows <= MOST_ROWS:
+    h, steps, t0 = read_steps(request, FLOAT64)
+    if not 0 < steps * program.header.rows <= MOST_ROWS:
         return None
-    every, n = asked.every, stepper.n
-    stride = finer_stride(every, steps) if every else sampling_stride(stepper, steps)
+    every, n = asked.every, program.n
+    stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
     last = steps // stride if stride else 0
     (Q, P), counts = stored = room(last, n) if every else made.sampled
-    end, few = np.empty((4, n)), count_looked_at(stepper, last)
+    end, few = np.empty((4, n)), count_looked_at(program, last)
     count = made.run(asked, (h, t0, steps), stride, few, stored, end)
-    if count < 0 or (every == 1 and few and not _regular(stepper, asked, end)):
+    if count < 0 or (every == 1 and few and not _regular(program, asked, end)):
         return None
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
@@ -261,37 +245,35 @@ def _of_steps(
         every=every or None,
         status=Status.SUCCESS,
         message=DONE,
-        _stepper=stepper,
-        _values=asked.values,
-        _inputs=NO_INPUTS,
-        _tangents=None,
+        program=program,
+        parameter_values=asked.values,
+        input_values=NO_INPUTS,
+        variations=None,
     )
 
 
-def _regular(stepper: Evaluator, asked: Asked, end: Floats) -> bool:
+def _regular(program: Program, asked: Asked, end: Floats) -> bool:
     """Return whether a run kept away from singular points of the coordinates."""
-    if stepper._module.tools is None or stepper._module.declared is None:
+    if program.tools is None or program.declared is None:
         return True
-    box = stepper._regular.get(asked.values.tobytes())
+    box = program.findings.regular.get(asked.values.tobytes())
     return box is not None and bool((box[0] <= end[2]).all() and (end[3] <= box[1]).all())
 
 
-def _to_end(
-    stepper: Evaluator, made: Prepared, asked: Asked, times: tuple[Any, Any, Any, Any]
-) -> Trajectory | None:
+def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) -> Trajectory | None:
     """Take as many steps as lead to a time, and a part of one."""
-    h, _, t0, t_end = read_times(*times, FLOAT64, retimed=True)
+    h, _, t0, t_end = read_times(request, FLOAT64, retimed=True)
     key = h, t_end - t0
-    if key in stepper._long:
+    if key in program.findings.long:
         return None
-    every, n = asked.every, stepper.n
+    every, n = asked.every, program.n
     stored = room(made.most // every, n) if every else made.sampled
     end, told = np.empty((2, n)), np.empty(2)
-    few = SAMPLES - 1 if stepper._module.header.conservative else 0
+    few = SAMPLES - 1 if program.header.conservative else 0
     steps = made.arrive(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
     if steps < 0:
         if steps == TOO_LONG:
-            stepper._long.add(key)
+            program.findings.long.add(key)
         return None
     t, q, p = np.array([t_end]), end[:1], end[1:]
     tau, iterations = np.array([h * steps + told[0]]), np.array([int(told[1])])
@@ -314,9 +296,9 @@ def _to_end(
         every=every or None,
         status=Status.SUCCESS,
         message=DONE,
-        _stepper=stepper,
-        _values=asked.values,
-        _inputs=NO_INPUTS,
-        _tangents=None,
+        program=program,
+        parameter_values=asked.values,
+        input_values=NO_INPUTS,
+        variations=None,
         _tau=tau,
     )

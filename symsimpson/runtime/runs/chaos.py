@@ -19,20 +19,22 @@ from symsimpson.runtime.runs.integrate import (
     raise_failure,
     trajectory_of,
 )
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.run import Kept
-from symsimpson.runtime.runs.spec import RunSpec
+from symsimpson.runtime.runs.spec import RunSpec, read_run
+from symsimpson.runtime.runs.variations import refuse_retimed, varied_program
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
-__all__ = ["directions", "find_chaos", "kept_growth"]
+__all__ = ["directions", "find_chaos", "kept_growth", "lyapunov"]
 
 Floats = NDArray[np.float64]
 
 
-def kept_growth(stepper: Evaluator, count: int, every: int) -> Kept:
+def kept_growth(program: Program, count: int, every: int) -> Kept:
     """Say what a run keeps of so many variations, made orthonormal after so many steps."""
-    rows, room = stepper._module.header.room_for_growth(count)
+    rows, room = program.header.room_for_growth(count)
     return Kept("tangent", rows, room, count, every)
 
 
@@ -42,12 +44,12 @@ def directions(size: int, count: int) -> Floats:
     return np.ascontiguousarray(found)
 
 
-def _allowed(stepper: Evaluator, spec: RunSpec, columns: Floats) -> Floats:
+def _allowed(program: Program, spec: RunSpec, columns: Floats) -> Floats:
     """Return directions that constraints allow at the start: a step there moves any into them."""
-    if not stepper._module.header.constraints:
+    if not program.header.constraints:
         return columns
     back = replace(spec, h=-spec.h, steps=1, every=0)
-    before = integrate(stepper, back, None, None, False, "raise")
+    before = integrate(program, back, None, None, False, "raise")
     there = replace(
         spec,
         q0=before.q[0],
@@ -58,14 +60,23 @@ def _allowed(stepper: Evaluator, spec: RunSpec, columns: Floats) -> Floats:
         every=0,
         tangents=columns,
     )
-    moved = integrate(stepper, there, None, None, False, "raise")._tangents
+    moved = integrate(program, there, None, None, False, "raise").variations
     assert moved is not None
     found, _ = np.linalg.qr(moved[0])
     return np.ascontiguousarray(found)
 
 
+def lyapunov(
+    program: Program, request: Request, exponents: Any, every: Any, progress: bool | None
+) -> Chaos:
+    """Run as requested, with variations; see :func:`find_chaos`."""
+    refuse_retimed(program, "Lyapunov exponents")
+    program = varied_program(program, ())
+    return find_chaos(program, read_run(program, request), exponents, every, progress)
+
+
 def find_chaos(
-    stepper: Evaluator, spec: RunSpec, exponents: Any, every: Any, progress: bool | None
+    program: Program, spec: RunSpec, exponents: Any, every: Any, progress: bool | None
 ) -> Chaos:
     """Run with variations that are made orthonormal after each ``every`` steps.
 
@@ -73,12 +84,12 @@ def find_chaos(
     ------
     InputError, ConvergenceError, Interrupted
     """
-    size = 2 * (stepper.n - len(stepper._module.header.constraints))
+    size = 2 * (program.n - len(program.header.constraints))
     stride = read_count("every", every, least=1)
     count = size if exponents is None else whole_number(exponents)
     if count is None or not 1 <= count <= size:
         raise InputError(
-            f"exponents={exponents!r}, and {stepper.system} has {size} of them.\n"
+            f"exponents={exponents!r}, and {program.system} has {size} of them.\n"
             f"Pass a whole number from 1 to {size}, or None for all."
         )
     if spec.q0.dtype != np.float64:
@@ -89,15 +100,15 @@ def find_chaos(
             "Run longer, or pass a smaller every=."
         )
     run = new_run(
-        stepper, spec, stride, spec.steps // stride + 1, kept=kept_growth(stepper, count, stride)
+        program, spec, stride, spec.steps // stride + 1, kept=kept_growth(program, count, stride)
     )
-    begin_run(stepper, run, spec)
+    begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count
-    run.begin_growth(_allowed(stepper, spec, directions(2 * stepper.n, count)))
-    look_at_step(stepper, run, spec)
+    run.begin_growth(_allowed(program, spec, directions(2 * program.n, count)))
+    look_at_step(program, run, spec)
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
-    trajectory = trajectory_of(stepper, run, spec.steps, run.status, spec, run.stored(), stride)
+    trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)
     if not trajectory.success:
         raise_failure(run, trajectory, trajectory)
-    return chaos_of(stepper, run.kept[1 : len(trajectory), :, 0], trajectory, count)
+    return chaos_of(program, run.kept[1 : len(trajectory), :, 0], trajectory, count)

@@ -26,7 +26,7 @@ from symsimpson.runtime.signals import undisturbed
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
     from symsimpson.runtime.runs.run import Run, Stored
     from symsimpson.runtime.runs.spec import RunSpec
 
@@ -48,14 +48,14 @@ def buffered(every: int, stored: int, n: int) -> int:
     return min(stored, max(2, BUFFER // (8 * (2 * n + 2)))) if every else 1
 
 
-def asked(stepper: Evaluator, run: Run, spec: RunSpec) -> dict[str, Any]:
+def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
     """Return what a run was asked for, in values of JSON; floats are written with all digits."""
     return {
-        "source": stepper.source,
+        "source": program.source,
         "parameters": spec.parameters.tolist(),
         **spec.said(),
-        "q0": run.rows("POSITION", stepper.n).tolist(),
-        "p0": run.rows("MOMENTUM", stepper.n).tolist(),
+        "q0": run.rows("POSITION", program.n).tolist(),
+        "p0": run.rows("MOMENTUM", program.n).tolist(),
         **({"kept": run.kept.shape[1]} if run.kept.shape[1] else {}),
     }
 

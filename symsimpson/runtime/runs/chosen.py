@@ -10,17 +10,18 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, read_failure, read_number, read_step
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.sampled import Sampled, Saved, quantity
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import raise_failure
 from symsimpson.runtime.runs.pieces import SLACK, Taken, by_pieces
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["chosen_run", "last_time"]
 
@@ -28,7 +29,7 @@ Reals = NDArray[Any]
 
 
 def chosen_run(
-    stepper: Stepper, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None, on_failure: str
+    program: Program, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None, on_failure: str
 ) -> Sampled | Saved:
     """Run, and keep the states at these times, or these quantities, or these there.
 
@@ -38,7 +39,7 @@ def chosen_run(
     """
     read_failure(on_failure)
     names = None if save is None else _read_names(save)
-    times = None if t_eval is None else _read_times(stepper, spec, t_eval)
+    times = None if t_eval is None else _read_times(program, spec, t_eval)
     sign, slack = (1 if spec.h > 0 else -1), SLACK * abs(spec.h)
     done = 0
 
@@ -55,15 +56,15 @@ def chosen_run(
         return states.t, *(quantity(states, name) for name in names)
 
     if names is not None:  # before anything is computed
-        _check_names(stepper, spec, names)
-    run, last, found = by_pieces(stepper, spec, take, progress)
+        _check_names(program, spec, names)
+    run, last, found = by_pieces(program, spec, take, progress)
     columns = [np.concatenate(parts) for parts in zip(*found, strict=True)]
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
-    about |= {"message": last.message, "_stepper": stepper}
+    about |= {"message": last.message, "program": program}
     result: Sampled | Saved
     if names is None:
         t, q, p = columns
-        result = Sampled(t=t, q=q, p=p, _values=last._values, **about)
+        result = Sampled(t=t, q=q, p=p, parameter_values=last.parameter_values, **about)
     else:
         values = dict(zip(names, columns[1:], strict=True))
         result = Saved(t=columns[0], values=values, **about)
@@ -72,14 +73,14 @@ def chosen_run(
     return result
 
 
-def last_time(stepper: Stepper, t_eval: Any, h: Any, t0: Any) -> tuple[Any, int | None]:
+def last_time(program: Program, request: Request) -> tuple[Any, int | None]:
     """Return the end of a run that goes as far as it must, and the number of its steps."""
-    numbers = stepper._module.numbers
+    numbers = program.numbers
     with numbers.working():
-        step, start = read_step(h, numbers), read_number("t0", t0, numbers)
-        times = _as_times(t_eval, numbers)
+        step, start = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
+        times = _as_times(request.t_eval, numbers)
         far = (max if step > 0 else min)(times, default=start)
-        if stepper._module.header.retimed:
+        if program.header.retimed:
             return far, None
         return None, max(0, int(np.ceil(float((far - start) / step) - SLACK)))
 
@@ -94,9 +95,9 @@ def _as_times(given: Any, numbers: Numbers) -> Reals:
     return times
 
 
-def _read_times(stepper: Stepper, spec: RunSpec, given: Any) -> Reals:
+def _read_times(program: Program, spec: RunSpec, given: Any) -> Reals:
     """Read times in the order of the run, within it."""
-    numbers = stepper._module.numbers
+    numbers = program.numbers
     with numbers.working():
         times = _as_times(given, numbers)
     rough, sign = times.astype(float), 1 if spec.h > 0 else -1
@@ -132,10 +133,10 @@ def _read_names(save: Any) -> list[str]:
     return names
 
 
-def _check_names(stepper: Stepper, spec: RunSpec, names: list[str]) -> None:
+def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
     """Refuse names of quantities that states do not have."""
     q, t = spec.q0[None], np.array([spec.t0])
-    states = States(t=t, q=q, p=0 * q, _stepper=stepper, _values=spec.parameters)
+    states = States(t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters)
     for name in names:
         quantity(states, name)
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.inputs import read_array, read_number
+from symsimpson.runtime.inputs import read_array, read_count, read_number, read_step
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
     from symsimpson.runtime.kernels.numbers import Numbers
+    from symsimpson.runtime.program import Program
 
 __all__ = [
     "NO_INPUTS",
@@ -73,13 +73,13 @@ def samples(values: ArrayLike, *, period: float) -> Samples:
 
 
 def read_driving(
-    stepper: Evaluator, given: Any, h: Any, steps: int, members: int | None = None
+    program: Program, given: Any, h: Any, steps: int, members: int | None = None
 ) -> Reals:
     """Read the values of all inputs of a run, or of the members of an ensemble.
 
     Parameters
     ----------
-    stepper : Stepper
+    program : Program
     given : mapping, array_like or None
         By symbol or by name; or all of them along the last axis.
     h : number
@@ -97,23 +97,23 @@ def read_driving(
     InputError
         If one is missing, unknown or not finite, or has the wrong shape.
     """
-    names, numbers = stepper.inputs, stepper._module.numbers
+    names, numbers = program.inputs, program.numbers
     if not names:
         if given is None:
             return NO_INPUTS
         raise InputError(
-            f"{stepper.system} has no inputs.\nDeclare them: MechanicalSystem(..., forces={{q: u}},"
+            f"{program.system} has no inputs.\nDeclare them: MechanicalSystem(..., forces={{q: u}},"
             " inputs=(u,))."
         )
-    values = given_inputs(stepper, given)
+    values = given_inputs(program, given)
     missing = [name for name in names if name not in values]
     if missing:
         raise InputError(
-            f"{stepper.system}: the input {missing[0]} has no values.\nPass inputs="
+            f"{program.system}: the input {missing[0]} has no values.\nPass inputs="
             f"{{{missing[0]!r}: values}}, one value for each of the {steps} steps, or at the nodes "
             "of all steps: stepper.node_times(h, steps)."
         )
-    read = [_one(stepper, name, values[name], h, steps, members) for name in names]
+    read = [_one(program, name, values[name], h, steps, members) for name in names]
     try:
         shape = np.broadcast_shapes(*(one.shape for one in read))
     except ValueError:
@@ -126,20 +126,20 @@ def read_driving(
     return found if steps else numbers.zeros((1, 1, 1, len(names)))
 
 
-def given_inputs(stepper: Evaluator, given: Any) -> dict[str, Any]:
+def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     """Return what is given for each input, by its name."""
-    names, given = stepper.inputs, stepper._held if given is None else given
+    names, given = program.inputs, program.default_inputs if given is None else given
     if given is None:
         return {}
     if isinstance(given, Mapping):
         found: dict[str, Any] = {}
         for key, value in given.items():
-            place = stepper._names.inputs.found(key)
+            place = program.names.inputs.found(key)
             if names[place] in found:
                 raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
             found[names[place]] = value
         return found
-    array = read_array("inputs", given, stepper._module.numbers)
+    array = read_array("inputs", given, program.numbers)
     if len(names) == 1 and (array.ndim < 2 or array.shape[-1] != 1):
         return {names[0]: array}
     if array.ndim == 0 or array.shape[-1] != len(names):
@@ -150,11 +150,9 @@ def given_inputs(stepper: Evaluator, given: Any) -> dict[str, Any]:
     return {name: array[..., k] for k, name in enumerate(names)}
 
 
-def _one(
-    stepper: Evaluator, name: str, given: Any, h: Any, steps: int, members: int | None
-) -> Reals:
+def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: int | None) -> Reals:
     """Read the values of one input, shape (K, N, s) or with ones in their places."""
-    numbers, nodes = stepper._module.numbers, len(stepper._module.header.input_places)
+    numbers, nodes = program.numbers, len(program.header.input_places)
     held = isinstance(given, Samples)
     array = read_array(f"input {name}", given.values if held else given, numbers)
     if held:
@@ -210,10 +208,10 @@ def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
     return count
 
 
-def places(stepper: Evaluator) -> Reals:
+def places(program: Program) -> Reals:
     """Return where in a step its nodes are, shape (s,), as parts of it."""
-    given = stepper._module.header.input_places
-    return stepper._module.numbers.read([Decimal(place) for place in given])
+    given = program.header.input_places
+    return program.numbers.read([Decimal(place) for place in given])
 
 
 def since(inputs: Reals, step: int) -> Reals:
@@ -221,7 +219,7 @@ def since(inputs: Reals, step: int) -> Reals:
     return inputs if inputs.shape[1] == 1 else inputs[:, step:]
 
 
-def at_places(stepper: Evaluator, inputs: Reals, step: NDArray[np.int64], at: Reals) -> Reals:
+def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Reals) -> Reals:
     """Return the inputs at places of steps that need not be nodes.
 
     Held inputs stay what they are. Those at nodes go by the polynomial through the s nodes of the
@@ -229,7 +227,7 @@ def at_places(stepper: Evaluator, inputs: Reals, step: NDArray[np.int64], at: Re
 
     Parameters
     ----------
-    stepper : Stepper
+    program : Program
     inputs : ndarray, shape (1, N, s, m)
     step : ndarray of int, shape (k,)
         Numbers of steps.
@@ -244,7 +242,7 @@ def at_places(stepper: Evaluator, inputs: Reals, step: NDArray[np.int64], at: Re
     own = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
     if inputs.shape[2] == 1 or inputs.shape[3] == 0:
         return own[None]
-    c = places(stepper)
+    c = places(program)
     found = 0 * at[:, :, None] * own[:, :1]
     for j in range(c.size):
         basis = 1 + 0 * at
@@ -253,3 +251,24 @@ def at_places(stepper: Evaluator, inputs: Reals, step: NDArray[np.int64], at: Re
                 basis = basis * (at - c[i]) / (c[j] - c[i])
         found = found + basis[:, :, None] * own[:, j : j + 1]
     return found[None]
+
+
+def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:
+    """Return the times at which inputs given at nodes are taken, shape (steps, s).
+
+    Raises
+    ------
+    InputError
+        If the system has no inputs.
+    """
+    if not program.inputs:
+        raise InputError(
+            f"{program.system} has no inputs, so there are no times to take them at.\n"
+            "Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,))."
+        )
+    numbers = program.numbers
+    with numbers.working():
+        step, start = read_step(h, numbers), read_number("t0", t0, numbers)
+        count = read_count("steps", steps, least=0)
+        place = numbers.counted(0, count, 1)[:, None] + places(program)
+        return numbers.result(start + step * place)

@@ -16,7 +16,7 @@ from symsimpson.runtime.runs.held import DEPENDENT, dependent
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
     from symsimpson.runtime.runs.run import Run
 
 __all__ = ["SINGULAR", "close", "independence_of", "look_at_folds"]
@@ -51,27 +51,27 @@ def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def look_at_folds(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
 ) -> Trajectory:
     """Look at how independent the constraints were at states of a run.
 
     Where one follows from others the run ended before; where that may have been so between two
     states, it is warned of.
     """
-    names = stepper._names.constraints.shown
+    names = program.names.constraints.shown
     if len(names) < 2 or not run.every or len(q) < 2:
         return trajectory
-    header = stepper._module.header
+    header = program.header
     t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
-    pivots = evaluate_in(run.W, stepper, "multipliers", "HELD_PIVOT", len(names), t, q, p)
+    pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), t, q, p)
     independence = independence_of(pivots)
     singular = np.flatnonzero(independence < SINGULAR)
-    who = f"{stepper.system}, {stepper.scheme}"
+    who = f"{program.system}, {program.scheme}"
     if singular.size:
         bad = int(singular[0])
         rows = evaluate_in(
             run.W,
-            stepper,
+            program,
             "multipliers",
             "CONSTRAINT_QQ",
             header.layout["HELD_SIZE"],

@@ -13,7 +13,7 @@ from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate, evaluate_members
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["DEPENDENT", "allowed", "dependent"]
 
@@ -27,7 +27,7 @@ MOST = 12
 
 
 def allowed(
-    stepper: Evaluator,
+    program: Program,
     q: Reals,
     other: Reals,
     given: str,
@@ -39,7 +39,7 @@ def allowed(
 
     Parameters
     ----------
-    stepper : Stepper
+    program : Program
     q, other : ndarray, shape (K, n)
     given : {"v0", "p0"}
         What the second is.
@@ -56,29 +56,29 @@ def allowed(
     InputError
         If q does not satisfy them, or velocities are not allowed by them.
     """
-    numbers, held = stepper._module.numbers, stepper._module.header.constraints
+    numbers, held = program.numbers, program.header.constraints
     if not held:
         return q, other
-    m, n, header = len(held), stepper.n, stepper._module.header
+    m, n, header = len(held), program.n, program.header
     times = numbers.read([t])
 
     def at(block: str, count: int, p: Reals, kernel: str = "multipliers") -> Reals:
         if len(values) == 1:
-            return evaluate(stepper, kernel, block, count, times, q, p, values[0])
+            return evaluate(program, kernel, block, count, times, q, p, values[0])
         states = q[:, None, :], p[:, None, :]
-        return evaluate_members(stepper, kernel, block, count, times, *states, values)[:, 0]
+        return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
 
     rest = 0 * q
     rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
     slopes = slopes_of(header, rows)
-    _check_rank(stepper, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
+    _check_rank(program, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
     size = np.linalg.norm(slopes, axis=2)
     scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = np.abs(phi.astype(np.float64)) / scale
         if attempt == 0 and not off.max() <= missed:
-            raise _off(stepper, q, other, given, values, off, "q0 does not satisfy", "")
+            raise _off(program, q, other, given, values, off, "q0 does not satisfy", "")
         if off.max() <= 4 * numbers.epsilon:
             break
         q = q + at("HELD_CHANGE", n, rest)
@@ -91,32 +91,32 @@ def allowed(
     off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
-        raise _off(stepper, q, other, given, values, off, what, " v = 0")
+        raise _off(program, q, other, given, values, off, what, " v = 0")
     return q, other
 
 
-def _check_rank(stepper: Evaluator, q: Reals, slopes: Reals, independence: Reals) -> None:
+def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) -> None:
     finite = np.isfinite(slopes).all()
     worst = int(np.argmin(independence.astype(np.float64)))
     if finite and independence[worst] >= DEPENDENT:
         return
-    names = stepper._names.constraints.shown
+    names = program.names.constraints.shown
     rows = slopes[worst]
     size = np.linalg.norm(rows, axis=1)
     where = f"q0={[float(x) for x in q[worst]]}"
     if not np.isfinite(rows).all():
         raise InputError(
-            f"{stepper.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
+            f"{program.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
         )
     if (size == 0).any():
         flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
         raise ModelError(
-            f"{stepper.system}: the constraint {flat} has no slope at {where}: its gradient is "
+            f"{program.system}: the constraint {flat} has no slope at {where}: its gradient is "
             "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "
             "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
         )
     raise ModelError(
-        f"{stepper.system}: the constraints {dependent(names, rows)} depend on each other at "
+        f"{program.system}: the constraints {dependent(names, rows)} depend on each other at "
         f"{where}.\nOne of them follows from the others there, so the constraint forces are not "
         "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
         "begin elsewhere."
@@ -131,7 +131,7 @@ def dependent(names: Sequence[str], slopes: Reals) -> str:
 
 
 def _off(
-    stepper: Evaluator,
+    program: Program,
     q: Reals,
     other: Reals,
     given: str,
@@ -143,19 +143,19 @@ def _off(
     """Say which constraint is missed by how much, and what would satisfy them."""
     worst = np.nan_to_num(off, nan=np.inf)
     member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
-    name = stepper._names.constraints.shown[int(c)]
+    name = program.names.constraints.shown[int(c)]
     which = f" of member {member}" if len(q) > 1 else ""
     text = (
-        f"{stepper.system}: {what} the constraint {name!r}{which}: it is off by "
+        f"{program.system}: {what} the constraint {name!r}{which}: it is off by "
         f"{off[member, c]:.2g}, relative to its slope."
     )
-    system = stepper._module.declared
+    system = program.declared
     if system is None:
         return InputError(f"{text}\nGive a start with phi = 0 and dphi/dq.v = 0.")
     call = "system.consistent(q0, v0)"
     try:
         velocities = other[member] if given == "v0" else 0 * other[member]
-        parameters = dict(zip(stepper.parameters, values[member], strict=True))
+        parameters = dict(zip(program.parameters, values[member], strict=True))
         near = system.consistent(
             q[member].astype(np.float64), velocities.astype(np.float64), parameters=parameters
         )

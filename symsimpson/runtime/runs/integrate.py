@@ -32,7 +32,7 @@ from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
     from symsimpson.runtime.results.events import Events
     from symsimpson.runtime.results.sampled import Sampled, Saved
 
@@ -45,7 +45,7 @@ BRIEF = 10_000
 
 
 def integrate(
-    stepper: Evaluator,
+    program: Program,
     spec: RunSpec,
     checkpoint: str | os.PathLike[str] | None,
     checkpoint_every: int | None,
@@ -60,10 +60,10 @@ def integrate(
     """
     read_failure(on_failure)
     count = spec.steps
-    with stepper._module.numbers.working(), silence() if progress is False else NOTHING:
+    with program.numbers.working(), silence() if progress is False else NOTHING:
         # where no states are asked for, some are kept to look at
-        stride = spec.every or (sampling_stride(stepper, count) if spec.t_end is None else STRIDE)
-        header = stepper._module.header
+        stride = spec.every or (sampling_stride(program, count) if spec.t_end is None else STRIDE)
+        header = program.header
         free = checkpoint is None and spec.t_end is None and spec.tangents is None
         if spec.every and free and header.real_everywhere and not header.constraints:
             stride = finer_stride(spec.every, count)
@@ -71,19 +71,19 @@ def integrate(
         if spec.t_end is not None:
             stored = min(stored, ROOM + 1)
         if checkpoint is not None:
-            stored = buffered(stride, stored, stepper.n)
-        run = new_run(stepper, spec, stride, stored)
-        begin_run(stepper, run, spec)
+            stored = buffered(stride, stored, program.n)
+        run = new_run(program, spec, stride, stored)
+        begin_run(program, run, spec)
         if count:
-            make_ready(stepper)
-            look_at_step(stepper, run, spec)
+            make_ready(program)
+            look_at_step(program, run, spec)
         keeper: Checkpoint | Collected | None = None
         if spec.t_end is not None and checkpoint is None:
             keeper = Collected(run, asked=bool(spec.every))
         if checkpoint is not None:
             checkpoint = read_path("checkpoint", checkpoint)
             check_folder(checkpoint, "checkpoint")
-            keeper = _checkpoint(checkpoint, checkpoint_every, asked(stepper, run, spec), run)
+            keeper = _checkpoint(checkpoint, checkpoint_every, asked(program, run, spec), run)
         problem = None
         shown = progress if count > BRIEF and spec.t_end is None else bool(progress)
         with run.watched(count, shown):
@@ -93,16 +93,16 @@ def integrate(
                 problem = error
         status = run.status if problem is None else Status.FILE_ERROR
         if status is Status.NOT_FINITE and run.step == 0:
-            check_forces(stepper, spec)
+            check_forces(program, spec)
         count = run.step if run.arrived else count
         stored_states = keeper.states() if keeper is not None and run.every else run.stored()
         asked_for = stored_states
         if spec.every and spec.every > stride:
             asked_for = each(spec.every // stride, *stored_states)
-        trajectory = trajectory_of(stepper, run, count, status, spec, asked_for, spec.every, keeper)
+        trajectory = trajectory_of(program, run, count, status, spec, asked_for, spec.every, keeper)
         if count and status is not Status.INTERRUPTED and problem is None:
-            trajectory = looked_at(stepper, run, trajectory, stored_states)
-            trajectory = look_at_folds(stepper, run, trajectory, *stored_states[:2])
+            trajectory = looked_at(program, run, trajectory, stored_states)
+            trajectory = look_at_folds(program, run, trajectory, *stored_states[:2])
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
             raise problem
@@ -124,7 +124,7 @@ def _checkpoint(
 
 
 def new_run(
-    stepper: Evaluator,
+    program: Program,
     spec: RunSpec,
     stride: int,
     stored: int,
@@ -139,29 +139,29 @@ def new_run(
         If they do not fit into memory.
     """
     if kept is NOTHING_KEPT and spec.tangents is not None:
-        header = stepper._module.header
+        header = program.header
         kept = kept_variations(header, spec.tangents.shape[1] + len(header.varied_by or ()))
     try:
         return Run(
-            stepper._module,
+            program,
             spec.parameters,
             spec.h,
             spec.t0,
             stride,
             stored,
-            stepper._module.kernels.fallbacks,
+            program.kernels.fallbacks,
             spec.inputs if inputs is None else inputs,
             kept,
         )
     except (MemoryError, ValueError):
         raise InputError(
-            f"{stored} stored states of {2 * stepper.n} numbers do not fit into memory.\n"
+            f"{stored} stored states of {2 * program.n} numbers do not fit into memory.\n"
             "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
             "checkpoint='run.ckpt'."
         ) from None
 
 
-def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
+def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
     """Put the initial state into a run.
 
     Raises
@@ -169,30 +169,30 @@ def begin_run(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
     InputError
         If M(q0) is not positive definite, or the energy has no value there.
     """
-    numbers, q = stepper._module.numbers, spec.q0
+    numbers, q = program.numbers, spec.q0
     run.begin(q, spec.other0, velocity=spec.velocities, t_end=spec.t_end)
-    pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", stepper.n)
-    if stepper._module.header.fast_sines and not numbers.all_finite(velocities):
+    pivot, velocities = float(run.value("MASS_PIVOT")), run.rows("VELOCITY", program.n)
+    if program.header.fast_sines and not numbers.all_finite(velocities):
         run.begin(q, spec.other0, velocity=spec.velocities, any_angle=True, t_end=spec.t_end)
         pivot = float(run.value("MASS_PIVOT"))
     if pivot < 0 or not numbers.all_finite(velocities):
-        values = map(float, run.rows("PARAMETER", len(stepper.parameters)))
-        named = dict(zip(stepper.parameters, values, strict=True))
+        values = map(float, run.rows("PARAMETER", len(program.parameters)))
+        named = dict(zip(program.parameters, values, strict=True))
         where = f"q0={q.tolist()} with the parameters {named}"
         zero = [name for name, value in named.items() if value == 0]
         finite, everywhere = numbers.all_finite(q), pivot == 0 and _singular_beside(run, spec)
-        raise refused_start(stepper.system, where, pivot, finite, zero=zero if everywhere else None)
+        raise refused_start(program.system, where, pivot, finite, zero=zero if everywhere else None)
     if run.header.retimed and not run.parameters[-1] > 0:
         raise InputError(
-            f"{stepper.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
+            f"{program.system}: the rate dt/dtau is {float(run.parameters[-1]):g} at "
             f"q0={q.tolist()}.\nTime must advance: start where it is positive, or change the rate."
         )
     run.apply("energy")
     if not numbers.all_finite(run.rows("ENERGY", 1)):  # but for angles that fast sines do not take
-        position, momentum = (run.rows(name, stepper.n) for name in ("POSITION", "MOMENTUM"))
-        check_start(stepper, spec.t0, position, momentum, spec.parameters)
+        position, momentum = (run.rows(name, program.n) for name in ("POSITION", "MOMENTUM"))
+        check_start(program, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
-        begin_variations(stepper, run, spec.tangents, velocity=spec.velocities)
+        begin_variations(program, run, spec.tangents, velocity=spec.velocities)
 
 
 def _singular_beside(run: Run, spec: RunSpec) -> bool:
@@ -202,22 +202,22 @@ def _singular_beside(run: Run, spec: RunSpec) -> bool:
     return not np.isfinite(run.rows("VELOCITY", run.header.n).astype(np.float64)).all()
 
 
-def look_at_step(stepper: Evaluator, run: Run, spec: RunSpec) -> None:
+def look_at_step(program: Program, run: Run, spec: RunSpec) -> None:
     """Look once whether a step is within the limit of linear stability, and warn of it if not."""
     key = spec.h, spec.parameters.tobytes()
     plain = run.W.dtype == np.float64
-    if not plain or key in stepper._looked_at:
+    if not plain or key in program.findings.checked_steps:
         return
-    stepper._looked_at.add(key)
-    system, tools = stepper._module.declared, stepper._module.tools
+    program.findings.checked_steps.add(key)
+    system, tools = program.declared, program.tools
     if system is not None and tools is not None:
-        q, v = (run.rows(name, stepper.n) for name in ("POSITION", "VELOCITY"))
+        q, v = (run.rows(name, program.n) for name in ("POSITION", "VELOCITY"))
         values = np.concatenate([run.parameters, spec.inputs[0, 0, 0]])
-        tools.check_step(stepper, system, q, v, values, run.h, run.t0)
+        tools.check_step(program, system, q, v, values, run.h, run.t0)
 
 
 def trajectory_of(
-    stepper: Evaluator,
+    program: Program,
     run: Run,
     count: int,
     status: Status,
@@ -227,7 +227,7 @@ def trajectory_of(
     keeper: Checkpoint | Collected | None = None,
 ) -> Trajectory:
     """Return what a run of so many steps has come to: each so-many-th state, or the last for 0."""
-    done, numbers = run.step, stepper._module.numbers
+    done, numbers = run.step, program.numbers
     q, p, iterations, *more = stored
     if every:
         tau = numbers.counted(0, done + 1, every) * run.h
@@ -239,44 +239,44 @@ def trajectory_of(
     if run.header.retimed:
         t = more[0][:, 0] if every else run.rows("TIME", 1).copy()
         if run.arrived:
-            part, *end, status = last_part(stepper, run, spec.t_end)
+            part, *end, status = last_part(program, run, spec.t_end)
             if status is Status.SUCCESS:
                 tau_end = run.h * done + part
                 t, tau, q, p, iterations = with_end(
                     (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
                 )
-    tangents = tangents_of(stepper, run, spec, len(t) if every else 0)
+    tangents = tangents_of(program, run, spec, len(t) if every else 0)
     message = status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
         time, h = float(t[-1] if run.header.retimed else run.t0 + run.h * done), float(run.h)
         message = (
-            f"{stepper.system}, {stepper.scheme}: step {done}{of} at t={time:g} with h={h:g} was "
+            f"{program.system}, {program.scheme}: step {done}{of} at t={time:g} with h={h:g} was "
             f"not taken. {message}"
         )
         if isinstance(keeper, Checkpoint) and status is Status.INTERRUPTED:
             message += f" Go on with symsimpson.resume({os.fspath(keeper.path)!r})."
-    result = stepper._module.numbers.result
+    result = program.numbers.result
     t, q, p, values = result(t), result(q), result(p), result(run.parameters)
     return Trajectory(
         t=t,
         q=q,
         p=p,
         newton_iterations=iterations,
-        h=stepper._module.numbers.single(run.h),
+        h=program.numbers.single(run.h),
         steps=done,
         every=every or None,
         status=status,
         message=message,
-        _stepper=stepper,
-        _values=values,
-        _inputs=result(spec.inputs),
-        _tangents=tangents,
+        program=program,
+        parameter_values=values,
+        input_values=result(spec.inputs),
+        variations=tangents,
         _tau=result(tau) if run.header.retimed else None,
     )
 
 
-def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Reals | None:
+def tangents_of(program: Program, run: Run, spec: RunSpec, stored: int) -> Reals | None:
     """Return the variations at so many stored states, or at the last one for 0; None for none.
 
     They have shape (N, 2 n, k), those of parameters behind the others.
@@ -286,8 +286,8 @@ def tangents_of(stepper: Evaluator, run: Run, spec: RunSpec, stored: int) -> Rea
     rows = run.kept[:stored, :, 0]
     if not stored:
         rows = run.rows("TANGENT", run.kept.shape[1])[None].copy()
-    found: Reals = stepper._module.numbers.result(rows)
-    return found.reshape(len(rows), -1, 2 * stepper.n).swapaxes(1, 2)
+    found: Reals = program.numbers.result(rows)
+    return found.reshape(len(rows), -1, 2 * program.n).swapaxes(1, 2)
 
 
 def raise_failure(

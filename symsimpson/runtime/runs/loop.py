@@ -14,10 +14,11 @@ from symsimpson.runtime.runs.integrate import (
     raise_failure,
     trajectory_of,
 )
+from symsimpson.runtime.runs.request import of_a_step
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepping import Stepping
+    from symsimpson.runtime.program import Program
 
 __all__ = ["ControlLoop"]
 
@@ -45,20 +46,20 @@ class ControlLoop:
     (1, 0.01)
     """
 
-    def __init__(self, stepper: Stepping, spec: RunSpec) -> None:
-        self._stepper, self._spec = stepper, spec
-        numbers = stepper._module.numbers
-        nodes, count = len(stepper._module.header.input_places), len(stepper.inputs)
+    def __init__(self, program: Program, spec: RunSpec) -> None:
+        self.program, self._spec = program, spec
+        numbers = program.numbers
+        nodes, count = len(program.header.input_places), len(program.inputs)
         with numbers.working():
             # one step's inputs: the driver takes them for all steps, and they change in between
             self._inputs = numbers.zeros((1, 1, nodes or 1, count))
-            self._run = new_run(stepper, spec, 0, 1, self._inputs)
-            begin_run(stepper, self._run, spec)
-            look_at_step(stepper, self._run, spec)
+            self._run = new_run(program, spec, 0, 1, self._inputs)
+            begin_run(program, self._run, spec)
+            look_at_step(program, self._run, spec)
 
     def __reduce__(self) -> tuple[Any, ...]:
         run = self._run
-        return _revived, (self._stepper, self._spec, run.position(), run.W[:, 0].copy())
+        return _revived, (self.program, self._spec, run.position(), run.W[:, 0].copy())
 
     def step(self, u: Any = None) -> None:
         """Take a step.
@@ -77,17 +78,15 @@ class ControlLoop:
         ConvergenceError
             If the step could not be taken; the loop stays where it was.
         """
-        from symsimpson.runtime.stepping import of_a_step
-
-        stepper, run = self._stepper, self._run
-        numbers = stepper._module.numbers
+        program, run = self.program, self._run
+        numbers = program.numbers
         with numbers.working():
-            self._inputs[:] = read_driving(stepper, of_a_step(stepper, u), run.h, 1)
+            self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
             before = run.step
             run.advance(before + 1)
             if not run.alive:
                 ended = trajectory_of(
-                    stepper, run, before + 1, run.status, self._spec, run.stored(), 0
+                    program, run, before + 1, run.status, self._spec, run.stored(), 0
                 )
                 raise_failure(run, ended, ended)
 
@@ -101,7 +100,7 @@ class ControlLoop:
         """The time after the last step."""
         run = self._run
         t = run.value("TIME") if run.header.retimed else run.t0 + run.h * run.step
-        return self._stepper._module.numbers.single(t)
+        return self.program.numbers.single(t)
 
     @property
     def q(self) -> Reals:
@@ -118,27 +117,27 @@ class ControlLoop:
         """Velocities, shape (n,)."""
         from symsimpson.runtime.evaluating import evaluate, velocities_by
 
-        stepper, run = self._stepper, self._run
-        numbers = stepper._module.numbers
+        program, run = self.program, self._run
+        numbers = program.numbers
         with numbers.working():
             t = numbers.read([run.t0 + run.h * run.step])
-            q, p = (run.rows(name, stepper.n)[None] for name in ("POSITION", "MOMENTUM"))
+            q, p = (run.rows(name, program.n)[None] for name in ("POSITION", "MOMENTUM"))
             kernel = velocities_by(run.header)
-            return evaluate(stepper, kernel, "VELOCITY", stepper.n, t, q, p, run.parameters)[0]
+            return evaluate(program, kernel, "VELOCITY", program.n, t, q, p, run.parameters)[0]
 
     def _state(self, block: str) -> Reals:
-        return self._stepper._module.numbers.result(self._run.rows(block, self._stepper.n).copy())
+        return self.program.numbers.result(self._run.rows(block, self.program.n).copy())
 
     def __repr__(self) -> str:
-        stepper = self._stepper
+        program = self.program
         return (
-            f"ControlLoop({stepper.system}, {stepper.scheme}: {self.steps} steps of "
+            f"ControlLoop({program.system}, {program.scheme}: {self.steps} steps of "
             f"h={float(self._run.h):g}, t = {float(self.t):g})"
         )
 
 
-def _revived(stepper: Stepping, spec: RunSpec, position: list[int], column: Reals) -> ControlLoop:
+def _revived(program: Program, spec: RunSpec, position: list[int], column: Reals) -> ControlLoop:
     """Return a loop where another one was: it goes on to the same bits."""
-    loop = ControlLoop(stepper, spec)
+    loop = ControlLoop(program, spec)
     loop._run.put_back(position, column)
     return loop

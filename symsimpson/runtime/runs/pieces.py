@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import STRIDE
@@ -16,9 +17,6 @@ from symsimpson.runtime.runs.resolution import sampling_stride
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
 from symsimpson.runtime.runs.verdict import looked_at
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Taken", "by_pieces"]
 
@@ -33,7 +31,7 @@ Taken = tuple[Any, ...]
 
 
 def by_pieces(
-    stepper: Stepper, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
+    program: Program, spec: RunSpec, take: Callable[[Trajectory, int], Taken], progress: bool | None
 ) -> tuple[Run, Trajectory, list[Taken]]:
     """Run, and keep what is taken of each piece.
 
@@ -47,18 +45,18 @@ def by_pieces(
     InputError
         If the run cannot begin.
     """
-    count, piece = spec.steps, min(PIECE, max(16, MOST_NUMBERS // (2 * stepper.n)))
-    run = new_run(stepper, spec, 1, piece + 1)
-    begin_run(stepper, run, spec)
-    look_at_step(stepper, run, spec)
-    stride = STRIDE if spec.t_end is not None else sampling_stride(stepper, count)
+    count, piece = spec.steps, min(PIECE, max(16, MOST_NUMBERS // (2 * program.n)))
+    run = new_run(program, spec, 1, piece + 1)
+    begin_run(program, run, spec)
+    look_at_step(program, run, spec)
+    stride = STRIDE if spec.t_end is not None else sampling_stride(program, count)
     found, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.kept))]
     if not count:
-        found.append(take(_piece(stepper, run, spec), 0))
+        found.append(take(_piece(program, run, spec), 0))
     with run.watched(count, progress if spec.t_end is None else bool(progress)):
         while run.step < count and run.alive:
             run.advance(min(run.step + piece, count))
-            found.append(take(_piece(stepper, run, spec), run.first))
+            found.append(take(_piece(program, run, spec), run.first))
             if stride:  # states to look at, behind those of the piece before
                 first = stride - run.first % stride
                 here = slice(first, run.step - run.first + 1, stride)
@@ -68,17 +66,17 @@ def by_pieces(
     run.every = stride
     q, p, kept = (np.concatenate(states) for states in zip(*seen, strict=True))
     stored = q, p, np.zeros(0, dtype=np.int64), kept
-    last = trajectory_of(stepper, run, count, run.status, spec, stored, 0)
+    last = trajectory_of(program, run, count, run.status, spec, stored, 0)
     if run.arrived and last.success:
-        found.append(take(_piece(stepper, run, spec, last), run.step))
+        found.append(take(_piece(program, run, spec, last), run.step))
     if stride and run.status is not Status.INTERRUPTED and count:
-        last = looked_at(stepper, run, last, stored)
+        last = looked_at(program, run, last, stored)
         sign, slack = (1 if spec.h > 0 else -1), abs(spec.h) * SLACK
         found = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in found]
     return run, last, found
 
 
-def _piece(stepper: Stepper, run: Run, spec: RunSpec, end: Trajectory | None = None) -> Trajectory:
+def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = None) -> Trajectory:
     """Return the states that a run has stored, or the last one and the end."""
     kept = run.step - run.first + 1
     tau = np.arange(run.first, run.step + 1) * run.h
@@ -98,8 +96,8 @@ def _piece(stepper: Stepper, run: Run, spec: RunSpec, end: Trajectory | None = N
         every=1,
         status=Status.SUCCESS,
         message="",
-        _stepper=stepper,
-        _values=run.parameters,
-        _inputs=since(spec.inputs, run.first),
+        program=program,
+        parameter_values=run.parameters,
+        input_values=since(spec.inputs, run.first),
         _tau=tau if run.header.retimed else None,
     )

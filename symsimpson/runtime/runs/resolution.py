@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate, evaluate_in
-from symsimpson.runtime.evaluator import Evaluator
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.work import parts_of_work, rough_parts
 
 if TYPE_CHECKING:
@@ -57,12 +57,12 @@ Places = NDArray[np.int64]
 Reals = NDArray[Any]
 
 
-def sampling_stride(stepper: Evaluator, count: int) -> int:
+def sampling_stride(program: Program, count: int) -> int:
     """Return the steps between the states to keep of a run that stores none.
 
     None, 0, are kept of a short one, unless its energy need not be real.
     """
-    looked_at = count >= FEWEST or not stepper._module.header.real_everywhere
+    looked_at = count >= FEWEST or not program.header.real_everywhere
     return -(-count // SAMPLES) if looked_at else 0
 
 
@@ -157,20 +157,20 @@ class Sampled:
 
 
 def energies_at(
-    stepper: Evaluator, run: Run, steps: int, q: Reals, p: Reals, places: Places
+    program: Program, run: Run, steps: int, q: Reals, p: Reals, places: Places
 ) -> Sampled:
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
     states = t, q[places], p[places]
-    found = evaluate_in(run.W, stepper, "energy", "ENERGY", 2, *states)
+    found = evaluate_in(run.W, program, "energy", "ENERGY", 2, *states)
     total, kinetic = np.asarray(found, dtype=np.float64).T
     if run.header.retimed:  # K = g (H - E0) is what does not drift
-        rate = np.asarray(evaluate_in(run.W, stepper, "energy", "RATE", 1, *states), float)[:, 0]
+        rate = np.asarray(evaluate_in(run.W, program, "energy", "RATE", 1, *states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
     return Sampled(total, kinetic, places, *np.zeros((2, len(total))))
 
 
-def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -> None:
+def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> None:
     """Refuse a state at which the energy is not a finite real number.
 
     Raises
@@ -178,10 +178,10 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
     InputError
     """
     times = np.full(1, t, dtype=q.dtype)
-    (energy,) = evaluate(stepper, "energy", "ENERGY", 1, times, q[None], p[None], values)[0]
+    (energy,) = evaluate(program, "energy", "ENERGY", 1, times, q[None], p[None], values)[0]
     if not np.isfinite(float(energy)):
         raise InputError(
-            f"{stepper.system}: the energy is not a finite real number at q0 = "
+            f"{program.system}: the energy is not a finite real number at q0 = "
             f"({', '.join(f'{float(x):g}' for x in q)}): T or V has no value there "
             "(the logarithm or the root of a negative number, a root of zero, or a division by "
             "zero, for example).\n"
@@ -189,14 +189,14 @@ def check_start(stepper: Evaluator, t: Any, q: Reals, p: Reals, values: Reals) -
         )
 
 
-def check_forces(stepper: Evaluator, spec: RunSpec) -> None:
+def check_forces(program: Program, spec: RunSpec) -> None:
     """Refuse a start at which a force has no value, behind a first step that has none.
 
     Raises
     ------
     InputError
     """
-    tools, system = stepper._module.tools, stepper._module.declared
+    tools, system = program.tools, program.declared
     if tools is None or system is None:
         return
     values = [*map(float, spec.parameters), *map(float, spec.inputs[0, 0, 0])]
@@ -204,59 +204,59 @@ def check_forces(stepper: Evaluator, spec: RunSpec) -> None:
     terms = tools.force_terms(system, q, values, float(spec.t0))
     bad = np.flatnonzero(~np.isfinite(terms))
     if bad.size:
-        name = stepper.coordinates[bad[0]]
+        name = program.coordinates[bad[0]]
         raise InputError(
-            f"{stepper.system}: the force on {name} has no finite value at q0 = "
+            f"{program.system}: the force on {name} has no finite value at q0 = "
             f"({', '.join(f'{x:g}' for x in q)}), though T and V have.\nA derivative of a root at "
             "zero or a quotient 0/0 makes it so. Start beside it, or write V and forces in a form "
             "that is smooth there."
         )
 
 
-def count_looked_at(stepper: Evaluator, last: int) -> int:
+def count_looked_at(program: Program, last: int) -> int:
     """Return how many of so many states behind the first are looked at; none of a short run."""
     return min(last, SAMPLES - 1) if last + 1 >= FEWEST else 0
 
 
 def look_at_energy(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
 ) -> Sampled | None:
     """Evaluate the energy at stored states q, p of a run that is over, and came to a trajectory.
 
     At all of them if it need not be real, else at some of them, and at none of a short run.
     """
     last, steps = len(q) - 1, trajectory.steps
-    if not stepper._module.header.real_everywhere:
-        found = energies_at(stepper, run, steps, q, p, np.arange(last + 1))
-        return _explained(found, stepper, run, trajectory, q, p)
-    few = count_looked_at(stepper, last)
+    if not program.header.real_everywhere:
+        found = energies_at(program, run, steps, q, p, np.arange(last + 1))
+        return _explained(found, program, run, trajectory, q, p)
+    few = count_looked_at(program, last)
     if not few:
         return None
     if q.base is not None and q.base is run.q.base:
-        steady = stepper._module.numbers.driver("steady")
-        energy, header = stepper._module.kernels.address("energy"), run.header
+        steady = program.numbers.driver("steady")
+        energy, header = program.kernels.address("energy"), run.header
         rate = header.layout["RATE"] if header.retimed else 0
         if steady(energy, run.h, run.W, header.told, run.q, run.p, last, few, LIMIT, rate):
             return None
     places = np.arange(few + 1) * last // few
-    found = energies_at(stepper, run, steps, q, p, places)
-    return _explained(found, stepper, run, trajectory, q, p)
+    found = energies_at(program, run, steps, q, p, places)
+    return _explained(found, program, run, trajectory, q, p)
 
 
 def _explained(
-    seen: Sampled, stepper: Evaluator, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+    seen: Sampled, program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
 ) -> Sampled:
     """Take the work that was done out of energies that change, first roughly, then exactly.
 
     Powers at states are enough for most motions; where they leave something, all steps between
     stored states are taken again, where the scheme has nodes.
     """
-    header = stepper._module.header
+    header = program.header
     if header.conservative or seen.left_at is None or not trajectory.success:
         return seen
     whole = len(q) if run.every * (len(q) - 1) <= trajectory.steps else len(q) - 1
     every = np.arange(whole) * run.every
-    result, t = stepper._module.numbers.result, run.t0 + run.h * every
+    result, t = program.numbers.result, run.t0 + run.h * every
     states = replace(
         trajectory,
         t=result(t),
@@ -265,7 +265,7 @@ def _explained(
         every=run.every,
         steps=int(every[-1]),
         newton_iterations=np.zeros(whole, dtype=np.int64),
-        _tangents=None,
+        variations=None,
     )
     seen = seen.at(seen.places < whole)
     parts = rough_parts(states)

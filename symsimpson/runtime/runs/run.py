@@ -20,7 +20,7 @@ from symsimpson.support.progress import Watcher
 
 if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
-    from symsimpson.runtime.loaded import Loaded
+    from symsimpson.runtime.program import Program
 
 __all__ = ["NOTHING_KEPT", "Kept", "Run", "Stored", "workspace"]
 
@@ -88,7 +88,7 @@ class Run:
 
     def __init__(
         self,
-        module: Loaded,
+        program: Program,
         parameters: NDArray[Any],
         h: Any,
         t0: Any,
@@ -98,11 +98,11 @@ class Run:
         inputs: NDArray[Any] = NO_INPUTS,
         kept: Kept = NOTHING_KEPT,
     ) -> None:
-        header, kernels, numbers = module.header, module.kernels, module.numbers
+        header, kernels, numbers = program.header, program.kernels, program.numbers
         if header.retimed and kept is NOTHING_KEPT:
             kept = TIME_KEPT
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
-        self._declared, self._tools = module.declared, module.tools
+        self._declared, self._tools = program.declared, program.tools
         self._parameters, self._inputs = parameters, inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self._behind, self.told = kept.kernel, header.told

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from symsimpson.runtime.inputs import read_failure
-from symsimpson.runtime.results.events import Events, gather, read_zeros, zeros
+from symsimpson.runtime.program import Program
+from symsimpson.runtime.results.events import Events, Zeros, gather, zeros
 from symsimpson.runtime.runs.integrate import raise_failure
 from symsimpson.runtime.runs.pieces import by_pieces
-from symsimpson.runtime.runs.spec import RunSpec
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.spec import read_run
 
 __all__ = ["poincare"]
 
 
 def poincare(
-    stepper: Stepper,
-    expression: Any,
-    spec: RunSpec,
-    direction: int,
-    wrap: Any,
-    progress: bool | None,
-    on_failure: str,
+    program: Program, request: Request, wanted: Zeros, progress: bool | None, on_failure: str
 ) -> Events:
     """Run, and keep the zeros of an expression.
 
@@ -32,9 +23,9 @@ def poincare(
     InputError, ConvergenceError, Interrupted
     """
     read_failure(on_failure)
-    wanted = read_zeros(stepper, expression, direction, wrap)
+    spec = read_run(program, request)
     run, last, found = by_pieces(
-        stepper, spec, lambda piece, before: zeros(piece, wanted, begins=before == 0), progress
+        program, spec, lambda piece, before: zeros(piece, wanted, begins=before == 0), progress
     )
     events = gather(last, wanted, found)
     if not last.success and on_failure == "raise":

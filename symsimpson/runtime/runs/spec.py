@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from symsimpson.runtime.inputs import read_every, read_given, read_times, read_vector
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.variations import read_tangents
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["RunSpec", "read_run"]
 
@@ -81,56 +81,26 @@ class RunSpec:
         return hashlib.sha256(content).hexdigest()
 
 
-def read_run(
-    stepper: Evaluator,
-    start: tuple[ArrayLike, ArrayLike | None, ArrayLike | None],
-    times: tuple[Any, Any, Any, Any],
-    parameters: Mapping[Any, Any] | None,
-    every: int | None,
-    inputs: Any = None,
-    tangents: Any = None,
-) -> RunSpec:
+def read_run(program: Program, request: Request) -> RunSpec:
     """Read what a single run is asked for.
-
-    Parameters
-    ----------
-    stepper : Stepper
-    start : tuple
-        q0, v0 and p0; one of the last two is None.
-    times : tuple
-        h, t_end, steps and t0; one of ``t_end`` and ``steps`` is None.
-    parameters : mapping or None
-    every : int or None
-    inputs : mapping, array_like or None
-    tangents : int, array_like or None
 
     Raises
     ------
     InputError
         If it makes no sense.
     """
-    numbers, names = stepper._module.numbers, stepper._names.coordinates
+    numbers, names = program.numbers, program.names.coordinates
     with numbers.working():
-        values = stepper._values(parameters)
-        retimed = stepper._module.header.retimed
-        h, steps, t0, end = read_times(*times, numbers, retimed=retimed)
-        stride = read_every(every)
-        q0, v0, p0 = start
+        values = program.values(request.parameters)
+        h, steps, t0, end = read_times(request, numbers, retimed=program.header.retimed)
+        stride = read_every(request.every)
         how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
-        given, other = read_given("a run", how, v0, p0)
-        q = read_vector("q0", q0, names, numbers)
+        given, other = read_given("a run", how, request)
+        q = read_vector("q0", request.q0, names, numbers)
         second = read_vector(given, other, names, numbers)
-        q, second = (x[0] for x in allowed(stepper, q[None], second[None], given, values[None], t0))
+        q, second = (x[0] for x in allowed(program, q[None], second[None], given, values[None], t0))
+        inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
+        tangents = None if carried is None else read_tangents(program, carried)
         return RunSpec(
-            q,
-            second,
-            given,
-            values,
-            h,
-            t0,
-            steps,
-            stride,
-            read_driving(stepper, inputs, h, steps),
-            tangents=None if tangents is None else read_tangents(stepper, tangents),
-            t_end=end,
+            q, second, given, values, h, t0, steps, stride, inputs, tangents=tangents, t_end=end
         )

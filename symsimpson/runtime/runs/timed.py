@@ -15,13 +15,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.evaluating import evaluate_energy
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.integrate import integrate
-from symsimpson.runtime.runs.spec import RunSpec
-from symsimpson.runtime.runs.variations import varied_stepper
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.spec import RunSpec, read_run
+from symsimpson.runtime.runs.variations import varied_program
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["timed_run"]
 
@@ -29,7 +31,7 @@ Reals = NDArray[Any]
 
 
 def timed_run(
-    stepper: Evaluator,
+    program: Program,
     spec: RunSpec,
     names: tuple[str, ...],
     progress: bool | None,
@@ -41,7 +43,7 @@ def timed_run(
 
     Parameters
     ----------
-    stepper : Stepper
+    program : Program
         Of a retimed system.
     spec : RunSpec
         With variations of the initial state.
@@ -58,21 +60,21 @@ def timed_run(
     """
     wanted, plain = spec.tangents, replace(spec, tangents=None)
     assert wanted is not None
-    moving = varied_stepper(stepper, names)
-    run = integrate(stepper, plain, None, None, progress, on_failure)
+    moving = varied_program(program, names)
+    run = integrate(program, plain, None, None, progress, on_failure)
     begun = integrate(
-        stepper, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
+        program, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
     )
-    found = _Derivatives(stepper, moving, names, wanted, begun, run, spec.velocities, fixed_steps)
-    return replace(run, _tangents=found.tangents(), _varied_by=names)
+    found = _Derivatives(program, moving, names, wanted, begun, run, spec.velocities, fixed_steps)
+    return replace(run, variations=found.tangents(), _varied_by=names)
 
 
 @dataclass(frozen=True)
 class _Derivatives:
     """How stored states follow from the start: ``begun`` is that, ``run`` all of them."""
 
-    stepper: Evaluator
-    moving: Evaluator
+    program: Program
+    moving: Program
     names: tuple[str, ...]
     wanted: Reals
     begun: Trajectory
@@ -83,12 +85,12 @@ class _Derivatives:
     @property
     def n(self) -> int:
         """Number of coordinates of the user."""
-        return self.stepper.n
+        return self.program.n
 
     @property
     def others(self) -> int:
         """Number of parameters that the steps are differentiated by."""
-        return len(self.moving._module.header.varied_by or ())
+        return len(self.moving.header.varied_by or ())
 
     @cached_property
     def values(self) -> Mapping[str, Any]:
@@ -105,7 +107,7 @@ class _Derivatives:
         columns = np.eye(2 * n + 2, dtype=z.dtype)
         # the first are those of the state, but for the time, of which nothing depends
         whole = self._steps(z, h, run.steps // every * every, every, columns)
-        ways = whole._tangents
+        ways = whole.variations
         assert ways is not None
         states = np.concatenate([whole.q, whole.p], axis=1)
         first = 0 if run.every else len(states) - 1
@@ -130,24 +132,14 @@ class _Derivatives:
         return result
 
     def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
-        m = self.n + 1
-        return self.moving.integrate(  # type: ignore[attr-defined]
-            z[:m],
-            p0=z[m:],
-            h=h,
-            steps=steps,
-            every=every,
-            parameters=self.values,
-            tangents=columns,
-            sensitivities=self.moving._module.header.varied_by,
-            progress=False,
-        )
+        asked = self._asked(z, h, steps)._replace(every=every, tangents=columns)
+        return integrate(self.moving, read_run(self.moving, asked), None, None, False, "raise")
 
     def _onward(self, z: Reals, h: Any, steps: int) -> tuple[Reals, Reals]:
         """Return the state after some steps from another, and how it follows from that."""
         end = self._steps(z, h, steps, steps, np.eye(z.size, dtype=z.dtype))
-        assert end._tangents is not None
-        return np.concatenate([end.q[-1], end.p[-1]]), end._tangents[-1]
+        assert end.variations is not None
+        return np.concatenate([end.q[-1], end.p[-1]]), end.variations[-1]
 
     def _joined(self, more: Reals, way: Reals) -> Reals:
         """Return how a state follows from the start of all, where ``way`` led to one before it."""
@@ -162,10 +154,12 @@ class _Derivatives:
 
     def _here(self, z: Reals) -> Trajectory:
         """Return a run of no steps."""
+        asked = self._asked(z, self.run.h, 0)
+        return integrate(self.moving, read_run(self.moving, asked), None, None, None, "raise")
+
+    def _asked(self, z: Reals, h: Any, steps: int) -> Request:
         m = self.n + 1
-        return self.moving.integrate(  # type: ignore[attr-defined]
-            z[:m], p0=z[m:], h=self.run.h, steps=0, parameters=self.values
-        )
+        return Request(z[:m], p0=z[m:], h=h, steps=steps, every=1, parameters=self.values)
 
     def _start(self, z: Reals) -> Reals:
         """Return what each variation changes at the start: state, then parameters."""
@@ -201,8 +195,8 @@ class _Derivatives:
         n, slopes = self.n, whole.invariants
         q, p = whole.q[:, :n], whole.p[:, :n]
         known = self.run.parameters
-        free = self.stepper._free_values()
-        energy = self.stepper.energy(q, p, {name: known[name] for name in free})
+        free = self.program.free_values()
+        energy = evaluate_energy(self.program, q, p, {name: known[name] for name in free}, 0.0)
         rates = np.zeros((len(q), 2 * n + 2), dtype=q.dtype)
         for i in range(n):
             pull = slopes[f"rate by q{i}"] / slopes["rate"] * (energy - self.run.E0)

@@ -15,15 +15,22 @@ from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
     from symsimpson.module.header import Header
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
     from symsimpson.runtime.runs.run import Run
 
-__all__ = ["begin_variations", "kept_variations", "read_tangents", "read_varied", "varied_stepper"]
+__all__ = [
+    "begin_variations",
+    "kept_variations",
+    "read_tangents",
+    "read_varied",
+    "refuse_retimed",
+    "varied_program",
+]
 
 Reals = NDArray[Any]
 
 
-def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
+def read_varied(program: Program, names: Any) -> tuple[str, ...]:
     """Read names of parameters and inputs, or their symbols; as the module names them.
 
     Raises
@@ -32,7 +39,7 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
         If there is no such parameter or input, or one is named twice.
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
-    names_of, header = stepper._names, stepper._module.header
+    names_of, header = program.names, program.header
     found: list[str] = []
     for name in given:
         place, driven = names_of.parameters.place(name), names_of.inputs.place(name)
@@ -41,16 +48,16 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
             found.append(header.parameters[place])
             if found[-1] in header.from_start:
                 raise InputError(
-                    f"{key} follows from the start of a run of {stepper.system}: nothing is "
+                    f"{key} follows from the start of a run of {program.system}: nothing is "
                     "differentiated by it.\nDifferentiate by the state, tangents=, or by other "
                     "parameters."
                 )
         elif driven is not None:
             found.append(header.inputs[driven])
         else:
-            known = (*stepper.parameters, *stepper.inputs)
+            known = (*program.parameters, *program.inputs)
             raise InputError(
-                f"{key!r} is no parameter or input of {stepper.system}.{did_you_mean(key, known)}\n"
+                f"{key!r} is no parameter or input of {program.system}.{did_you_mean(key, known)}\n"
                 f"It has {', '.join(known) or 'none'}."
             )
     if len(set(found)) < len(found):
@@ -60,7 +67,7 @@ def read_varied(stepper: Evaluator, names: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def varied_stepper(stepper: Evaluator, names: tuple[str, ...], running: Any = None) -> Evaluator:
+def varied_program(program: Program, names: tuple[str, ...], running: Any = None) -> Program:
     """Return a stepper whose module differentiates its steps by these parameters and inputs.
 
     A ``running`` cost is integrated by it, too.
@@ -70,29 +77,43 @@ def varied_stepper(stepper: Evaluator, names: tuple[str, ...], running: Any = No
     InputError
         If the module was loaded from a file that does not.
     """
-    own = stepper._module.header.varied_by
+    own = program.header.varied_by
     if own == names and running is None:
-        return stepper
+        return program
     key = names, running
-    if key not in stepper._variants:
-        if stepper._differentiate is None:
-            if stepper._module.header.retimed:
+    if key not in program.findings.variants:
+        if program.differentiate is None:
+            if program.header.retimed:
                 raise InputError(
-                    f"this module of {stepper.system} does not differentiate its runs.\n"
+                    f"this module of {program.system} does not differentiate its runs.\n"
                     "Make a stepper with symsimpson.compile."
                 )
             known = "" if own is None else f" but by {', '.join(own) or 'the state alone'}"
             raise InputError(
-                f"this module of {stepper.system} does not differentiate its steps by "
+                f"this module of {program.system} does not differentiate its steps by "
                 f"{', '.join(names) or 'the state'}{known}.\nMake a stepper with "
                 "symsimpson.compile, or a module with symsimpson.generate(..., "
                 f"derivatives={names!r})."
             )
-        stepper._variants[key] = stepper._differentiate(names, running)
-    return stepper._variants[key]
+        program.findings.variants[key] = program.differentiate(names, running)
+    return program.findings.variants[key]
 
 
-def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
+def refuse_retimed(program: Program, what: str) -> None:
+    """Refuse what is not there for steps that are fixed in another time.
+
+    Raises
+    ------
+    InputError
+    """
+    if program.header.retimed:
+        raise InputError(
+            f"{program.system} is retimed, and {what} are not taken in another time yet.\n"
+            "Single runs carry tangents= and sensitivities=; or take the system as it was."
+        )
+
+
+def read_tangents(program: Program, tangents: Any) -> Reals:
     """Read variations of the initial state: so many unit vectors, or columns (dq, dp).
 
     Raises
@@ -100,12 +121,12 @@ def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
     InputError
         If there are too many, or the shape is another.
     """
-    numbers, size = stepper._module.numbers, 2 * stepper.n
+    numbers, size = program.numbers, 2 * program.n
     count = whole_number(tangents)
     if count is not None:
         if not 0 <= count <= size:
             raise InputError(
-                f"tangents={tangents!r}, but {stepper.system} has a state of {size} numbers.\n"
+                f"tangents={tangents!r}, but {program.system} has a state of {size} numbers.\n"
                 f"Pass tangents={size} for the whole derivative, or an array of shape ({size}, k)."
             )
         return numbers.read(np.eye(size)[:, :count])
@@ -114,7 +135,7 @@ def read_tangents(stepper: Evaluator, tangents: Any) -> Reals:
     if columns.ndim != 2 or columns.shape[0] != size or not numbers.all_finite(columns):
         raise InputError(
             f"tangents has shape {columns.shape}, or is not finite; expected ({size}, k): a column "
-            f"of {stepper.n} numbers dq and {stepper.n} numbers dp for each variation.\n"
+            f"of {program.n} numbers dq and {program.n} numbers dp for each variation.\n"
             "Pass tangents=k for the first k unit vectors."
         )
     return columns
@@ -125,14 +146,14 @@ def kept_variations(header: Header, count: int) -> Kept:
     return Kept("tangent", 2 * header.n * count, header.room_for_tangents(count))
 
 
-def begin_variations(stepper: Evaluator, run: Run, tangents: Reals, *, velocity: bool) -> None:
+def begin_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:
     """Let variations of the state and of parameters begin.
 
     Those of parameters leave q0 as it is, and p0 or, where that was given, v0: then
     p0 = L_v(q0, v0) changes with the parameters.
     """
-    n, given = stepper.n, tangents.shape[1]
-    varied = len(stepper._module.header.varied_by or ())
+    n, given = program.n, tangents.shape[1]
+    varied = len(program.header.varied_by or ())
     count = given + varied
     run.rows("TANGENTS", 1)[:] = count
     run.rows("TANGENT", 2 * n * given)[:] = tangents.T.ravel()

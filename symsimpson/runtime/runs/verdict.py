@@ -16,7 +16,7 @@ from symsimpson.runtime.runs.run import Run, Stored
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Evaluator
+    from symsimpson.runtime.program import Program
 
 __all__ = ["looked_at"]
 
@@ -33,49 +33,43 @@ AT_POLES = (
 TRIES = 3
 
 
-def looked_at(stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+def looked_at(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
     """Look at the states of a run: all that it stored, or some that were kept for this.
 
     Where the energy is no number, the run ended before; where the motion was not resolved, it is
     warned of.
     """
-    trajectory = _at_pole(stepper, trajectory)
-    if not trajectory.success and stepper._module.header.real_everywhere:
+    trajectory = _at_pole(program, trajectory)
+    if not trajectory.success and program.header.real_everywhere:
         return trajectory
     q, p, _, kept = stored
-    if (
-        trajectory.every is None and not stepper._module.header.real_everywhere
-    ):  # the last state, too
-        numbers = stepper._module.numbers
+    if trajectory.every is None and not program.header.real_everywhere:  # the last state, too
+        numbers = program.numbers
         with numbers.working():
             ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
         q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
-    energies = look_at_energy(stepper, run, trajectory, q, p)
+    energies = look_at_energy(program, run, trajectory, q, p)
     if energies is not None and energies.first_not_real is not None:
-        ended = _ended_before(stepper, run, trajectory, (q, p, stored[2], kept), energies)
-        return _at_pole(stepper, ended)
+        ended = _ended_before(program, run, trajectory, (q, p, stored[2], kept), energies)
+        return _at_pole(program, ended)
     if not trajectory.success:
         return trajectory
-    message = _unresolved(stepper, run, trajectory, kept, energies)
+    message = _unresolved(program, run, trajectory, kept, energies)
     if not message:
         return trajectory
-    message = f"{stepper.system}, {stepper.scheme}: {message}"
+    message = f"{program.system}, {program.scheme}: {message}"
     warn(message, ResolutionWarning)
     return replace(trajectory, message=f"{trajectory.message} {message}")
 
 
 def _unresolved(
-    stepper: Evaluator,
-    run: Run,
-    trajectory: Trajectory,
-    kept: NDArray[Any],
-    energies: Sampled | None,
+    program: Program, run: Run, trajectory: Trajectory, kept: NDArray[Any], energies: Sampled | None
 ) -> str:
     """Return what was not resolved, in words, or nothing."""
-    tools, system, h = stepper._module.tools, stepper._module.declared, float(run.h)
+    tools, system, h = program.tools, program.declared, float(run.h)
     plain = run.W.dtype == np.float64 and not run.header.retimed
     if tools is not None and system is not None and trajectory.every == 1 and plain:
-        passed = tools.unresolved_pole(stepper, system, trajectory)
+        passed = tools.unresolved_pole(program, system, trajectory)
         if passed is not None:
             return (
                 f"about t={passed[0]:g} the motion passes a singular point of the coordinates, "
@@ -84,8 +78,8 @@ def _unresolved(
                 "regular there, such as Cartesian ones held by a constraint (see the guide to "
                 "constraints); a smaller h helps only where the passage is wide enough."
             )
-        inputs = np.asarray(trajectory._inputs)[0, 0, 0]
-        values = [*map(float, trajectory._values), *map(float, inputs)]
+        inputs = np.asarray(trajectory.input_values)[0, 0, 0]
+        values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
         jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
         if jumped is not None:
             return (
@@ -93,7 +87,7 @@ def _unresolved(
                 "jumps: no scheme keeps its order there, and energies do not tell.\nSmooth the "
                 "root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged."
             )
-        _remember_box(stepper, trajectory)
+        _remember_box(program, trajectory)
     left = None if energies is None else energies.left_at
     if left is None:
         return ""
@@ -111,30 +105,30 @@ def _unresolved(
     )
 
 
-def _remember_box(stepper: Evaluator, trajectory: Trajectory) -> None:
+def _remember_box(program: Program, trajectory: Trajectory) -> None:
     """Remember where short runs may go without being looked at one by one."""
-    key, q = trajectory._values.tobytes(), trajectory.q
-    if stepper._prepared is None or stepper._irregular.get(key, 0) >= TRIES:
+    key, q = trajectory.parameter_values.tobytes(), trajectory.q
+    if program.findings.prepared is None or program.findings.irregular.get(key, 0) >= TRIES:
         return
-    tools, system = stepper._module.tools, stepper._module.declared
-    known = stepper._regular.get(key)
+    tools, system = program.tools, program.declared
+    known = program.findings.regular.get(key)
     if known is not None and not np.isfinite(known[0]).any():  # all of space is regular
         return
     low, high = q.min(axis=0), q.max(axis=0)
     if known is not None:
         low, high = np.minimum(low, known[0]), np.maximum(high, known[1])
     assert tools is not None
-    values = list(map(float, trajectory._values))
+    values = list(map(float, trajectory.parameter_values))
     box = tools.regular_box(system, values, low, high, float(trajectory.t[0]))
     if box is None:
-        stepper._irregular[key] = stepper._irregular.get(key, 0) + 1
+        program.findings.irregular[key] = program.findings.irregular.get(key, 0) + 1
     else:
-        stepper._regular[key] = box
+        program.findings.regular[key] = box
 
 
-def _at_pole(stepper: Evaluator, trajectory: Trajectory) -> Trajectory:
+def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
     """Say so where a run failed at a singular point of the coordinates."""
-    tools, system = stepper._module.tools, stepper._module.declared
+    tools, system = program.tools, program.declared
     if trajectory.status not in AT_POLES or tools is None or system is None:
         return trajectory
     where = tools.at_pole(system, trajectory)
@@ -142,7 +136,7 @@ def _at_pole(stepper: Evaluator, trajectory: Trajectory) -> Trajectory:
         return trajectory
     status = Status.COORDINATE_SINGULARITY
     message = (
-        f"{stepper.system}, {stepper.scheme}: step {trajectory.steps} at "
+        f"{program.system}, {program.scheme}: step {trajectory.steps} at "
         f"t={float(trajectory.t[-1]):g} with h={float(trajectory.h):g} was not taken: near {where} "
         f"the mass matrix is nearly singular. {status.message}"
     )
@@ -150,14 +144,14 @@ def _at_pole(stepper: Evaluator, trajectory: Trajectory) -> Trajectory:
 
 
 def _ended_before(
-    stepper: Evaluator, run: Run, trajectory: Trajectory, stored: Stored, energies: Sampled
+    program: Program, run: Run, trajectory: Trajectory, stored: Stored, energies: Sampled
 ) -> Trajectory:
     """Return a run that ended before the first state at which the energy is no number."""
     q, p, _, kept = stored
     bad = energies.first_not_real
     assert bad is not None
     about = trajectory.__getstate__()
-    result, good = stepper._module.numbers.result, max(bad - 1, 0)
+    result, good = program.numbers.result, max(bad - 1, 0)
     done, at = good * run.every, min(bad * run.every, trajectory.steps)
     retimed, where = run.header.retimed, run.t0 + run.h * at
     if retimed:
@@ -172,7 +166,7 @@ def _ended_before(
         for name in ("t", "q", "p", "newton_iterations", *(("_tau",) if retimed else ())):
             about[name] = about[name][: done // trajectory.every + 1]
     message = (
-        f"{stepper.system}, {stepper.scheme}: the energy is no finite number at "
+        f"{program.system}, {program.scheme}: the energy is no finite number at "
         f"t={float(where):g}, after step {at} of "
         f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
         "motion left their domain, or a step jumped across a singular point: check the state "

@@ -281,4 +281,4 @@ def test_what_numba_is_told_is_part_of_the_key(monkeypatch):
 def test_where_code_is_follows_what_was_compiled():
     stepper = ss.compile(ss.systems.pendulum(), "midpoint")
     stepper.integrate([1.0], v0=[0.0], h=0.1, steps=2)
-    assert stepper._module.kernels.location == "loaded"
+    assert stepper.program.kernels.location == "loaded"

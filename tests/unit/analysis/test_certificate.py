@@ -23,6 +23,7 @@ from symsimpson.codegen.weighted import WeightedRows
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest
+from symsimpson.runtime.program import new_program
 from symsimpson.runtime.stepper import Stepper
 
 PENDULUM = ss.systems.double_pendulum()
@@ -78,9 +79,7 @@ def test_a_time_by_the_ends_of_steps_fails_on_its_row():
     text = redefined(stepper.source, {"pass_time": wrong})
     banner = SIGNED.search(text)
     text = text.replace(banner[1], digest(text[banner.end() :]), 1)
-    certificate = Stepper(
-        text, "time by ends", reference_state=stepper.reference_state, tools=TOOLS
-    ).certify()
+    certificate = stepper_of(text, stepper.reference_state).certify()
     assert [check.name for check in certificate.checks if not check.passed] == ["time"]
     assert certificate["time"].measured == pytest.approx(2, abs=0.1)
 
@@ -180,8 +179,8 @@ def built(kind, scheme=ss.SIMPSON):
     return stepper_of(emit(equations, lower(equations)))
 
 
-def stepper_of(text):
-    return Stepper(text, "known to be bad", reference_state=PENDULUM.reference_state, tools=TOOLS)
+def stepper_of(text, state=PENDULUM.reference_state):
+    return Stepper(new_program(text, "known to be bad", reference_state=state, tools=TOOLS))
 
 
 def once():

@@ -42,8 +42,8 @@ def test_no_iteration_gives_the_same_path(scheme, friction):
         ss.compile(system, scheme, exploit=e).integrate([1, 0], [0, 0.4], h=0.05, steps=2000)
         for e in ("all", ())
     ]
-    assert runs[0]._stepper._module.header.newton_unknowns == 0
-    assert runs[1]._stepper._module.header.newton_unknowns > 0
+    assert runs[0].program.header.newton_unknowns == 0
+    assert runs[1].program.header.newton_unknowns > 0
     for name in ("q", "p", "energy_balance"):
         first, second = (getattr(run, name) for run in runs)
         assert np.abs(first - second).max() < 5e-14
@@ -89,7 +89,7 @@ def test_other_coordinates_are_iterated_beside():
         )
         for e in ("all", ())
     ]
-    assert runs[0]._stepper._module.header.newton_unknowns == 2
+    assert runs[0].program.header.newton_unknowns == 2
     for name in ("q", "p", "energy_balance"):
         first, second = (getattr(run, name) for run in runs)
         assert np.abs(first - second).max() < 5e-14
@@ -107,8 +107,8 @@ def test_friction_in_proportion_to_momenta_is_solved_at_once():
         parameters={c: 0.1, k: 2.0},
     )
     steppers = [ss.compile(system, exploit=e) for e in ("all", "conformal")]
-    assert [s._module.header.newton_unknowns for s in steppers] == [0, 2]
-    assert all(s._module.header.conformal for s in steppers)
+    assert [s.program.header.newton_unknowns for s in steppers] == [0, 2]
+    assert all(s.program.header.conformal for s in steppers)
     runs = [s.integrate([1], [0.4], h=0.05, steps=2000) for s in steppers]
     assert np.abs(runs[0].p - runs[1].p).max() < 1e-14
 

@@ -6,6 +6,8 @@ import sympy as sp
 from support.forms import limited
 
 import symsimpson as ss
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.requested import differentiating
 
 H = 0.0625
 
@@ -40,7 +42,7 @@ def by_loops(monkeypatch):
 
 def runs(stepper, monkeypatch, **given):
     """Run by stages, then by Newton's method alone."""
-    made = stepper._differentiating(given.get("tangents"), None, None)._module.kernels
+    made = differentiating(stepper.program, Request(None, tangents=given.get("tangents"))).kernels
     assert made.fallbacks[0] == "stages"
     for first in (0, 1):
         monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
@@ -70,7 +72,7 @@ def test_clusters_of_atoms_compiled(scheme, monkeypatch):
     stepper = ss.compile(system, scheme)
     assert "enter_node(" in stepper.source
     found = []
-    made = stepper._module.kernels
+    made = stepper.program.kernels
     for first in (0, 1):
         monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])
         found.append(stepper.integrate(**system.reference_state, h=1e-4, steps=50))

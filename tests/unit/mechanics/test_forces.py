@@ -144,7 +144,7 @@ def test_a_force_of_a_cyclic_velocity_takes_the_general_path():
     unknowns = {}
     for name, force in {"of x'": -x.diff() / 9, "of y'": -(y.diff() ** 2) / 9}.items():
         stepper = ss.compile(declared(**polar, forces={x: force}))
-        unknowns[name] = stepper._module.header.newton_unknowns
+        unknowns[name] = stepper.program.header.newton_unknowns
         run = stepper.integrate([1.0, 0.0], [0.1, 1.4], h=0.05, steps=50)
         assert np.ptp(run["p_y"]) == 0
         assert run.newton_iterations[10:].max() <= 4

@@ -46,7 +46,9 @@ def test_exponents_of_linear_motion_are_those_of_the_matrix():
     """A damped oscillator loses area by exp(-c h/m) a step; an exponent each is half of that."""
     system = ss.systems.damped_oscillator()
     chaos = ss.compile(system).lyapunov([1.0], v0=[0.0], h=0.01, t_end=200)
-    values = dict(zip(*(ss.compile(system).parameters, ss.compile(system)._defaults), strict=True))
+    values = dict(
+        zip(*(ss.compile(system).parameters, ss.compile(system).program.defaults), strict=True)
+    )
     rate = values["c"] / values["m"]
     assert np.abs(chaos.exponents + rate / 2).max() < 0.01
     assert abs(chaos.exponents.sum() + rate) < 1e-6  # h^4

@@ -8,6 +8,7 @@ import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.runtime.runs.variations import varied_program
 
 H = 0.01
 
@@ -43,7 +44,7 @@ def assert_paths_agree(system, scheme, precision, within):
         )
         columns = [column[-1][:, None] for column in run.sensitivity.values()]
         found.append(np.concatenate([run.tangent[-1], *columns], axis=1))
-        if not stepper._module.header.forces:
+        if not stepper.program.header.forces:
             assert symplectic_defect(run.tangent[-1]) < within
     assert np.abs(found[0] - found[1]).max() < within * np.abs(found[1]).max()
 
@@ -88,7 +89,7 @@ def test_steps_by_stages_have_the_derivatives_of_newtons_method(precision, monke
     """Nodes that are iterated leave the path that steps are differentiated by."""
     system, found, iterations = ss.systems.elastic_pendulum(), [], []
     stepper = ss.compile(system, "gauss8", precision=precision)
-    kernels = stepper._differentiating((), ("k",), None)._module.kernels
+    kernels = varied_program(stepper.program, ("k",)).kernels
     q0, given = started(system)
     given |= {"h": 0.125, "steps": 4}
     for first in (0, 1):  # stages, then Newton's method alone
@@ -119,7 +120,7 @@ def test_derivatives_are_those_of_the_stored_states(pendulum):
 def test_velocities_that_are_given_stay_when_a_parameter_changes(pendulum):
     """p0 = m l^2 v0 changes with l then; a difference sees it."""
     run = pendulum.integrate([1.0], v0=[0.5], h=H, steps=50, sensitivities="l")
-    values = dict(zip(pendulum.parameters, pendulum._defaults, strict=True))
+    values = dict(zip(pendulum.parameters, pendulum.program.defaults, strict=True))
 
     def end(l):
         return pendulum.integrate([1.0], v0=[0.5], h=H, steps=50, parameters={"l": l}).y[:, -1]
@@ -184,7 +185,7 @@ def test_members_of_an_ensemble_carry_what_single_runs_do(name, scheme, every):
     q0, given = started(system)
     varied = stepper.parameters[:2]
     scales = np.linspace(0.9, 1.1, 11)
-    values = {varied[0]: stepper._defaults[0] * scales}
+    values = {varied[0]: stepper.program.defaults[0] * scales}
     many = stepper.ensemble(
         np.tile(q0, (11, 1)),
         **given,

@@ -7,6 +7,7 @@ from support.places import ROOT
 
 import symsimpson as ss
 from symsimpson.runtime.runs.integrate import begin_run, new_run
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import read_run
 
@@ -124,7 +125,7 @@ def test_stopping_leaves_no_trace(system, h, scheme):
     """K and K steps are 2 K steps, to the last bit of the whole workspace."""
     stepper = ss.compile(system, scheme)
     state = system.reference_state
-    runs = [Run(stepper._module, stepper._defaults, h, 0.0, 1, 401) for _ in range(2)]
+    runs = [Run(stepper.program, stepper.program.defaults, h, 0.0, 1, 401) for _ in range(2)]
     for run in runs:
         velocity = "v0" in state
         run.begin(
@@ -140,8 +141,8 @@ def test_stopping_leaves_no_trace(system, h, scheme):
 
 def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
     stepper = ss.compile(PENDULUM)
-    values = stepper._values(SHORT)
-    numbers, recovered = type(stepper._module.numbers), []
+    values = stepper.program.values(SHORT)
+    numbers, recovered = type(stepper.program.numbers), []
 
     def counted(self, name, original=numbers.driver, **how):
         if name == "recover":
@@ -149,7 +150,7 @@ def test_stopping_leaves_no_trace_where_steps_are_recovered(monkeypatch):
         return original(self, name, **how)
 
     monkeypatch.setattr(numbers, "driver", counted)
-    runs = [Run(stepper._module, values, 0.1, 0.0, 1, 41) for _ in range(2)]
+    runs = [Run(stepper.program, values, 0.1, 0.0, 1, 41) for _ in range(2)]
     for run in runs:
         run.begin(np.array([2.5, 2.0]), np.array([0.0, 3.0]), velocity=True)
     runs[0].advance(40)
@@ -213,19 +214,19 @@ def test_injected_nan_and_infinity(scheme):
     """210 of them, into what a run has computed: it fails, or goes on as before."""
     stepper = ss.compile(PENDULUM, scheme)
     start = PENDULUM.reference_state
-    state = (start["q0"], start.get("v0"), start.get("p0"))
-    spec = read_run(stepper, state, (0.01, None, 60, 0.0), None, None)
+    program = stepper.program
+    spec = read_run(program, Request(**start, h=0.01, steps=60))
     whole = stepper.integrate(**start, h=0.01, steps=60, every=None)
     random = np.random.default_rng(7)
     failed = 0
     for trial in range(70):
-        run = new_run(stepper, spec, 0, 1)
-        begin_run(stepper, run, spec)
+        run = new_run(program, spec, 0, 1)
+        begin_run(program, run, spec)
         run.advance(20)
         block = BLOCKS[trial % len(BLOCKS)]
-        if block not in stepper._module.header.layout:
+        if block not in stepper.program.header.layout:
             block = "POSITION"
-        row = stepper._module.header.layout[block] + int(random.integers(2))
+        row = stepper.program.header.layout[block] + int(random.integers(2))
         run.W[row, 0] = (np.nan, np.inf, -np.inf)[trial % 3]
         run.advance(60)
         if run.alive:

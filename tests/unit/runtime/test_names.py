@@ -119,15 +119,15 @@ def test_what_is_shown(case):
 def test_a_task_for_others_is_written_in_names_of_the_module(case):
     """A store has the module alone: its workers know no names of a user."""
     from symsimpson.runtime.kernels.observed import read_reductions
-    from symsimpson.runtime.reading import read_stepper
+    from symsimpson.runtime.program import read_program
 
     asked = {
         "low": ("min", case.q * case.m),
         "v": ("max", f"v_{case.name} + q0"),
         "other": ("max", "q0 + 1"),
     }
-    own = read_reductions(case.stepper, asked)
-    others = read_stepper(case.stepper.source, "the module in a store")
+    own = read_reductions(case.stepper.program, asked)
+    others = read_program(case.stepper.source, "the module in a store")
     read = read_reductions(others, {one.name: (one.kind, one.expression) for one in own})
     assert [one.text for one in read] == [one.text for one in own]
 

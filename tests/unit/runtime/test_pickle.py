@@ -24,7 +24,7 @@ def test_what_comes_back_is_the_same(name, again):
     assert run.energy is run.energy  # computed, and left out of what is kept
     assert again(system) == system
     assert type(again(system)) is type(system)
-    assert again(stepper)._module.declared == system
+    assert again(stepper).program.declared == system
     assert (again(stepper).integrate(**system.reference_state, h=0.01, steps=50).q == run.q).all()
     assert (again(run).energy == run.energy).all()
     assert (again(run).sol(0.123) == run.sol(0.123)).all()
@@ -40,7 +40,7 @@ def test_many_digits_keep_all_of_them(arithmetic):
     assert (again.q == run.q).all()
     assert (again.energy == run.energy).all()
     assert again.h == run.h
-    further = again._stepper.integrate(again.q[-1], p0=again.p[-1], h=again.h, steps=5)
+    further = ss.Stepper(again.program).integrate(again.q[-1], p0=again.p[-1], h=again.h, steps=5)
     assert (further.q == stepper.integrate(run.q[-1], p0=run.p[-1], h=run.h, steps=5).q).all()
 
 

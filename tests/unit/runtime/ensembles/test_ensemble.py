@@ -357,7 +357,7 @@ def test_progress(stepper, capsys, monkeypatch):
 def test_members_or_nodes_are_lanes_and_members_come_to_what_single_runs_do(name, scheme, wide):
     system = getattr(ss.systems, name)()
     stepper = ss.compile(system, scheme)
-    assert (lanes_for(stepper._module.header) > 1) is wide
+    assert (lanes_for(stepper.program.header) > 1) is wide
     start = {key: np.array(value) for key, value in system.reference_state.items()}
     q0 = start.pop("q0") + np.linspace(0, 0.3, 11)[:, None]
     h = 0.001 if name == "lagrange_top" else 0.02

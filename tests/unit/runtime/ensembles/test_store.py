@@ -15,6 +15,7 @@ from symsimpson.runtime.ensembles import cluster as cluster_module
 from symsimpson.runtime.ensembles import store as module
 from symsimpson.runtime.ensembles.members import read_task
 from symsimpson.runtime.ensembles.task import lanes_of_machine
+from symsimpson.runtime.runs.request import Request
 
 xarray = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
@@ -203,23 +204,25 @@ def test_what_is_there_is_not_touched(stepper, tmp_path):
 def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     """A chunk is half a second of work, whatever a step costs here, and fits into 64 MiB."""
     monkeypatch.undo()
-    states, times = np.zeros((3 * 10**6, 2)), (0.02, None, 500, 0.0)
-    task = read_task(stepper, states, None, [0, 0], None, times, None, None, 1, False, on_disk=True)
-    assert module._seconds(stepper, task) > 0
+    program, states = stepper.program, np.zeros((3 * 10**6, 2))
+    asked = Request(states, p0=[0, 0], h=0.02, steps=500)
+    task = read_task(program, asked, None, 1, False, on_disk=True)
+    assert module._seconds(program, task) > 0
     monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
-    assert module._chunk(stepper, task) == lanes_of_machine()
-    assert module._chunk(stepper, replace(task, threads=16)) == 80
+    assert module._chunk(program, task) == lanes_of_machine()
+    assert module._chunk(program, replace(task, threads=16)) == 80
     monkeypatch.setattr(module, "_seconds", lambda *_: 1e-9)
-    assert module._chunk(stepper, task) == 2**26 // 32
-    assert module._chunk(stepper, task.part(slice(10))) == 10
+    assert module._chunk(program, task) == 2**26 // 32
+    assert module._chunk(program, task.part(slice(10))) == 10
     large = replace(task, every=1, steps=10**5)
-    assert module._chunk(stepper, large) == 2**26 // (16 * 2 * 100_001)
+    assert module._chunk(program, large) == 2**26 // (16 * 2 * 100_001)
 
 
 def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
     states = np.zeros((10**6, 2))
     steps = 5 * 10**6  # 160 TB: more than there are addresses
-    given = (stepper, states, None, [0, 0], None, (0.1, None, steps, 0.0), 1, None, 1, False)
+    asked = Request(states, p0=[0, 0], h=0.1, steps=steps, every=1)
+    given = stepper.program, asked, None, 1, False
     with pytest.raises(ss.InputError, match=r"store='folder'"):
         read_task(*given, on_disk=False)
     assert read_task(*given, on_disk=True).stored == steps + 1

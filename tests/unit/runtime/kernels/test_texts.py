@@ -63,7 +63,7 @@ def test_what_is_damaged_is_derived_anew(derived, tmp_path, damage):
     source = compiled().source
     (place,) = (tmp_path / "texts").iterdir()
     content = json.loads(place.read_text())
-    content["text"] = content["text"].replace("ORDER = 4", "ORDER = 5")
+    content["text"] = content["text"].replace('"order": 4', '"order": 5')
     place.write_text(
         {"cut": place.read_text()[:100], "edited": json.dumps(content), "empty": ""}[damage]
     )

@@ -42,7 +42,7 @@ def test_what_is_opened_is_what_was_saved(tmp_path, name, scheme, options, endin
     assert list(found.invariants) == list(run.invariants)
     if run.every:
         assert (found.sol(0.123) == run.sol(0.123)).all()
-    assert found._stepper.source == run._stepper.source
+    assert found.program.source == run.program.source
 
 
 @pytest.mark.parametrize(("t0", "h"), [(1e9, 1e-3), (0.0, 1e-10), (-5.0, 0.1), (1e6, -1e-4)])
@@ -57,7 +57,7 @@ def test_others_can_read_it(tmp_path):
     run.save(tmp_path / "run.nc")
     with xarray.open_dataset(tmp_path / "run.nc", engine="netcdf4") as data:
         assert data["q"].dims == ("time", "coord")
-        assert data["coord"].values.tolist() == list(run._stepper.coordinates)
+        assert data["coord"].values.tolist() == list(run.program.coordinates)
         assert data["p"].attrs["long_name"] == "conjugate momentum"
         assert data.attrs["scheme"] == "simpson"
 
@@ -181,7 +181,7 @@ def test_damaged_files_raise_what_they_should(tmp_path, ending):
         except ss.SymsimpsonError:
             continue
         assert (found.y == run.y).all()  # what was damaged is of no consequence
-        assert found._stepper.source == run._stepper.source
+        assert found.program.source == run.program.source
 
 
 @pytest.mark.parametrize("ending", ["nc", "zarr"])

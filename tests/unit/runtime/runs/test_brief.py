@@ -29,8 +29,7 @@ def taken(monkeypatch):
         return run
 
     plain = brief.brief_run
-    monkeypatch.setattr("symsimpson.runtime.stepper.brief_run", counted)
-    monkeypatch.setattr("symsimpson.runtime.stepping.brief_run", counted)
+    monkeypatch.setattr("symsimpson.runtime.runs.requested.brief_run", counted)
     return found
 
 
@@ -67,7 +66,7 @@ def test_the_same_bits(name, scheme, taken):
             again = stepper.integrate(**asked)
             assert taken == [True]
             assert equal(again, stepper.integrate(**asked, progress=False))
-    assert len(stepper._prepared) == 1
+    assert len(stepper.program.findings.prepared) == 1
 
 
 def test_a_step_at_once(taken):

@@ -73,7 +73,7 @@ def test_loops_over_terms_take_the_same_inputs_as_straight_lines():
     inputs = {"u": rng.normal(size=(20, 3)), "w": rng.normal(size=20)}
     state = {"q0": np.linspace(0, 1, 12), "v0": np.zeros(12)}
     looped = ss.compile(system, "simpson")
-    assert not looped._module.header.unrolled
+    assert not looped.program.header.unrolled
     run = looped.integrate(**state, h=0.05, steps=20, inputs=inputs)
     precise = ss.compile(system, "simpson", precision=30)
     exact = precise.integrate(
@@ -144,7 +144,7 @@ def test_loops_over_kicks_take_inputs_where_they_stand():
         inputs = {"u": np.sin(3 * made.node_times(1 / steps, steps))}
         return made.integrate(**state, h=1 / steps, steps=steps, inputs=inputs).q[-1]
 
-    assert not ss.compile(system, "kahan_li8")._module.header.unrolled
+    assert not ss.compile(system, "kahan_li8").program.header.unrolled
     assert np.abs(end("kahan_li8", 20) - end("gauss8", 20)).max() < 1e-9
 
 

@@ -151,7 +151,7 @@ def test_pivots_in_rows_lead_to_the_same_states(name):
     system = ss.systems.CONSTRAINED[name]()
     stepper = ss.compile(system)
     whole = stepper.integrate(**system.reference_state, h=0.01, steps=20)
-    run = Run(stepper._module, stepper._values(None), 0.01, 0.0, 1, 21, ("robust",))
+    run = Run(stepper.program, stepper.program.values(None), 0.01, 0.0, 1, 21, ("robust",))
     run.begin(*map(np.array, system.reference_state.values()), velocity=True)
     run.advance(20)
     assert run.alive
@@ -201,7 +201,7 @@ def test_residual_and_jacobian_with_multipliers(name, scheme):
     """Derivatives against differences; residuals of a step that was solved are zero."""
     system = getattr(ss.systems, name)(*([6] if name == "hanging_chain" else []))
     stepper = ss.compile(system, scheme, precision=30)
-    n, m, d = system.n, len(system.constraints), stepper._module.header.degree
+    n, m, d = system.n, len(system.constraints), stepper.program.header.degree
     q0 = np.array(system.reference_state["q0"])
     random, h = np.random.default_rng(1), 0.1
     p0, u = 0.1 * random.normal(size=n), random.normal(size=d * (n + m))

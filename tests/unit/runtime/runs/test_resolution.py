@@ -113,9 +113,9 @@ def test_a_potential_that_is_not_real_at_the_start_is_refused():
 def test_energies_that_are_real_everywhere_are_not_asked_about():
     given = {"free": X**4 + sp.cos(X), "root": sp.sqrt(1 + X**2), "pole": 1 / X}
     for name, potential in given.items():
-        assert ss.compile(particle(potential, name))._module.header.real_everywhere, name
+        assert ss.compile(particle(potential, name)).program.header.real_everywhere, name
     for name, (potential, *_) in LEAVING.items():
-        assert not ss.compile(particle(potential, name))._module.header.real_everywhere, name
+        assert not ss.compile(particle(potential, name)).program.header.real_everywhere, name
 
 
 @pytest.mark.slow

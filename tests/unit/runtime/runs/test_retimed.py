@@ -7,6 +7,7 @@ from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.runtime.runs.integrate import begin_run, new_run
+from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import read_run
 
 START = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.3}
@@ -92,7 +93,7 @@ def test_a_run_of_many_steps_is_not_begun_twice(stepper):
     how = {"q0": [1.9, 0.0], "v0": [0.0, 0.2], "h": 0.001, "t_end": 40.0, "every": None}
     ends = [stepper.integrate(**how) for _ in range(3)]
     assert ends[0].steps > 20_000
-    assert stepper._long == {(0.001, 40.0)}
+    assert stepper.program.findings.long == {(0.001, 40.0)}
     same(ends[0], ends[2])
 
 
@@ -144,9 +145,10 @@ def test_a_checkpoint_of_another_end_is_another_run(stepper, tmp_path):
 
 
 def begun(stepper, t0=0.0):
-    spec = read_run(stepper, (START["q0"], START["v0"], None), (0.3, 7.0, None, t0), None, None)
-    run = new_run(stepper, spec, 0, 1)
-    begin_run(stepper, run, spec)
+    program, state = stepper.program, (START["q0"], START["v0"])
+    spec = read_run(program, Request(*state, h=0.3, t_end=7.0, t0=t0))
+    run = new_run(program, spec, 0, 1)
+    begin_run(program, run, spec)
     return run
 
 

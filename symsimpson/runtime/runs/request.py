@@ -1,0 +1,71 @@
+"""Arguments of runs as users give them: the one form in which all readers take them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+__all__ = ["Request", "of_a_step"]
+
+
+class Request(NamedTuple):
+    """Arguments of a run, unread; those of :meth:`Stepper.integrate` and :meth:`Stepper.ensemble`.
+
+    Attributes
+    ----------
+    q0, v0, p0
+        Where it begins; one of the last two is None.
+    h, t_end, steps, t0
+        One of ``t_end`` and ``steps`` is None.
+    parameters, inputs
+        Values by symbol or by name.
+    every
+        Steps from one stored state to the next, or None.
+    tangents, sensitivities
+        What is differentiated.
+    t_eval, save
+        Times, or quantities, that alone are kept.
+    checkpoint
+        A file to resume from.
+    """
+
+    q0: Any
+    v0: Any = None
+    p0: Any = None
+    h: Any = None
+    t_end: Any = None
+    steps: Any = None
+    t0: Any = 0.0
+    parameters: Any = None
+    inputs: Any = None
+    every: Any = None
+    tangents: Any = None
+    sensitivities: Any = None
+    t_eval: Any = None
+    save: Any = None
+    checkpoint: Any = None
+
+    @property
+    def varied(self) -> bool:
+        """Whether derivatives are asked for."""
+        return self.tangents is not None or self.sensitivities is not None
+
+    @property
+    def carried(self) -> Any:
+        """The variations of the state that are asked for: none where it is parameters alone."""
+        alone = self.tangents is None and self.sensitivities is not None
+        return 0 if alone else self.tangents
+
+
+def of_a_step(inputs: Any) -> Any:
+    """Return inputs of one step as those of a run of one step."""
+    if isinstance(inputs, Mapping):
+        return {key: _first_axis(value) for key, value in inputs.items()}
+    return inputs if inputs is None else _first_axis(inputs)
+
+
+def _first_axis(value: Any) -> Any:
+    array = np.asarray(value)
+    return array[None] if array.ndim else value
