@@ -5,14 +5,7 @@ Every message says what is wrong, where, why it matters and what to do about it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.ensembles.ensemble import Ensemble
-    from symsimpson.runtime.results.events import Events
-    from symsimpson.runtime.results.sampled import Sampled, Saved
-    from symsimpson.runtime.results.status import Status
-    from symsimpson.runtime.results.trajectory import Trajectory
+from typing import Any
 
 __all__ = [
     "ConvergenceError",
@@ -102,7 +95,7 @@ class StorageError(SymsimpsonError):
         What a run had computed when its checkpoint could not be written.
     """
 
-    def __init__(self, message: str, *, trajectory: Trajectory | None = None) -> None:
+    def __init__(self, message: str, *, trajectory: Any = None) -> None:
         super().__init__(message)
         self.trajectory = trajectory
 
@@ -125,14 +118,7 @@ class ConvergenceError(SymsimpsonError):
     """
 
     def __init__(
-        self,
-        message: str,
-        *,
-        trajectory: Trajectory | Events | Sampled | Saved,
-        step: int,
-        time: float,
-        residual: float,
-        status: Status,
+        self, message: str, *, trajectory: Any, step: int, time: float, residual: float, status: Any
     ) -> None:
         super().__init__(message)
         self.trajectory = trajectory
@@ -148,8 +134,6 @@ class Interrupted(SymsimpsonError, KeyboardInterrupt):
     For many trajectories that is an Ensemble, for a section the Events.
     """
 
-    def __init__(
-        self, message: str, *, trajectory: Trajectory | Ensemble | Events | Sampled | Saved
-    ) -> None:
+    def __init__(self, message: str, *, trajectory: Any) -> None:
         super().__init__(message)
         self.trajectory = trajectory

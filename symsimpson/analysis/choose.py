@@ -17,7 +17,7 @@ from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api import compile as compile_system
 from symsimpson.errors import InputError
-from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed
+from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme
@@ -96,7 +96,7 @@ def choose(
     Parameters
     ----------
     system : MechanicalSystem
-        If V is a sum of attracting inverse distances, ``system.retimed("encounters")`` is tried,
+        If V is a sum of attracting inverse distances, ``retimed(system, "encounters")`` is tried,
         too: its steps in t adapt to close encounters.
     q0, v0, p0 : array_like, shape (n,)
         The initial state: velocities or momenta.
@@ -188,7 +188,7 @@ def _in_other_time(
     if isinstance(system, RetimedSystem):
         return system, ADAPTING if schemes is None else schemes
     if schemes is None and not not_retimed(system) and attracts(system):
-        return system.retimed("encounters"), ADAPTING
+        return retimed(system, "encounters"), ADAPTING
     return None, ()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -13,11 +13,9 @@ from symsimpson.errors import InputError
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
+from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given import read_values, read_vector
 from symsimpson.support.names import spelled
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["consistent"]
 
@@ -27,7 +25,7 @@ MOST, NEAR = 200, 1e-15
 
 
 def consistent(
-    system: MechanicalSystem,
+    system: Declared,
     q0: ArrayLike,
     v0: ArrayLike,
     fixed: Iterable[Any],
@@ -124,7 +122,7 @@ def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
 
 
 def _functions(
-    system: MechanicalSystem, given: Mapping[Any, Any] | None
+    system: Declared, given: Mapping[Any, Any] | None
 ) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
     """Return phi, Phi and M as a function of q."""
     plain, n = system.plain, system.n

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -16,6 +16,7 @@ from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import check_names, fail, spell
 from symsimpson.mechanics.constraints import check_held_mass, read_constraints
 from symsimpson.mechanics.coordinates import momenta
+from symsimpson.mechanics.declared import LARGE, Declared
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import check_used, read_forces
 from symsimpson.mechanics.plain import Plain, Symbols
@@ -27,14 +28,9 @@ from symsimpson.mechanics.quadratic import (
     quadratic_form,
 )
 
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
-
-__all__ = ["LARGE", "energies", "read_energies"]
+__all__ = ["energies", "read_energies"]
 
 Positions = Mapping[str, Sequence[Any]]
-#: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
-LARGE = 2000
 
 
 def energies(
@@ -61,7 +57,7 @@ def read_energies(
     name: str,
     coordinates: tuple[AppliedUndef, ...],
     parameters: Mapping[sp.Symbol, float],
-    given: MechanicalSystem,
+    given: Declared,
 ) -> tuple[Plain, Positions, Mapping[str, sp.Expr]]:
     """Check the energies and read them into a graph."""
     s = Symbols(coordinates, parameters, given.inputs)
@@ -168,7 +164,7 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
 
 
 def _read_positions(
-    name: str, given: MechanicalSystem, symbols: Symbols, read: Callable[..., Value]
+    name: str, given: Declared, symbols: Symbols, read: Callable[..., Value]
 ) -> dict[str, tuple[Any, ...]]:
     """Check what is to be drawn."""
     positions: dict[str, tuple[Any, ...]] = {}

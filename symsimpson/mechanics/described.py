@@ -4,53 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import Any, TypeAlias
 
 import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.graph.read import tree_size
-from symsimpson.mechanics.declaration import LARGE
-from symsimpson.mechanics.plain import Plain, Symbols
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.mechanics.declared import Declared
 
 __all__ = ["Described"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 #: What the rest of the package asks a system for, and users do not.
-INNER = frozenset({"digest", "large", "mass_checked", "plain", "retiming", "seconds"})
+INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retiming", "seconds"})
 
 
-class Described:
+class Described(Declared):
     """Properties that follow from the declaration of a system, in the user's own symbols."""
-
-    name: str
-    coordinates: tuple[sp.Expr, ...]
-    kinetic: sp.Expr
-    potential: sp.Expr
-    gyroscopic: sp.Expr
-    parameters: Mapping[sp.Symbol, float]
-    plain: Plain
-
-    @property
-    def lagrangian(self) -> sp.Expr:
-        """L = T + a.v - V in the user's own symbols."""
-        return self.kinetic + self.gyroscopic - self.potential
-
-    @cached_property
-    def mass_matrix(self) -> Matrix:
-        """M(q), n by n, in the user's own symbols: the Hessian of T in the velocities."""
-        back = Symbols(self.coordinates, self.parameters).back
-        return Matrix(self.plain.mass.xreplace(dict(back)))
-
-    @property
-    def large(self) -> bool:
-        """Whether T and V are too long to be shown."""
-        plain = self.plain
-        return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE
 
     @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:
@@ -71,7 +41,7 @@ class Described:
         """
         from symsimpson.mechanics.equations import equations
 
-        return equations(cast("MechanicalSystem", self))
+        return equations(self)
 
     def linearise(
         self,
@@ -117,7 +87,7 @@ class Described:
         """
         from symsimpson.mechanics.equations import linearised
 
-        return linearised(cast("MechanicalSystem", self), q0, v0, parameters, inputs, t)
+        return linearised(self, q0, v0, parameters, inputs, t)
 
     def __repr__(self) -> str:
         names = ", ".join(q.func.__name__ for q in self.coordinates)
@@ -129,4 +99,4 @@ class Described:
     def _repr_latex_(self) -> str:
         from symsimpson.mechanics.latex import system
 
-        return system(cast("MechanicalSystem", self))
+        return system(self)

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import TYPE_CHECKING
 
 import sympy as sp
 
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.mechanics.declared import Declared
 
 __all__ = ["fingerprint"]
 
 
-def fingerprint(system: MechanicalSystem) -> str:
+def fingerprint(system: Declared) -> str:
     """Return the SHA-256 over names and equations of a system, not over its parameters' values."""
     plain = system.plain
     forces = [value for force in plain.forces.values() for value in force]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -11,18 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError, ModelError
 from symsimpson.mechanics.coordinates import time
+from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given import read_values, read_vector
 from symsimpson.mechanics.plain import Symbols
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["equations", "linearised", "terms"]
 
 Floats = NDArray[np.float64]
 
 
-def equations(system: MechanicalSystem) -> tuple[sp.Eq, ...]:
+def equations(system: Declared) -> tuple[sp.Eq, ...]:
     """Write d/dt dL/dv - dL/dq = f - Phi^T lambda, and constraints, phi = 0."""
     _check(system, "equations")
     multipliers = [sp.Symbol(f"lambda_{name}") for name in system.constraints]
@@ -33,7 +31,7 @@ def equations(system: MechanicalSystem) -> tuple[sp.Eq, ...]:
     return (*written, *(sp.Eq(phi, 0) for phi in system.constraints.values()))
 
 
-def _check(system: MechanicalSystem, what: str) -> None:
+def _check(system: Declared, what: str) -> None:
     if system.large:
         raise ModelError(
             f"system {system.name!r}: T and V are too long for {what} in SymPy.\n"
@@ -41,9 +39,7 @@ def _check(system: MechanicalSystem, what: str) -> None:
         )
 
 
-def terms(
-    system: MechanicalSystem, multipliers: list[sp.Symbol]
-) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
+def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr, sp.Expr]]:
     """Return dL/dv, dL/dq and what else pulls, for each coordinate."""
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
     lagrangian = system.lagrangian
@@ -60,7 +56,7 @@ def terms(
 
 
 def linearised(
-    system: MechanicalSystem,
+    system: Declared,
     q0: ArrayLike,
     v0: ArrayLike | None,
     parameters: Mapping[Any, float] | None,

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.mechanics.declared import Declared
 from symsimpson.support.names import Named, spelled
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["read_values", "read_vector"]
 
 
-def read_vector(system: MechanicalSystem, name: str, given: Any) -> NDArray[np.float64]:
+def read_vector(system: Declared, name: str, given: Any) -> NDArray[np.float64]:
     """Read a number for each coordinate, in order or by name.
 
     Raises

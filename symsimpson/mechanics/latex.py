@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import sympy as sp
 
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.equations import terms
 from symsimpson.support.markup import aligned, in_text
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["system"]
 
@@ -22,7 +19,7 @@ PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SHOWN, MOST_OPERATIONS = 4, 300
 
 
-def system(one: MechanicalSystem) -> str:
+def system(one: Any) -> str:
     """Return T, V, M and, for few coordinates, the equations of motion."""
     try:
         return _equations(one)
@@ -30,12 +27,12 @@ def system(one: MechanicalSystem) -> str:
         return _too_long(one)
 
 
-def _too_long(one: MechanicalSystem) -> str:
+def _too_long(one: Any) -> str:
     text = rf"{in_text(one.name)}: {one.n} coordinates, T and V too long to be shown"
     return rf"$\text{{{text}}}$"
 
 
-def _equations(one: MechanicalSystem) -> str:
+def _equations(one: Any) -> str:
     if one.large:
         return _too_long(one)
     from sympy.physics.vector import vlatex  # long to import
@@ -59,7 +56,7 @@ def _equations(one: MechanicalSystem) -> str:
     return aligned([(left, vlatex(right)) for left, right in lines])
 
 
-def _safe(one: MechanicalSystem) -> dict[Any, Any]:
+def _safe(one: Any) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
     t = time
     replace: dict[Any, Any] = {

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import random
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import mpmath
 import sympy as sp
 
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.mechanics.declared import Declared
 
 __all__ = ["function_of_level", "level"]
 
@@ -22,7 +20,7 @@ POINTS, DIGITS = 4, 40
 LARGEST = 12
 
 
-def function_of_level(system: MechanicalSystem, value: sp.Expr) -> sp.Expr | None:
+def function_of_level(system: Declared, value: sp.Expr) -> sp.Expr | None:
     """Return a function of positions as one of V, with :data:`level` in its place.
 
     Parameters
@@ -45,7 +43,7 @@ def function_of_level(system: MechanicalSystem, value: sp.Expr) -> sp.Expr | Non
     return None if power is None else (-level) ** power
 
 
-def _power(system: MechanicalSystem, value: sp.Expr) -> sp.Rational | None:
+def _power(system: Declared, value: sp.Expr) -> sp.Rational | None:
     """Return the power s of a constant times (-V)^s, from slopes at some points; None if none."""
     plain = {q: sp.Dummy() for q in system.coordinates}
     others = sorted(

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
 from symsimpson.mechanics.coordinates import time
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.mechanics.declared import Declared
 
 __all__ = ["points_of"]
 
 
 def points_of(
-    system: MechanicalSystem, t: NDArray[Any], q: NDArray[Any], values: NDArray[Any]
+    system: Declared, t: NDArray[Any], q: NDArray[Any], values: NDArray[Any]
 ) -> dict[str, NDArray[np.float64]]:
     """Evaluate the positions that were declared with a system.
 
@@ -51,7 +49,7 @@ def points_of(
 
 
 @lru_cache(maxsize=64)
-def _functions(system: MechanicalSystem) -> dict[str, list[list[Callable[..., Any]]]]:
+def _functions(system: Declared) -> dict[str, list[list[Callable[..., Any]]]]:
     """Return functions of t, positions and parameters, for each axis of each corner."""
     # coordinates are functions of time: plain symbols stand for them, and for the time
     plain = {x: sp.Dummy() for x in (time, *system.coordinates)}

@@ -163,6 +163,9 @@ def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
     )
 
 
+MechanicalSystem.retimer = retimed
+
+
 def _check(system: MechanicalSystem) -> None:
     """Refuse systems whose energy is not constant, or that constraints hold."""
     why = not_retimed(system)

@@ -10,19 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 from symsimpson.graph.derive import Derivatives, gradient
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import NUMBERS, fixed, rebuilt, same
 from symsimpson.mechanics.damping import damping_rate
+from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.independence import Dependence, certain, dependence
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.quadratic import connected, quadratic_form
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.system import MechanicalSystem
 
 __all__ = ["MOST_AFFINE", "Structure", "Subsystem", "analyse"]
 
@@ -117,7 +114,7 @@ class Structure:
     undecided: tuple[str, ...]
     nearly: tuple[str, ...]
     plain: Plain = field(compare=False)
-    system: MechanicalSystem = field(compare=False)
+    system: Declared = field(compare=False)
 
     def __repr__(self) -> str:
         from symsimpson.mechanics.table import as_text
@@ -130,7 +127,7 @@ class Structure:
         return as_html(self)
 
 
-def analyse(system: MechanicalSystem) -> Structure:
+def analyse(system: Declared) -> Structure:
     """Find out what a system has and lacks.
 
     Parameters

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 import sympy as sp
@@ -31,9 +31,6 @@ from symsimpson.support.calling import explaining
 from symsimpson.support.garbage import rarely_collected
 from symsimpson.support.progress import waiting
 from symsimpson.support.stopwatch import collecting, timed
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.retimed import RetimedSystem, Retiming
 
 __all__ = ["MechanicalSystem"]
 
@@ -133,6 +130,8 @@ class MechanicalSystem(Described):
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
     mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
+    #: Makes a system in another time: a function of the module that extends this one.
+    retimer: ClassVar[Callable[..., MechanicalSystem]]
     plain: Plain = field(init=False)
     seconds: dict[str, float] = field(init=False)
 
@@ -286,11 +285,6 @@ class MechanicalSystem(Described):
         )
 
     @property
-    def n(self) -> int:
-        """Number of coordinates."""
-        return len(self.coordinates)
-
-    @property
     def degrees_of_freedom(self) -> int:
         """Number of coordinates, less that of constraints."""
         return self.n - len(self.constraints)
@@ -339,11 +333,11 @@ class MechanicalSystem(Described):
         return consistent(self, q0, v0, fixed, parameters)
 
     @property
-    def retiming(self) -> Retiming | None:
+    def retiming(self) -> Any:
         """Data of the time transformation of a retimed system; None for all others."""
         return None
 
-    def retimed(self, rate: Any) -> RetimedSystem:
+    def retimed(self, rate: Any) -> MechanicalSystem:
         """Return the time-transformed system, dt = g(q) dtau; see :class:`RetimedSystem`.
 
         Steps of constant size in tau are small in t where g is small, and remain symplectic.
@@ -355,14 +349,16 @@ class MechanicalSystem(Described):
             It is scaled so that dt = dtau at the start. "encounters" is U**(-3/2), for V = -U with
             U a sum of inverse distances. "kinetic" is (c_rest + T)**(-1/2), c_rest a new parameter.
 
+        Returns
+        -------
+        RetimedSystem
+
         Raises
         ------
         ModelError
             If g is nowhere positive, or the system has constraints or an energy that changes.
         """
-        from symsimpson.mechanics.retimed import retimed
-
-        return retimed(self, rate)
+        return self.retimer(rate)
 
     @cached_property
     def structure(self) -> Structure:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 from symsimpson.support import markup
-
-if TYPE_CHECKING:
-    from symsimpson.mechanics.structure import Structure
 
 __all__ = ["as_html", "as_text", "rows"]
 
@@ -17,7 +14,7 @@ Row = tuple[str, str, str, str]
 HEAD: Row = ("finding", "here", "because", "removes")
 
 
-def rows(found: Structure) -> list[Row]:
+def rows(found: Any) -> list[Row]:
     """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
     names = [user.func.__name__ for user in found.system.coordinates]
 
@@ -146,7 +143,7 @@ def rows(found: Structure) -> list[Row]:
     return table
 
 
-def as_text(found: Structure) -> str:
+def as_text(found: Any) -> str:
     """Write the tables for a terminal."""
     table = rows(found)
     width = max(len(name) for name, *_ in table) + 2
@@ -164,7 +161,7 @@ def as_text(found: Structure) -> str:
     return "\n".join(lines)
 
 
-def as_html(found: Structure) -> str:
+def as_html(found: Any) -> str:
     """Write the tables for a notebook."""
     return markup.table([HEAD, *rows(found)])
 

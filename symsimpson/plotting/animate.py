@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,10 +17,6 @@ from symsimpson.plotting.pictures import KINDS, film_in_plane, write_film
 from symsimpson.plotting.scene import scene_of
 from symsimpson.plotting.space import film_in_space
 from symsimpson.support.files import read_path, write_text, written_beside
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.states import States
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["Animation", "animate", "plot_path"]
 
@@ -97,7 +93,7 @@ class Animation:
         return f"Animation({self.frames} frames; save('film.html') keeps it)"
 
 
-def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> Animation:
+def animate(run: Any, *, seconds: float | None = None, fps: int = 20) -> Animation:
     """Film the points and bodies of a system."""
     if not (1 <= fps <= 100) or (seconds is not None and not 0 < seconds <= 600):
         raise InputError(
@@ -115,7 +111,7 @@ def animate(run: Trajectory, *, seconds: float | None = None, fps: int = 20) -> 
     return Animation(partial(make, *shown), partial(write_film, *shown), frames, size)
 
 
-def plot_path(run: States, *, ax: Any = None) -> Any:
+def plot_path(run: Any, *, ax: Any = None) -> Any:
     """Draw the paths of the points of a system, and where all is in the end."""
     scene = scene_of(run)
     in_space = {"subplot_kw": {"projection": "3d"}} if scene.spatial else {}

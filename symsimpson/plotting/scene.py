@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.mechanics.points import points_of
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.states import States
 
 __all__ = ["Link", "Scene", "scene_of"]
 
@@ -80,7 +77,7 @@ class Scene:
         return np.array([first, self.points[frame, link.second]])
 
 
-def scene_of(some: States, stride: int = 1) -> Scene:
+def scene_of(some: Any, stride: int = 1) -> Scene:
     """Evaluate the positions that were declared with a system; each ``stride``-th state is a frame.
 
     Raises

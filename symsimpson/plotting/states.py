@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.plotting.axes import axes
 from symsimpson.support.names import spelled
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.ensembles.ensemble import Ensemble
-    from symsimpson.runtime.results.chaos import Chaos
-    from symsimpson.runtime.results.energies import Energies
-    from symsimpson.runtime.results.sampled import Saved
-    from symsimpson.runtime.results.states import States
 
 __all__ = ["plot", "plot_energy", "plot_exponents", "plot_members", "plot_phase"]
 
@@ -38,7 +31,7 @@ def with_unit(name: Any, units: Mapping[str, str]) -> str:
     return label(name) + (f" [{unit}]" if unit else "")
 
 
-def plot(some: States | Saved, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
+def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None) -> Any:
     """Draw quantities over time: all coordinates, unless some are named."""
     single = isinstance(names, str) or hasattr(names, "free_symbols")
     wanted = [names] if single else list(names or some.program.coordinates)
@@ -70,11 +63,9 @@ def plot(some: States | Saved, names: Any = None, *, connected: bool = True, ax:
     return panels[0]
 
 
-def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any:
-    """Draw a quantity of members over time, or how its last values are spread."""
-    from symsimpson.runtime.ensembles.ensemble import spread  # which draws by this module
-
-    values, some, units = many[name], spread(len(many), max(1, most)), many.program.units
+def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
+    """Draw a quantity of some members over time, or how its last values are spread."""
+    values, units = many[name], many.program.units
     ax = axes(ax, (7, 3.5))
     if values.ndim == 2:
         times = np.broadcast_to(many.t, values.shape)
@@ -91,7 +82,7 @@ def plot_members(many: Ensemble, name: Any, most: int, *, ax: Any = None) -> Any
 
 
 def plot_phase(
-    some: States, x: Any = None, y: Any = None, *, connected: bool = True, ax: Any = None
+    some: Any, x: Any = None, y: Any = None, *, connected: bool = True, ax: Any = None
 ) -> Any:
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     x = some.program.coordinates[0] if x is None else x
@@ -106,7 +97,7 @@ def plot_phase(
     return ax
 
 
-def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
+def plot_energy(run: Any, *, shadow: bool = False, ax: Any = None) -> Any:
     """Draw the error of the energy over time; where forces do work, the energy less that work."""
     ax = axes(ax, (7, 3))
     constant = run.program.header.conservative
@@ -128,7 +119,7 @@ def plot_energy(run: Energies, *, shadow: bool = False, ax: Any = None) -> Any:
     return ax
 
 
-def plot_exponents(chaos: Chaos, *, ax: Any = None) -> Any:
+def plot_exponents(chaos: Any, *, ax: Any = None) -> Any:
     """Draw Lyapunov exponents over the time that they were averaged over."""
     ax = axes(ax, (7, 3))
     for k, history in enumerate(chaos.history.T):

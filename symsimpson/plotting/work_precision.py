@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from symsimpson.plotting.axes import axes
-
-if TYPE_CHECKING:
-    from symsimpson.bench.record import WorkPrecision
 
 __all__ = ["plot_work_precision"]
 
 
-def plot_work_precision(record: WorkPrecision, *, ax: Any = None) -> Any:
+def plot_work_precision(record: Any, *, ax: Any = None) -> Any:
     """Draw median run time against error in logarithmic axes; small and low is good.
 
     Of each contender the points are drawn that no other of its points beats in both.
 
     Parameters
     ----------
-    record : WorkPrecision
+    record : Any
     ax : matplotlib axes, optional
         Drawn into; made if there are none.
 

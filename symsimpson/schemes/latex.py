@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import sympy as sp
 
 from symsimpson.support.markup import aligned, in_text
-
-if TYPE_CHECKING:
-    from symsimpson.schemes.composition import Composition
-    from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["composition", "scheme"]
 
@@ -18,7 +14,7 @@ __all__ = ["composition", "scheme"]
 MOST_NUMBERS = 42
 
 
-def scheme(one: Scheme) -> str:
+def scheme(one: Any) -> str:
     """Return order, nodes, weights and the tables A and B, where they are exact and few."""
     rows = [
         ("", rf"\text{{{in_text(one.name)}: {one.quadrature.kind} quadrature, order {one.order}}}"),
@@ -39,7 +35,7 @@ def scheme(one: Scheme) -> str:
     return aligned(rows)
 
 
-def composition(one: Composition) -> str:
+def composition(one: Any) -> str:
     """Return order, kicks and drifts."""
     return aligned(
         [

@@ -7,12 +7,9 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from symsimpson.errors import InputError, StorageError
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["check_folder", "read_path", "write_text", "written_beside"]
 
@@ -35,9 +32,7 @@ def read_path(what: str, value: Any) -> Path:
     )
 
 
-def check_folder(
-    place: Path, what: str, done: str = "written", trajectory: Trajectory | None = None
-) -> None:
+def check_folder(place: Path, what: str, done: str = "written", trajectory: Any = None) -> None:
     """Refuse to write into a folder that is not there, before anything is computed for it.
 
     Raises
@@ -61,7 +56,7 @@ def _remove(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def written_beside(place: Path, what: str, trajectory: Trajectory | None = None) -> Iterator[Path]:
+def written_beside(place: Path, what: str, trajectory: Any = None) -> Iterator[Path]:
     """Give a place beside a file; what was written there takes its place once it is whole.
 
     Raises

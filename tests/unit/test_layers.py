@@ -1,6 +1,7 @@
 """One direction of flow: who may import whom, and what starts fast."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 
@@ -78,6 +79,35 @@ def f():
     import symsimpson.api
 """)
     assert list(imports(path)) == ["symsimpson.analysis.certify", "symsimpson.api"]
+
+
+def all_imports():
+    """What each module of the package imports of it, in whatever place, for types alone, too."""
+    files = {
+        ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path
+        for path in PACKAGE.rglob("*.py")
+    }
+    files = {name.removesuffix(".__init__"): path for name, path in files.items()}
+    for name, path in files.items():
+        found = set()
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                whole = {f"{node.module}.{alias.name}" for alias in node.names}
+                found |= (whole & files.keys()) or {node.module}
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+        yield name, (found & files.keys()) - {name}
+
+
+def test_there_is_no_circle_of_imports_of_any_kind():
+    graphlib.TopologicalSorter(dict(all_imports())).prepare()  # raises where there is one
+
+
+def test_a_circle_would_be_found():
+    below = dict(all_imports())
+    below["symsimpson.errors"] = {"symsimpson.api"}
+    with pytest.raises(graphlib.CycleError):
+        graphlib.TopologicalSorter(below).prepare()
 
 
 def test_modules_stay_small():

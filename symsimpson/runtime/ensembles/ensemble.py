@@ -301,7 +301,8 @@ class Ensemble(Quantities, Differentiated):
         """
         from symsimpson.plotting.states import plot_members
 
-        return plot_members(self, name or self.program.coordinates[0], most, ax=ax)
+        some = spread(len(self), max(1, most))
+        return plot_members(self, name or self.program.coordinates[0], some, ax=ax)
 
     def _about(self) -> dict[str, Any]:
         """Where the numbers come from."""

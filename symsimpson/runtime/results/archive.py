@@ -1,8 +1,7 @@
-"""Trajectories in files: netCDF and Zarr, by way of xarray."""
+"""Trajectories from files: netCDF and Zarr, by way of xarray."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 from typing import Any
 
@@ -10,51 +9,21 @@ import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.runtime.program import Program, read_program
+from symsimpson.runtime.results.saving import digest_of
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import TABLES, check_kind, write
+from symsimpson.runtime.results.tables import TABLES, check_kind
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.extras import library
 from symsimpson.support.files import read_path
 
-__all__ = ["open_trajectory", "save"]
+__all__ = ["open_trajectory"]
 
 #: What reads tables again.
 READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
 #: What a file must hold: variables, and attributes beside the dataset's own.
 VARIABLES = ("q", "p", "newton_iterations", "module")
 ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
-
-
-def save(run: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory, and what is needed to have it back; or a table of it."""
-
-    def arrays() -> dict[str, Any]:
-        found = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
-        return found | {f"point_{name}": x for name, x in run.points.items()}
-
-    write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
-
-
-def _dataset(run: Trajectory) -> Any:
-    """Return all that a trajectory is made of."""
-    found = run.to_xarray()
-    text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
-    found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
-    if run.input_values.size:
-        about = {"long_name": "inputs of steps, at their nodes"}
-        found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
-    found.attrs |= {
-        "every": run.every or 0,
-        "parameter_values": run.parameter_values.tolist(),
-        "sha256": _digest(run),
-    }
-    if run.variations is not None:
-        about = {"long_name": "variations of the state, then of what is varied"}
-        found["variations"] = (("time", "state", "variation"), run.variations, about)
-        if run._varied_by is not None:
-            found.attrs["varied_by"] = list(run._varied_by) or [""]
-    return found
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -123,7 +92,7 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         text = np.asarray(found["module"], dtype=np.uint8).tobytes().decode()
         program = read_program(text, os.fspath(where))
         run = _trajectory(found, program)
-        if _digest(run) != found.attrs["sha256"]:
+        if digest_of(run) != found.attrs["sha256"]:
             raise ValueError("its content does not have the digest that it names")
         return run
     except (StaleKernelError, InputError):
@@ -132,27 +101,6 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         raise StorageError(
             f"{where}: the file contradicts itself: {error}.\nIt is damaged, or was edited."
         ) from None
-
-
-def _digest(run: Trajectory) -> str:
-    """Return a digest of all that a trajectory is made of."""
-    about = (float(run.h), run.steps, run.every, run.status.name, run.message, run.program.source)
-    content = hashlib.sha256(repr(about).encode())
-    tau = () if run._tau is None else (run._tau,)
-    ways = () if run.variations is None else (run.variations,)
-    arrays = (
-        run.t,
-        run.q,
-        run.p,
-        run.parameter_values,
-        run.newton_iterations,
-        run.input_values,
-        *tau,
-        *ways,
-    )
-    for array in arrays:
-        content.update(np.ascontiguousarray(array).tobytes())
-    return content.hexdigest()
 
 
 def _trajectory(found: Any, program: Program) -> Trajectory:
@@ -214,7 +162,7 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         program=program,
         parameter_values=values,
         input_values=inputs,
-        _tau=tau if retimed else None,
+        tau_values=tau if retimed else None,
         variations=ways,
-        _varied_by=varied,
+        varied_by=varied,
     )

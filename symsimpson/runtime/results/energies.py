@@ -9,18 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.results.states import States
+from symsimpson.runtime.results.stored import Stored
 
 __all__ = ["Energies"]
 
 
-class Energies(States):
+class Energies(Stored):
     """Energies along a run; :class:`Trajectory` is one."""
-
-    h: Any
-    steps: int
-    every: int | None
-    input_values: NDArray[Any]
 
     @cached_property
     def energy_scale(self) -> Any:

@@ -16,7 +16,7 @@ from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.interpolate import DenseOutput
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.runtime.results.stored import Stored
 from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["Events", "find_events", "gather", "read_zeros", "zeros"]
@@ -112,13 +112,13 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
     return found, int(direction)
 
 
-def find_events(run: Trajectory, expression: Any, direction: int, wrap: Any) -> Events:
+def find_events(run: Stored, expression: Any, direction: int, wrap: Any) -> Events:
     """Find the zeros of an expression between the stored states of a run."""
     wanted = read_zeros(run.program, expression, direction, wrap)
     return gather(run, wanted, [zeros(run, wanted)])
 
 
-def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> Events:
+def gather(run: Stored, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> Events:
     """Put zeros together that were found one after the other."""
     n = run.program.n
     none = np.zeros(0), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0)
@@ -138,7 +138,7 @@ def gather(run: Trajectory, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) 
     )
 
 
-def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
+def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
     """Find times, positions, momenta and directions of the zeros between stored states."""
     wanted, direction = sought
     dense, wrapped = DenseOutput(run), list(wanted.wrapped)
@@ -195,10 +195,10 @@ def zeros(run: Trajectory, sought: Zeros, *, begins: bool = True) -> tuple[Float
     return times[start[order]] + later[order], q, p, -change[order].astype(float)
 
 
-def _with_end(run: Trajectory, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
+def _with_end(run: Stored, dense: DenseOutput) -> tuple[Floats, Floats, Floats]:
     """Return the stored states, and the last one of the run where that was not stored."""
     times, positions, momenta = run.t, run.q, run.p
-    if run.every and run.steps % run.every and run._tau is None:
+    if run.every and run.steps % run.every and run.tau_values is None:
         end = np.array([run.t[0] + run.h * run.steps])
         q, p, codes = dense.after(np.array([len(times) - 1]), end - times[-1])
         if not codes.any():

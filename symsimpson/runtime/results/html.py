@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.support.markup import Markup, box, curves, facts, scatter
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.ensembles.ensemble import Ensemble
-    from symsimpson.runtime.results.events import Events
-    from symsimpson.runtime.results.states import States
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
 
@@ -50,12 +44,12 @@ def stepper(program: Program) -> str:
     )
 
 
-def states(some: States) -> str:
+def states(some: Any) -> str:
     """Show states with a picture of each coordinate."""
     return box(repr(some), facts(_drawn(some)))
 
 
-def events(found: Events) -> str:
+def events(found: Any) -> str:
     """Show the states in which something happens."""
     rows: list[tuple[str, Any]] = [("zeros of", found.expression)]
     if found.status is not Status.SUCCESS:
@@ -68,7 +62,7 @@ def events(found: Events) -> str:
     return box(repr(found), facts(rows))
 
 
-def trajectory(run: Trajectory) -> str:
+def trajectory(run: Any) -> str:
     """Show how a run ended, with pictures."""
     rows: list[tuple[str, Any]] = [
         ("scheme", f"{run.program.scheme}, order {run.program.order}"),
@@ -90,7 +84,7 @@ def trajectory(run: Trajectory) -> str:
     return box(f"Trajectory of {run.program.system}", facts(rows))
 
 
-def _drawn(some: States) -> list[tuple[str, Any]]:
+def _drawn(some: Any) -> list[tuple[str, Any]]:
     names = some.program.coordinates
     if len(some) < 2:
         return [(name, f"{float(some[name][0]):.6g}") for name in names[:DRAWN] if len(some)]
@@ -99,7 +93,7 @@ def _drawn(some: States) -> list[tuple[str, Any]]:
     return [(name, curves(some.t, [some[name]])) for name in names]
 
 
-def ensemble(found: Ensemble) -> str:
+def ensemble(found: Any) -> str:
     """Show the outcome of many runs, with pictures of their ends."""
     names = found.program.coordinates
     good = bool((found.status == Status.SUCCESS).all())

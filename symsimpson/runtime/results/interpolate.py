@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,12 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.arrival import states_at
 from symsimpson.runtime.runs.driving import at_places, places, since
 from symsimpson.runtime.runs.run import Run, workspace
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["DenseOutput"]
 
@@ -41,7 +39,7 @@ class DenseOutput:
 
     Parameters
     ----------
-    run : Trajectory
+    run : Stored
 
     Examples
     --------
@@ -53,7 +51,7 @@ class DenseOutput:
     True
     """
 
-    def __init__(self, run: Trajectory) -> None:
+    def __init__(self, run: Stored) -> None:
         if run.every is None and run.steps:
             raise InputError(
                 "a run that keeps its last state alone (every=None) has no states between.\n"

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.runtime.results.states import States
+from symsimpson.runtime.results.stored import Stored
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["Part"]
 
@@ -50,7 +50,7 @@ class Part(States):
     True
     """
 
-    _run: Trajectory = field(repr=False)
+    _run: Any = field(repr=False)
     _places: NDArray[np.int64] = field(repr=False)
 
     def __getattr__(self, name: str) -> Any:
@@ -74,10 +74,10 @@ class Part(States):
         """Film this part of the run, as :meth:`Trajectory.animate`."""
         from symsimpson.plotting.animate import animate
 
-        return animate(self, seconds=seconds, fps=fps)  # type: ignore[arg-type]
+        return animate(self, seconds=seconds, fps=fps)
 
 
-def part_of(run: Trajectory, places: NDArray[np.int64], key: Any) -> Part:
+def part_of(run: Stored, places: NDArray[np.int64], key: Any) -> Part:
     """Return some of the states at these places of a run."""
     some = np.atleast_1d(places[key])
     return Part(

@@ -8,7 +8,7 @@ three for schemes up to order 4, and five, with accelerations, for order 6.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.program import Program
+from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.run import workspace
 from symsimpson.runtime.runs.variations import varied_program
 from symsimpson.support.derivation import LAGRANGIAN
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.energies import Energies
 
 __all__ = ["shadow_energy", "step_means"]
 
@@ -34,7 +32,7 @@ FIRST, SECOND = np.array([25, -23, 13, -3]) / 12, np.array([3, 13, -5, 1]) / 12
 NODES = {3: 5, 5: 7}
 
 
-def shadow_energy(run: Energies) -> Reals:
+def shadow_energy(run: Stored) -> Reals:
     """Return H + dH at all states: to h^8 for schemes of order 4, to h^4 for those of order 2.
 
     Raises
@@ -49,19 +47,19 @@ def shadow_energy(run: Energies) -> Reals:
     return np.asarray(run.energy + at_states)
 
 
-def step_means(run: Energies) -> Reals:
+def step_means(run: Stored) -> Reals:
     """Return H + dH in the mean over each step, shape (N,): to h^6 for schemes of order 4."""
     return np.asarray((run.energy[1:] + run.energy[:-1]) / 2 + _changes(run))
 
 
-def _changes(run: Energies) -> Reals:
+def _changes(run: Stored) -> Reals:
     """Return dH in the mean over each step, -(L_d - S)/h."""
     _check(run)
     program = varied_program(run.program, (), LAGRANGIAN)
     return (_actions(program, run) - _discrete_actions(program, run)) / run.h
 
 
-def _check(run: Energies) -> None:
+def _check(run: Stored) -> None:
     header = run.program.header
     why = ""
     if not header.conservative:
@@ -78,7 +76,7 @@ def _check(run: Energies) -> None:
         raise InputError(f"{header.system}: there is no shadow energy of this run, {why}.")
 
 
-def _discrete_actions(program: Program, run: Energies) -> Reals:
+def _discrete_actions(program: Program, run: Stored) -> Reals:
     """Return L_d of all steps, which are taken again."""
     numbers, header = program.numbers, program.header
     kernels, out = program.kernels, numbers.zeros(run.steps)
@@ -105,7 +103,7 @@ def _discrete_actions(program: Program, run: Energies) -> Reals:
     return out
 
 
-def _actions(program: Program, run: Energies) -> Reals:
+def _actions(program: Program, run: Stored) -> Reals:
     """Return the actions of Hermite polynomials through the states, by Gauss quadrature."""
     degree = 3 if program.order <= 4 else 5
     places, weights = np.polynomial.legendre.leggauss(NODES[degree])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,6 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.quantities import Quantities
-    from symsimpson.runtime.results.trajectory import Trajectory
 
 __all__ = ["KINDS", "check_kind", "columns", "dataframe", "write"]
 
@@ -53,7 +49,7 @@ def check_kind(place: Path) -> str:
     return place.suffix
 
 
-def columns(some: Quantities) -> dict[str, NDArray[Any]]:
+def columns(some: Any) -> dict[str, NDArray[Any]]:
     """Return q, p, v, the energy, invariants and points by name, in the shape of the energy."""
     names = some.program.coordinates
     found = {name: some._named(name) for name in names}
@@ -86,7 +82,7 @@ def write(
     table: Callable[[], Mapping[str, Any]],
     dataset: Callable[[], Any],
     *,
-    trajectory: Trajectory | None = None,
+    trajectory: Any = None,
     consolidated: bool | None = False,
 ) -> None:
     """Write a result into a file of the kind that its ending says.

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.energies import Energies
-from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States
 from symsimpson.runtime.results.status import Status
 from symsimpson.support.calling import explaining
@@ -28,7 +27,7 @@ __all__ = ["Trajectory"]
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Trajectory(Outcome, Energies, Differentiated):
+class Trajectory(Energies, Differentiated):
     """States of a run, and how it ended.
 
     Arrays are float64, or object arrays of mpmath numbers if the stepper was compiled with a
@@ -70,14 +69,14 @@ class Trajectory(Outcome, Energies, Differentiated):
     message: str
     input_values: NDArray[Any] = field(repr=False)
     variations: NDArray[Any] | None = field(default=None, repr=False)
-    _tau: NDArray[Any] | None = field(default=None, repr=False)
-    _varied_by: tuple[str, ...] | None = field(default=None, repr=False)
+    tau_values: NDArray[Any] | None = field(default=None, repr=False)
+    varied_by: tuple[str, ...] | None = field(default=None, repr=False)
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
-        if self._varied_by is None:
+        if self.varied_by is None:
             return super()._names_varied
-        return self.program.names.varied(self._varied_by)
+        return self.program.names.varied(self.varied_by)
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states.
@@ -94,7 +93,7 @@ class Trajectory(Outcome, Energies, Differentiated):
     @property
     def tau(self) -> NDArray[Any]:
         """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
-        return self.t - self.t[0] if self._tau is None else self._tau
+        return self.t - self.t[0] if self.tau_values is None else self.tau_values
 
     @property
     def E0(self) -> Any:
@@ -250,14 +249,14 @@ class Trajectory(Outcome, Energies, Differentiated):
         >>> ss.open_trajectory(path).steps
         50
         """
-        from symsimpson.runtime.results.archive import save
+        from symsimpson.runtime.results.saving import save
 
         save(self, path)
 
     def _further(self) -> dict[str, Any]:
         further = {"newton_iterations": (("time",), self.newton_iterations)}
-        if self._tau is not None:
-            further["tau"] = (("time",), self._tau)
+        if self.tau_values is not None:
+            further["tau"] = (("time",), self.tau_values)
         return further
 
     def _about(self) -> dict[str, Any]:

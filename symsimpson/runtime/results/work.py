@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
+from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.driving import at_places, since
 from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
-
-if TYPE_CHECKING:
-    from symsimpson.runtime.results.energies import Energies
 
 __all__ = ["TOTAL", "integrals", "parts_of_work", "powers", "rough_parts"]
 
@@ -22,7 +20,7 @@ TOTAL = "total"
 Reals = NDArray[Any]
 
 
-def powers(run: Energies) -> dict[str, Reals]:
+def powers(run: Stored) -> dict[str, Reals]:
     """Return the power of each force at the stored states, and of all."""
     header = run.program.header
     if header.conservative:
@@ -30,7 +28,7 @@ def powers(run: Energies) -> dict[str, Reals]:
     return _named(run, _powers_at(run))
 
 
-def _powers_at(run: Energies, *, arriving: bool = False) -> Reals:
+def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
     """Evaluate the power of each force, then dL/dt where something depends on t.
 
     With the inputs of the step that begins at a state, or of the one that arrives there.
@@ -48,7 +46,7 @@ def _powers_at(run: Energies, *, arriving: bool = False) -> Reals:
     )
 
 
-def _at_states(run: Energies, arriving: bool) -> Reals:
+def _at_states(run: Stored, arriving: bool) -> Reals:
     """Return the inputs at stored states, which stand in the places of steps."""
     numbers = run.program.numbers
     last = max(run.steps - 1, 0)
@@ -61,14 +59,14 @@ def _at_states(run: Energies, arriving: bool) -> Reals:
         return at_places(run.program, inputs, np.maximum(step, 0), place)
 
 
-def _named(run: Energies, found: Reals) -> dict[str, Reals]:
+def _named(run: Stored, found: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
     names = run.program.names.forces.shown
     own = {name: found[:, k] for k, name in enumerate(names)}
     return own | {TOTAL: sum(own.values(), 0 * run.t)}
 
 
-def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
+def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
 
     Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
@@ -97,7 +95,7 @@ def integrals(run: Energies) -> tuple[dict[str, Reals], Reals]:
     return _named(run, found), lost
 
 
-def rough_parts(run: Energies) -> Reals:
+def rough_parts(run: Stored) -> Reals:
     """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
     begins = _powers_at(run)
     ends = _powers_at(run, arriving=True) if run.input_values.size else begins
@@ -106,26 +104,26 @@ def rough_parts(run: Energies) -> Reals:
     return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
 
 
-def parts_of_work(run: Energies) -> Reals:
+def parts_of_work(run: Stored) -> Reals:
     """Return what each force did up to stored states, then the integral of -dL/dt."""
     return _signed(run, np.asarray(_integrated(run), dtype=np.float64))
 
 
-def _signed(run: Energies, parts: Reals) -> Reals:
+def _signed(run: Stored, parts: Reals) -> Reals:
     """Give dL/dt, the last of powers, the sign by which H follows it."""
     if not run.program.header.autonomous:
         parts[:, -1] *= -1
     return parts
 
 
-def _integrated(run: Energies) -> Reals:
+def _integrated(run: Stored) -> Reals:
     """Return the integrals of powers over steps that are taken again, up to stored states."""
     numbers, header = run.program.numbers, run.program.header
     with numbers.working():
         return np.asarray(numbers.result(_added_up(run, header.powers)))
 
 
-def _added_up(run: Energies, count: int) -> Reals:
+def _added_up(run: Stored, count: int) -> Reals:
     """Take steps again, and add up so many integrals; NaN behind one that cannot be taken so.
 
     Steps that the run took with more robust kernels are taken with these.

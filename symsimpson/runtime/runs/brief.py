@@ -300,5 +300,5 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
         parameter_values=asked.values,
         input_values=NO_INPUTS,
         variations=None,
-        _tau=tau,
+        tau_values=tau,
     )

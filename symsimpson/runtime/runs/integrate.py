@@ -272,7 +272,7 @@ def trajectory_of(
         parameter_values=values,
         input_values=result(spec.inputs),
         variations=tangents,
-        _tau=result(tau) if run.header.retimed else None,
+        tau_values=result(tau) if run.header.retimed else None,
     )
 
 

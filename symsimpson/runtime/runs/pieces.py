@@ -99,5 +99,5 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         program=program,
         parameter_values=run.parameters,
         input_values=since(spec.inputs, run.first),
-        _tau=tau if run.header.retimed else None,
+        tau_values=tau if run.header.retimed else None,
     )

@@ -66,7 +66,7 @@ def timed_run(
         program, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
     )
     found = _Derivatives(program, moving, names, wanted, begun, run, spec.velocities, fixed_steps)
-    return replace(run, variations=found.tangents(), _varied_by=names)
+    return replace(run, variations=found.tangents(), varied_by=names)
 
 
 @dataclass(frozen=True)

@@ -161,9 +161,9 @@ def _ended_before(
         about |= {"q": result(q[last]), "p": result(p[last])}
         about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
         if retimed:
-            about |= {"t": result(kept[last, 0]), "_tau": result(np.array([run.h * done]))}
+            about |= {"t": result(kept[last, 0]), "tau_values": result(np.array([run.h * done]))}
     else:
-        for name in ("t", "q", "p", "newton_iterations", *(("_tau",) if retimed else ())):
+        for name in ("t", "q", "p", "newton_iterations", *(("tau_values",) if retimed else ())):
             about[name] = about[name][: done // trajectory.every + 1]
     message = (
         f"{program.system}, {program.scheme}: the energy is no finite number at "

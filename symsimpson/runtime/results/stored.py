@@ -1,0 +1,38 @@
+"""States that a run has stored, and what its steps were."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.results.outcome import Outcome
+from symsimpson.runtime.results.states import States
+
+__all__ = ["Stored"]
+
+
+class Stored(Outcome, States):
+    """The part of a run that is read where something is computed of it.
+
+    Attributes
+    ----------
+    newton_iterations : ndarray of int, shape (N + 1,)
+    every : int or None
+        Steps from one stored state to the next.
+    input_values : ndarray, shape (1, steps, s, m)
+        Inputs by step, node and number; an axis of one entry stands for all.
+    variations : ndarray, shape (N + 1, 2 n, k), or None
+    varied_by : tuple of str or None
+        What they belong to, if the program does not tell.
+    tau_values : ndarray or None
+        The variable in which steps are fixed, where it is not the time.
+    """
+
+    newton_iterations: NDArray[np.int64]
+    every: int | None
+    input_values: NDArray[Any]
+    variations: NDArray[Any] | None
+    varied_by: tuple[str, ...] | None
+    tau_values: NDArray[Any] | None
