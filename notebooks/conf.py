@@ -53,6 +53,20 @@ def offer_notebook(app, name, source):
         source[0] = json.dumps(notebook)
 
 
+def list_quantities(app, name, source):
+    """Write the table of quantities where a page asks for it."""
+    from symsimpson.runtime.kernels.quantity import QUANTITIES
+
+    named = {"coordinates": "q1", "constraints": "rod"}
+    lines = ["| name | attribute | quantity | in expressions |", "| --- | --- | --- | --- |"]
+    for one in QUANTITIES.values():
+        key = f'run["{one.prefix}{named[one.axis]}"]' if one.axis else f'run["{one.name}"]'
+        known = "yes" if one.symbol else "no"
+        lines.append(f"| `{key}` | `run.{one.name}` | {one.doc} | {known} |")
+    source[0] = source[0].replace("<!-- quantities -->", "\n".join(lines))
+
+
 def setup(app):
     """Connect what is done to pages."""
     app.connect("source-read", offer_notebook)
+    app.connect("source-read", list_quantities)

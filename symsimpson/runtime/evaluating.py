@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.header import Header
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.kernels.observed import Observed, observing_kernel
 from symsimpson.runtime.runs.driving import NO_INPUTS
@@ -18,14 +17,7 @@ from symsimpson.runtime.runs.run import workspace
 if TYPE_CHECKING:
     from symsimpson.runtime.program import Program
 
-__all__ = [
-    "evaluate",
-    "evaluate_energy",
-    "evaluate_in",
-    "evaluate_members",
-    "velocities_by",
-    "watching",
-]
+__all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "watching"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
@@ -52,11 +44,6 @@ def evaluate(
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
         return evaluate_in(W, program, kernel, block, count, t, q, p, inputs, before=before)
-
-
-def velocities_by(header: Header) -> str:
-    """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
-    return "energy" if header.retimed else "start"
 
 
 def evaluate_members(

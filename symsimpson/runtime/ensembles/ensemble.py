@@ -18,7 +18,7 @@ from symsimpson.runtime.results.differentiated import Differentiated
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.results.tables import columns, dataframe, write
+from symsimpson.runtime.results.tables import dataframe, write
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -238,7 +238,7 @@ class Ensemble(Quantities, Differentiated):
             name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
             for name, x in own.items()
         }
-        found |= {"t": np.broadcast_to(self.t, shape), **columns(self)}
+        found |= {"t": np.broadcast_to(self.t, shape), **self._columns()}
         return {name: np.asarray(x).reshape(-1) for name, x in found.items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -13,7 +13,8 @@ from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, S
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, spread
 from symsimpson.runtime.ensembles.task import Task
-from symsimpson.runtime.evaluating import evaluate, evaluate_members, velocities_by
+from symsimpson.runtime.evaluating import evaluate, evaluate_members
+from symsimpson.runtime.kernels.quantity import velocities_by
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.requested import run

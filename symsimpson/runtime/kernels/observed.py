@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
+from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
 from symsimpson.runtime.kernels.reader import Reader
 
 if TYPE_CHECKING:
@@ -135,11 +136,9 @@ def observing_kernel(header: Header, found: Sequence[Observed], first: int | Non
         "    W = carray(workspace, (ROWS, LANES))",
         "    for lane in range(LANES):",
     ]
-    rows = [(f"q_{i}", f"POSITION + {i}") for i in range(header.n)]
-    rows += [(f"p_{i}", f"MOMENTUM + {i}") for i in range(header.n)]
-    rows += [(f"v_{i}", f"VELOCITY + {i}") for i in range(header.n)]
+    rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
-    rows.append(("energy", "ENERGY"))
+    rows += [(x.symbol, x.block) for x in SCALARS]
     if header.retimed and running:
         rows.append(("t", "TIME"))
     lines += [f"        {name} = W[{row}, lane]" for name, row in rows]

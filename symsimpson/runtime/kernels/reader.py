@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ast
 import re
+from itertools import chain
 from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
+from symsimpson.runtime.kernels.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
@@ -46,6 +48,8 @@ _SIGNS: dict[type[ast.AST], str] = {
 #: What the text of an expression is made of, beside names.
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")
+#: Symbols of what a kernel computes before an expression is evaluated.
+COMPUTED = tuple(one.symbol for one in QUANTITIES.values() if one.symbol and one.kernel)
 LONGEST = 2000
 LARGEST = 10**300
 
@@ -67,16 +71,21 @@ class Reader:
         self._where, self._header = where, program.header
         self.energetic = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
-        self._known = {"t": "t", "pi": "3.141592653589793", "energy": "energy"}
+        self._known = {"t": "t", "pi": "3.141592653589793"}
+        self._known |= {one.name: one.symbol for one in SCALARS}
+        alone = set(self._known) - {"pi"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
-        of_state = {f"{x}_{q}": f"{x}_{i}" for x in "pv" for q, i in coordinates.places.items()}
-        self._double = set(parameters.places) & {"t", "energy", *of_state}
+        of_state = {
+            f"{one.prefix}{q}": f"{one.symbol}{i}"
+            for one in reversed(VECTORS)  # names of coordinates come first
+            for q, i in coordinates.places.items()
+        }
+        self._double = set(parameters.places) & (alone | (of_state.keys() - coordinates.places))
         self._known |= of_state
-        self._known |= {q: f"q_{i}" for q, i in coordinates.places.items()}
         self._moving = set(coordinates.places)
-        shown = coordinates.shown
-        self._listed = [*shown, *(f"{x}_{q}" for x in "pv" for q in shown), *parameters.shown]
-        self._listed += ["t", "energy", "pi"]
+        shown = [one.shown(program.names) for one in VECTORS]
+        self._listed = [*chain(*shown), *parameters.shown]
+        self._listed += ["t", *(one.name for one in SCALARS), "pi"]
         self._used: set[str] = set()
         #: What stands for names that no text can have in it, and these names.
         self._standing: dict[str, str] = {}
@@ -96,7 +105,7 @@ class Reader:
         Those are the module's own; ``text`` is what was written of the expression.
         """
         own = {"q": self._header.coordinates, "a": self._header.parameters}
-        known = {"t": "t", "pi": self._known["pi"], "energy": "energy"}
+        known = {"t": "t", "pi": self._known["pi"]} | {one.name: one.symbol for one in SCALARS}
         for kind in "qpva":
             before = f"{kind}_" if kind in "pv" else ""
             names = own.get(kind, self._header.coordinates)
@@ -211,7 +220,7 @@ class Reader:
             case ast.Name(id=name) if name in self._known:
                 self._check_single(name)
                 self._used.add(name)
-                self.energetic |= self._known[name].startswith(("energy", "v_"))
+                self.energetic |= self._known[name].startswith(COMPUTED)
                 return self._known[name]
             case ast.Call(
                 func=ast.Name(id="Derivative"),

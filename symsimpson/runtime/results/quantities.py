@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
 from symsimpson.module.matrices import slopes_of
-from symsimpson.runtime.evaluating import velocities_by
+from symsimpson.runtime.kernels.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.runtime.program import Program
 from symsimpson.support.names import did_you_mean, spelled
 
@@ -29,11 +29,20 @@ class Quantities:
         """Return a block of rows at all states, shape (..., count)."""
         raise NotImplementedError
 
+    def _of_table(self, name: str) -> NDArray[Any]:
+        """Return a quantity of the table; its numbers, if there are several, on the last axis."""
+        one = QUANTITIES[name]
+        assert one.kernel is not None
+        shown = one.shown(self.program.names)
+        if not shown:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        found = self._evaluated(one.kernel(self.program.header), one.block, len(shown))
+        return found if one.axis else found[..., 0]
+
     @cached_property
     def v(self) -> NDArray[Any]:
         """Velocities, in the shape of q."""
-        kernel = velocities_by(self.program.header)
-        return self._evaluated(kernel, "VELOCITY", self.program.n)
+        return self._of_table("v")
 
     @cached_property
     def energy(self) -> NDArray[Any]:
@@ -76,7 +85,7 @@ class Quantities:
         They are those that keep the acceleration of a state on the constraints; not the ones of a
         step, which are of low order (Hairer, Lubich and Wanner, VII.1).
         """
-        return self._held("MULTIPLIER")
+        return self._of_table("multipliers")
 
     @cached_property
     def constraint_error(self) -> NDArray[Any]:
@@ -119,29 +128,39 @@ class Quantities:
             With the names that there are.
         """
         names, key = self.program.names, spelled(key)
-        coordinates, held, watched = (
-            x.places for x in (names.coordinates, names.constraints, names.invariants)
-        )
-        if key in coordinates:
-            return np.asarray(self.q[..., coordinates[key]])
+        if key in names.coordinates.places:
+            return np.asarray(self.q[..., names.coordinates.places[key]])
         if (found := self._own(key)) is not None:
             return cast(NDArray[Any], found)
-        for prefix in "pv":
-            if key.startswith(f"{prefix}_") and key[2:] in coordinates:
-                return np.asarray(getattr(self, prefix)[..., coordinates[key[2:]]])
-        if key.startswith("lambda_") and key[7:] in held:
-            return self.multipliers[..., held[key[7:]]]
-        if key in watched:
-            return self.invariants[names.invariants.shown[watched[key]]]
-        if key in ("t", "energy"):
+        for one in QUANTITIES.values():
+            place = one.places(names).get(key.removeprefix(one.prefix))
+            if place is not None and key.startswith(one.prefix):
+                return np.asarray(getattr(self, one.name)[..., place])
+        watched = names.invariants
+        if key in watched.places:
+            return self.invariants[watched.shown[watched.places[key]]]
+        if key == "t" or key in {one.name for one in SCALARS}:
             return cast(NDArray[Any], getattr(self, key))
         if key in self.points:
             return self.points[key]
-        every = [*names.coordinates.shown]
-        every += [f"{x}_{q}" for x in "pv" for q in names.coordinates.shown]
-        every += [f"lambda_{name}" for name in names.constraints.shown]
-        every += [*names.invariants.shown, *self._own_names(), *self.points, "t"]
+        every = [name for one in QUANTITIES.values() if one.axis for name in one.shown(names)]
+        every += [*watched.shown, *self._own_names(), *self.points, "t"]
+        every += [one.name for one in SCALARS]
         raise UnknownNameError(
-            f"there is no {key!r}.{did_you_mean(key, [*every, 'energy'])} "
-            f"There are {', '.join(every)} and energy."
+            f"there is no {key!r}.{did_you_mean(key, every)} "
+            f"There are {', '.join(every[:-1])} and {every[-1]}."
         )
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return numbers of stored quantities, invariants and points by name, as tables do."""
+        names, found = self.program.names, dict[str, NDArray[Any]]()
+        for one in (*VECTORS, *SCALARS):
+            value = np.asarray(getattr(self, one.name))
+            shown = one.shown(names)
+            found |= {name: value[..., k] if one.axis else value for k, name in enumerate(shown)}
+        found |= self.invariants
+        for name, place in self.points.items():
+            if place.ndim == self.energy.ndim + 1:  # no body of several corners
+                axes = "xyz"[: place.shape[-1]]
+                found |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
+        return found

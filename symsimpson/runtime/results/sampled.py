@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
+from symsimpson.runtime.kernels.quantity import SCALARS
+from symsimpson.runtime.kernels.quantity import VECTORS as WITH_COORDINATES
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States, with_units
@@ -23,7 +25,7 @@ from symsimpson.support.names import did_you_mean, spelled
 __all__ = ["Sampled", "Saved"]
 
 #: Quantities that have a number for each coordinate.
-VECTORS = ("q", "p", "v")
+VECTORS = tuple(one.name for one in WITH_COORDINATES)
 
 
 @explaining()
@@ -72,7 +74,7 @@ class Sampled(Outcome, States):
         write(path, "result", self._arrays, self._table, self.to_xarray)
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        return {name: getattr(self, name) for name in ("t", *VECTORS, "energy")}
+        return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
 
     def _about(self) -> dict[str, Any]:
         return super()._about() | self._outcome()

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
 from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.results.tables import write
 
@@ -18,7 +19,8 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
     """Write a trajectory, and what is needed to have it back; or a table of it."""
 
     def arrays() -> dict[str, Any]:
-        found = {name: getattr(run, name) for name in ("t", "q", "p", "v", "energy")}
+        stored = (one.name for one in (*VECTORS, *SCALARS))
+        found = {name: getattr(run, name) for name in ("t", *stored)}
         return found | {f"point_{name}": x for name, x in run.points.items()}
 
     write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)

@@ -11,9 +11,10 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.quantities import Quantities
-from symsimpson.runtime.results.tables import columns, dataframe
+from symsimpson.runtime.results.tables import dataframe
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -33,7 +34,7 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
         key = key.removeprefix("point_")
         if key in units and name != "coord":
             data[name].attrs["units"] = units[key]
-    for name, prefix in (("q", ""), ("p", "p_"), ("v", "v_")):
+    for name, prefix in ((one.name, one.prefix) for one in VECTORS):
         own = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
         if name in data and any(own):
             data = data.assign_coords({f"units_{name}": ("coord", own)})
@@ -236,7 +237,7 @@ class States(Quantities):
         return dataframe(self._table(), "t", self._about(), self.program.units)
 
     def _table(self) -> dict[str, NDArray[Any]]:
-        return {"t": self.t, **columns(self)}
+        return {"t": self.t, **self._columns()}
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` with dimensions time and coord.
@@ -255,10 +256,10 @@ class States(Quantities):
         """
         xarray = library("xarray", "to_xarray", "data")
         variables: dict[str, Any] = {
-            name: (("time", "coord"), getattr(self, name), {"long_name": what})
-            for name, what in (("q", "position"), ("p", "conjugate momentum"), ("v", "velocity"))
+            one.name: (("time", "coord")[: 1 + bool(one.axis)], getattr(self, one.name), about)
+            for one in (*VECTORS, *SCALARS)
+            for about in [{"long_name": one.doc}]
         }
-        variables["energy"] = (("time",), self.energy, {"long_name": "energy H"})
         for k, (name, values) in enumerate(self.invariants.items()):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
         for name, place in self.points.items():

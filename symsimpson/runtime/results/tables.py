@@ -14,7 +14,7 @@ from symsimpson.errors import InputError
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path, written_beside
 
-__all__ = ["KINDS", "check_kind", "columns", "dataframe", "write"]
+__all__ = ["KINDS", "check_kind", "dataframe", "write"]
 
 #: Tables: what is written cannot be opened as a run again.
 TABLES = (".npz", ".csv", ".parquet")
@@ -47,19 +47,6 @@ def check_kind(place: Path) -> str:
     for name in NEEDS[place.suffix]:
         library(name, f"a {place.suffix} file", "parquet" if name == "pyarrow" else "data")
     return place.suffix
-
-
-def columns(some: Any) -> dict[str, NDArray[Any]]:
-    """Return q, p, v, the energy, invariants and points by name, in the shape of the energy."""
-    names = some.program.coordinates
-    found = {name: some._named(name) for name in names}
-    found |= {f"{x}_{name}": some._named(f"{x}_{name}") for x in "pv" for name in names}
-    found |= {"energy": some.energy, **some.invariants}
-    for name, place in some.points.items():
-        if place.ndim == some.energy.ndim + 1:  # no body of several corners
-            axes = "xyz"[: place.shape[-1]]
-            found |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
-    return found
 
 
 def dataframe(

@@ -1,0 +1,96 @@
+"""The table of quantities that follow from a state: names, kernels, and the rows they stand in.
+
+Attributes of results, names in expressions, columns of tables and variables of files all come from
+it. A quantity of the workspace that a kernel computes is one more line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from symsimpson.module.header import Header
+from symsimpson.runtime.names import Names
+from symsimpson.support.names import Named
+
+__all__ = ["QUANTITIES", "SCALARS", "VECTORS", "Quantity"]
+
+
+def velocities_by(header: Header) -> str:
+    """Return the kernel that gives the velocities of a state; a retimed start gives dq/dtau."""
+    return "energy" if header.retimed else "start"
+
+
+def by(kernel: str) -> Callable[[Header], str]:
+    """Return what gives one kernel for all modules."""
+    return lambda header: kernel
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity of states.
+
+    Attributes
+    ----------
+    name : str
+        Of the attribute, of variables in files, and in ``run[name]`` if it is one number.
+    doc : str
+        In words, as figures and files say it.
+    block : str
+        Where it stands in the workspace.
+    kernel : callable or None
+        Takes a header, and returns the kernel that computes it; None for the state itself.
+    axis : {"", "coordinates", "constraints", "invariants"}
+        What it has a number for each of; "" for a single number.
+    prefix : str
+        Stands before a name of these in the names of its numbers.
+    symbol : str
+        Stands for it in kernels that observe expressions, with a number behind it if there is an
+        axis; "" if no expression may contain it.
+    stored : bool
+        Whether it is among the columns of tables and the variables of files.
+    """
+
+    name: str
+    doc: str
+    block: str
+    kernel: Callable[[Header], str] | None = None
+    axis: str = ""
+    prefix: str = ""
+    symbol: str = ""
+    stored: bool = True
+
+    def places(self, names: Names) -> Mapping[str, int]:
+        """Return the place of each name that a user may give; of a single number there is none."""
+        return self._axis(names).places if self.axis else {}
+
+    def shown(self, names: Names) -> list[str]:
+        """Return the names of its numbers."""
+        return [f"{self.prefix}{x}" for x in self._axis(names).shown] if self.axis else [self.name]
+
+    def _axis(self, names: Names) -> Named:
+        found: Named = getattr(names, self.axis)
+        return found
+
+
+_TABLE = (
+    Quantity("q", "position", "POSITION", axis="coordinates", symbol="q_"),
+    Quantity("p", "conjugate momentum", "MOMENTUM", axis="coordinates", prefix="p_", symbol="p_"),
+    Quantity(
+        "v", "velocity", "VELOCITY", velocities_by, axis="coordinates", prefix="v_", symbol="v_"
+    ),
+    Quantity(
+        "multipliers",
+        "multipliers of constraints",
+        "MULTIPLIER",
+        by("multipliers"),
+        axis="constraints",
+        prefix="lambda_",
+        stored=False,
+    ),
+    Quantity("energy", "energy H", "ENERGY", by("energy"), symbol="energy"),
+)
+QUANTITIES = {one.name: one for one in _TABLE}
+#: Those with a number for each coordinate, and those of one number.
+VECTORS = tuple(one for one in _TABLE if one.axis == "coordinates")
+SCALARS = tuple(one for one in _TABLE if not one.axis)
