@@ -74,8 +74,10 @@ def test_run(tmp_path, own, capsys):
     assert "energy error" in out
     stored = np.load(files[0], allow_pickle=False)
     table = np.loadtxt(files[1], delimiter=",", skiprows=1)
-    assert files[1].read_text().splitlines()[0] == "t,x,p_x,v_x,energy"
-    assert (table == np.column_stack([stored[k] for k in ("t", "q", "p", "v", "energy")])).all()
+    assert files[1].read_text().splitlines()[0] == "t,x,p_x,v_x,energy,kinetic_energy"
+    assert (
+        table == np.column_stack([stored[k] for k in (*"tqpv", "energy", "kinetic_energy")])
+    ).all()
 
 
 ERRORS = {

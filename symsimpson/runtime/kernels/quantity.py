@@ -89,6 +89,7 @@ _TABLE = (
         stored=False,
     ),
     Quantity("energy", "energy H", "ENERGY", by("energy"), symbol="energy"),
+    Quantity("kinetic_energy", "kinetic energy", "KINETIC", by("energy"), symbol="kinetic"),
 )
 QUANTITIES = {one.name: one for one in _TABLE}
 #: Those with a number for each coordinate, and those of one number.

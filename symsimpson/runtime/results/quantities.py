@@ -50,6 +50,11 @@ class Quantities:
         return self._energies[..., 0]
 
     @cached_property
+    def kinetic_energy(self) -> NDArray[Any]:
+        """The part of H that is quadratic in p; what is left is the potential energy."""
+        return self._energies[..., 1]
+
+    @cached_property
     def _energies(self) -> NDArray[Any]:
         """H and its kinetic part, which stand in two rows, shape (..., 2)."""
         return self._evaluated("energy", "ENERGY", 2)

@@ -100,7 +100,8 @@ class States(Quantities):
         """Return a quantity by its name, shape (N,), or some of the states.
 
         Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
-        "t" and "energy". A number gives one state, a slice or an array as numpy takes them more.
+        "t", "energy" and "kinetic_energy". A number gives one state, a slice or an array as numpy
+        takes them more.
 
         Raises
         ------
@@ -232,7 +233,7 @@ class States(Quantities):
         >>> import symsimpson as ss
         >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
         >>> list(run.to_pandas().columns)
-        ['theta', 'p_theta', 'v_theta', 'energy', 'bob_x', 'bob_y']
+        ['theta', 'p_theta', 'v_theta', 'energy', 'kinetic_energy', 'bob_x', 'bob_y']
         """
         return dataframe(self._table(), "t", self._about(), self.program.units)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
+from symsimpson.runtime.kernels.quantity import QUANTITIES
 
 SYSTEM = ss.systems.spherical_pendulum()
 
@@ -30,6 +31,26 @@ def many(stepper):
         parameters={"g": [9.81, 9.81, 4.0]},
         reduce={"highest": ("max", "theta")},
     )
+
+
+def test_a_quantity_of_the_table_has_attribute_name_column_and_variable(run, many):
+    frame, data = run.to_pandas(), run.to_xarray()
+    for one in QUANTITIES.values():
+        value = getattr(run, one.name)
+        assert value.shape[1:] == ((len(one.shown(run.program.names)),) if one.axis else ())
+        for k, name in enumerate(one.shown(run.program.names)):
+            column = value[:, k] if one.axis else value
+            assert (run[name] == column).all()
+            assert (name in frame) == one.stored
+        assert (one.name in data) == one.stored
+        assert getattr(many, one.name).shape[:2] == many.q.shape[:2]
+
+
+def test_the_kinetic_energy_is_half_of_p_times_v(run):
+    np.testing.assert_allclose(run.kinetic_energy, (run.p * run.v).sum(axis=1) / 2, rtol=1e-14)
+    half = float(run.kinetic_energy[:2].mean())
+    t = run.events(f"kinetic_energy - {half!r}").t[0]
+    assert abs(run.at(t).kinetic_energy[0] - half) < 1e-12
 
 
 @pytest.mark.slow

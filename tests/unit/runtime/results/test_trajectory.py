@@ -5,6 +5,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
+from symsimpson.runtime.kernels.quantity import SCALARS
 
 TOP, PENDULUM = ss.systems.lagrange_top(), ss.systems.double_pendulum()
 
@@ -67,7 +68,7 @@ def test_tables(run):
     frame = run.to_pandas()
     names = [f"{x}{q}" for x in ("", "p_", "v_") for q in ("q1", "q2")]
     points = [f"{x}_{axis}" for x in PENDULUM.positions for axis in "xy"]
-    assert list(frame.columns) == [*names, "energy", *points]
+    assert list(frame.columns) == [*names, *(one.name for one in SCALARS), *points]
     assert frame.index.name == "t"
     assert (frame["q2"].to_numpy() == run.q[:, 1]).all()
     data = run.to_xarray()
