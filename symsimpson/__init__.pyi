@@ -7,10 +7,11 @@ from .analysis.choose import choose as choose
 from .analysis.costs import StepCosts as StepCosts
 from .analysis.costs import step_costs as step_costs
 from .analysis.to_error import integrate as integrate
-from .api import compile as compile
-from .api import generate as generate
-from .api import load as load
-from .api import resume as resume
+from .api.compiling import compile as compile
+from .api.compiling import generate as generate
+from .api.compiling import load as load
+from .api.compiling import resume as resume
+from .api.stepper import Stepper as Stepper
 from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
 from .errors import ConstraintWarning as ConstraintWarning
@@ -57,7 +58,6 @@ from .runtime.results.status import Status as Status
 from .runtime.results.trajectory import Trajectory as Trajectory
 from .runtime.runs.driving import samples as samples
 from .runtime.runs.loop import ControlLoop as ControlLoop
-from .runtime.stepper import Stepper as Stepper
 from .schemes.composition import Composition as Composition
 from .schemes.composition import composition as composition
 from .schemes.scheme import MIDPOINT as MIDPOINT

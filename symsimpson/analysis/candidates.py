@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.frequency import largest_stable
+from symsimpson.api.stepper import Stepper
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Found", "Wanted"]
 

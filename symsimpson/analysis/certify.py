@@ -33,8 +33,8 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
+    from symsimpson.api.stepper import Stepper
     from symsimpson.runtime.results.trajectory import Trajectory
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["certify"]
 

@@ -15,11 +15,11 @@ from symsimpson.analysis.candidates import Wanted
 from symsimpson.analysis.pilot import any_step, choose_state, choose_step
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem, attracts, not_retimed, retimed
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.ahead import late
 from symsimpson.support.calling import explained

@@ -9,7 +9,7 @@ import numpy as np
 
 from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.subject import Subject
-from symsimpson.runtime.stepper import Stepper
+from symsimpson.api.stepper import Stepper
 
 __all__ = ["LONG", "drift", "keeps_shadow", "shadow"]
 

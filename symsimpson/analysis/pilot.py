@@ -14,7 +14,7 @@ from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, S
 from symsimpson.runtime.results.status import Status
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.api.stepper import Stepper
 
 __all__ = ["any_step", "choose_state", "choose_step"]
 

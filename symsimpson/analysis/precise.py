@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.api.stepper import Stepper
 from symsimpson.module.matrices import slopes_of
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
@@ -17,7 +18,6 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
 from symsimpson.runtime.runs.run import Run
-from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Precise"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import symsimpson
 from symsimpson.analysis.choose import Choice
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.runtime.kernels.kept import kept

@@ -22,7 +22,7 @@ from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.stepper import Stepper
+    from symsimpson.api.stepper import Stepper
 
 __all__ = ["SHORT", "Subject", "with_inputs"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+from symsimpson.api.stepper import Stepper
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest, with_facts
 from symsimpson.runtime.program import new_program
-from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["in_tau", "oversolved", "rewritten"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
 from symsimpson.bench.contender import Contender, Outcome, Runnable, numbers_of_steps
 from symsimpson.bench.problem import Problem
 from symsimpson.bench.programs import PROGRAMS

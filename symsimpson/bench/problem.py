@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.analysis.pilot import choose_state
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference import FirstOrder, canonical, second_order, truth
-from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["Problem", "make_problem"]
 

@@ -15,7 +15,7 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
 from symsimpson.bench.contender import (
     COARSE,
     TOLERANCES,

@@ -29,7 +29,7 @@ def list_systems(options: argparse.Namespace) -> int:
 
 def generate(options: argparse.Namespace) -> int:
     """Write generated modules."""
-    from symsimpson.api import generate as write
+    from symsimpson.api.compiling import generate as write
     from symsimpson.systems import CATALOGUE
 
     for name in options.system or CATALOGUE:
@@ -76,8 +76,8 @@ def check(options: argparse.Namespace) -> int:
 
 def certify(options: argparse.Namespace) -> int:
     """Measure whether a stepper is what it should be."""
-    from symsimpson.api import compile as compile_system
-    from symsimpson.api import load
+    from symsimpson.api.compiling import compile as compile_system
+    from symsimpson.api.compiling import load
 
     path = Path(options.stepper)
     if path.suffix == ".py" and options.retimed:
@@ -120,7 +120,7 @@ def stress(options: argparse.Namespace) -> int:
     """Run a system for long, and at large steps."""
     from symsimpson.analysis.stability import stress as stressed
     from symsimpson.analysis.stability import stress_standard
-    from symsimpson.api import compile as compile_system
+    from symsimpson.api.compiling import compile as compile_system
 
     if options.system is None:
         lines = stress_standard(options.scheme)

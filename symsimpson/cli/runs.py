@@ -15,9 +15,9 @@ from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.files import check_folder, written_beside
 
 if TYPE_CHECKING:
+    from symsimpson.api.stepper import Stepper
     from symsimpson.mechanics.system import MechanicalSystem
     from symsimpson.runtime.results.trajectory import Trajectory
-    from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["film", "plot", "run"]
 
@@ -82,7 +82,7 @@ def film(options: argparse.Namespace) -> int:
 
 def _made(system: MechanicalSystem, options: argparse.Namespace) -> tuple[Stepper, dict[str, Any]]:
     """Return the stepper that is asked for, its state and the values of parameters."""
-    from symsimpson.api import compile as compile_system
+    from symsimpson.api.compiling import compile as compile_system
 
     state = state_of(system, options)
     stepper = compile_system(system, options.scheme)

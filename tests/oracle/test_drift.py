@@ -5,9 +5,9 @@ import pytest
 from support.forms import limited
 
 import symsimpson as ss
+from symsimpson.api.stepper import Stepper
 from symsimpson.codegen import pipeline
 from symsimpson.runtime.program import new_program
-from symsimpson.runtime.stepper import Stepper
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,6 @@
 """Make modules in another form than their size asks for."""
 
-from symsimpson import api
+from symsimpson.api import compiling as api
 from symsimpson.codegen import kernels, pipeline
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.runtime.stepper import Stepper
+from symsimpson.api.stepper import Stepper
 
 __all__ = ["Mixing", "Reversal", "mixing", "reversal"]
 

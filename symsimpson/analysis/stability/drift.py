@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.pilot import choose_state
 from symsimpson.analysis.variants import oversolved
-from symsimpson.runtime.stepper import Stepper
+from symsimpson.api.stepper import Stepper
 
 __all__ = ["Drift", "energy_drift"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.pilot import any_step
-from symsimpson.api import compile as compile_system
-from symsimpson.runtime.stepper import Stepper
+from symsimpson.api.compiling import compile as compile_system
+from symsimpson.api.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.systems import harmonic_oscillator

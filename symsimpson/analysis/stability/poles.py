@@ -16,11 +16,11 @@ import numpy as np
 import sympy as sp
 from numpy.typing import NDArray
 
-from symsimpson.api import compile as compile_system
+from symsimpson.api.compiling import compile as compile_system
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ResolutionWarning
 from symsimpson.reference import FirstOrder, rk4
 from symsimpson.runtime.results.status import Status
-from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.systems import lagrange_top, spherical_pendulum
 

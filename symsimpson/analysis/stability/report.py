@@ -14,8 +14,8 @@ from symsimpson.analysis.stability.limits import linear_limits, theory_limits
 from symsimpson.analysis.stability.poles import pole_sweep
 from symsimpson.analysis.stability.rotations import turned
 from symsimpson.analysis.variants import in_tau
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ConvergenceError
-from symsimpson.runtime.stepper import Stepper
 
 __all__ = ["stress", "stress_standard"]
 

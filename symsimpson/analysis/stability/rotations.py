@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.runtime.stepper import Stepper
+from symsimpson.api.stepper import Stepper
 
 __all__ = ["Turned", "turned"]
 

@@ -14,7 +14,8 @@ from symsimpson.analysis.certify import DIGITS
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import linear_symmetries
 from symsimpson.analysis.variants import rewritten
-from symsimpson.api import TOOLS
+from symsimpson.api.compiling import TOOLS
+from symsimpson.api.stepper import Stepper
 from symsimpson.codegen import coupled
 from symsimpson.codegen.emit import emit
 from symsimpson.codegen.kernels import lower
@@ -24,7 +25,6 @@ from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest
 from symsimpson.runtime.program import new_program
-from symsimpson.runtime.stepper import Stepper
 
 PENDULUM = ss.systems.double_pendulum()
 

@@ -18,8 +18,8 @@ from symsimpson.analysis.stability import (
     turned,
 )
 from symsimpson.analysis.variants import oversolved, rewritten
+from symsimpson.api.stepper import Stepper
 from symsimpson.runtime.program import new_program
-from symsimpson.runtime.stepper import Stepper
 
 PENDULUM = ss.systems.double_pendulum()
 H = 0.1 / 512

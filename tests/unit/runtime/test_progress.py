@@ -6,7 +6,7 @@ import time
 import pytest
 
 import symsimpson as ss
-from symsimpson import api
+from symsimpson.api import compiling as api
 from symsimpson.codegen.pipeline import derive
 from symsimpson.mechanics import system as system_module
 from symsimpson.runtime.kernels import cache

@@ -6,7 +6,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
-from symsimpson import api
+from symsimpson.api import compiling as api
 from symsimpson.runtime.kernels import kept, texts
 
 k = sp.Symbol("k", positive=True)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
 
+from symsimpson.api.derivatives import Differentiating
+from symsimpson.api.evaluator import Parameters
 from symsimpson.errors import InputError
-from symsimpson.runtime.derivatives import Differentiating
-from symsimpson.runtime.evaluator import Parameters
 from symsimpson.runtime.program import report_of
 from symsimpson.runtime.runs.request import Request
 from symsimpson.support.calling import explaining

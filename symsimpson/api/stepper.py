@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 
 from numpy.typing import ArrayLike
 
-from symsimpson.runtime.evaluator import Parameters
-from symsimpson.runtime.examining import Examining
+from symsimpson.api.evaluator import Parameters
+from symsimpson.api.examining import Examining
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.requested import run

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from symsimpson.runtime.evaluator import Evaluator, Parameters, Reals
+from symsimpson.api.evaluator import Evaluator, Parameters, Reals
 from symsimpson.runtime.runs.driving import node_times
 from symsimpson.runtime.runs.request import Request, of_a_step
 from symsimpson.runtime.runs.requested import end_of_step

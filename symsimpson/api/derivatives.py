@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.api.stepping import Stepping
 from symsimpson.runtime.gradients import Wanted, gradient_of
 from symsimpson.runtime.results.chaos import Chaos
 from symsimpson.runtime.results.gradient import Gradient
@@ -14,11 +15,10 @@ from symsimpson.runtime.runs.chaos import lyapunov
 from symsimpson.runtime.runs.request import Request, of_a_step
 from symsimpson.runtime.runs.requested import tangent_of_step
 from symsimpson.runtime.runs.variations import read_varied
-from symsimpson.runtime.stepping import Stepping
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.evaluator import Parameters
+    from symsimpson.api.evaluator import Parameters
 
 __all__ = ["Differentiating"]
 

@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from symsimpson.api.stepper import Stepper
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.pipeline import derive
 from symsimpson.discrete.equations import check_differentiable
@@ -24,7 +25,6 @@ from symsimpson.runtime.kernels.texts import kept_text
 from symsimpson.runtime.program import Program, Tools, new_program, read_program
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.checkpoint import read_asked
-from symsimpson.runtime.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
