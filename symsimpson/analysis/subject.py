@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
+from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
@@ -20,9 +21,6 @@ from symsimpson.runtime.inputs import read_number
 from symsimpson.runtime.program import Findings
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
-
-if TYPE_CHECKING:
-    from symsimpson.api.stepper import Stepper
 
 __all__ = ["SHORT", "Subject", "with_inputs"]
 

@@ -145,19 +145,10 @@ def pull_velocities(
     W = workspace(header, numbers, values)
     varied, nodes = len(header.varied_by or ()), header.nodes
     out, slopes = given.copy(), numbers.zeros((len(q), max(1, varied * nodes)))
-    numbers.driver("pull_velocities")(
-        *map(kernels.address, ("prepare", "start", "start_adjoint")),
-        numbers.read(1.0).item(),
-        W,
-        header.told,
-        t,
-        q,
-        p,
-        header.layout["ADJOINT"],
-        header.layout["COST_SLOPE"],
-        out,
-        slopes,
-    )
+    addresses = tuple(map(kernels.address, ("prepare", "start", "start_adjoint")))
+    setting = numbers.read(1.0).item(), t, W, header.told
+    rows = header.layout["ADJOINT"], header.layout["COST_SLOPE"]
+    numbers.driver("pull_velocities")(addresses, setting, (q, p), rows, out, slopes)
     return out, slopes[:, : varied * nodes : nodes]
 
 

@@ -72,16 +72,13 @@ def evaluate_equations(
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
+        addresses = kernels.address("prepare"), 0, kernels.address("equations")
         numbers.driver("evaluate")(
-            kernels.address("prepare"),
-            0,
-            kernels.address("equations"),
+            addresses,
             h,
             run.W,
             header.told,
-            numbers.read([t]),
-            q[None, :],
-            p[None, :],
+            (numbers.read([t]), q[None, :], p[None, :]),
             header.layout["RESIDUAL"],
             numbers.zeros((1, 0)),
             read_driving(program, inputs, h, 1),

@@ -140,19 +140,9 @@ def _evaluated(
     """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
     numbers, (first, count) = program.numbers, block
     out = numbers.zeros((len(q), count))
-    numbers.driver("evaluate")(
-        program.kernels.address("prepare"),
-        *kernels,
-        numbers.read(1.0).item(),
-        W,
-        program.header.told,
-        numbers.read(t),
-        numbers.read(q),
-        numbers.read(p),
-        first,
-        out,
-        inputs,
-    )
+    addresses, states = (program.kernels.address("prepare"), *kernels), map(numbers.read, (t, q, p))
+    setting = numbers.read(1.0).item(), W, program.header.told
+    numbers.driver("evaluate")(addresses, *setting, tuple(states), first, out, inputs)
     return numbers.result(out)
 
 

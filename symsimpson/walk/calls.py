@@ -24,41 +24,39 @@ class Calls(Blocks):
         """Return what a function is made for, and the values to call it with.
 
         Numbers that are known are part of the function. An array is a pointer, and what is not
-        known of its shape and strides.
+        known of its shape and strides; a tuple is what stands in it.
         """
-        kinds: list[Any] = []
         given: list[Any] = []
 
         def take(value: Any) -> Any:
+            if isinstance(value, Array):
+                return "array", tuple(map(take, (value.pointer, *value.shape, *value.strides)))
+            if isinstance(value, list):
+                return "several", tuple(map(take, value))
             if known(value):
                 return type(value).__name__, value
             given.append(value)
             return str(value.type)
 
-        for one in arguments:
-            if isinstance(one, Array):
-                pointer = take(one.pointer)
-                kinds.append((pointer, *(tuple(map(take, x)) for x in (one.shape, one.strides))))
-            else:
-                kinds.append(take(one))
-        return (name, tuple(kinds)), given
+        return (name, tuple(map(take, arguments))), given
 
     def unpacked(self, key: Any, own: list[Any]) -> list[Any]:
         """Return the arguments of a function, made of the values that it was called with."""
         rest = iter(own)
 
         def back(kind: Any) -> Any:
-            return kind[1] if isinstance(kind, tuple) else next(rest)
+            match kind:
+                case "array", parts:
+                    pointer, *numbers = map(back, parts)
+                    axes = len(numbers) // 2
+                    return Array(pointer, tuple(numbers[:axes]), tuple(numbers[axes:]))
+                case "several", parts:
+                    return list(map(back, parts))
+                case _, value:
+                    return value
+            return next(rest)
 
-        found = []
-        for kind in key[1]:
-            if isinstance(kind, tuple) and len(kind) == 3:
-                pointer = next(rest)
-                shape, strides = (tuple(map(back, part)) for part in kind[1:])
-                found.append(Array(pointer, shape, strides))
-            else:
-                found.append(back(kind))
-        return found
+        return list(map(back, key[1]))
 
     def apart(
         self, name: str, given: list[Any], walk: Callable[[list[Any]], Any]

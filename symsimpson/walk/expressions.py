@@ -15,7 +15,7 @@ from symsimpson.walk.arrays import Array, Range
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text
-from symsimpson.walk.trees import reads_rows, used_once
+from symsimpson.walk.trees import must_wait, used_once
 from symsimpson.walk.values import Refused, known
 
 __all__ = ["Env", "Expressions", "Frame", "Product"]
@@ -242,7 +242,7 @@ class Expressions(ABC):
             def rest(part: ast.expr = part) -> Any:
                 return self._value(part, env)
 
-            if self._width or not reads_rows(part):
+            if self._width or not must_wait(part, self._text):
                 join = self._values.either if settles else self._values.both
                 truth = join(truth, rest())
             elif settles:
@@ -261,7 +261,7 @@ class Expressions(ABC):
         def two() -> Any:
             return self._value(other, env)
 
-        if not self._width and (reads_rows(body) or reads_rows(other)):
+        if not self._width and (must_wait(body, self._text) or must_wait(other, self._text)):
             return self._values.picked(truth, one, two)
         return self._values.choose(truth, one(), two())
 

@@ -59,7 +59,7 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
             k for k, node in whole.functions.items() if "INLINE" not in _options(node)
         )
         given = [
-            _array(context, values, kind, one) if isinstance(kind, types.Array) else one
+            _argument(context, values, kind, one)
             for kind, one in zip(called.args, arguments, strict=True)
         ]
         found = Walker(whole, values, library(context), FEW, apart).function(name, given)
@@ -73,6 +73,19 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
 
 def _options(node: ast.FunctionDef) -> str:
     return ast.unparse(node.decorator_list[0]) if node.decorator_list else ""
+
+
+def _argument(context: Any, values: Calls, kind: Any, value: Any) -> Any:
+    """Return an argument of numba's: a number, an array, or a list of what stands in a tuple."""
+    from numba import types
+
+    if isinstance(kind, types.BaseTuple):
+        parts: Any = kind
+        return [
+            _argument(context, values, part, values.builder.extract_value(value, k))
+            for k, part in enumerate(parts.types)
+        ]
+    return _array(context, values, kind, value) if isinstance(kind, types.Array) else value
 
 
 def _array(context: Any, values: Calls, kind: Any, value: Any) -> Array:

@@ -10,7 +10,7 @@ from typing import Any
 
 from symsimpson.walk.text import Text
 
-__all__ = ["assigned", "leaves", "reads_rows", "used_once", "vectors", "weight"]
+__all__ = ["assigned", "leaves", "must_wait", "used_once", "vectors", "weight"]
 
 #: How often a loop of unknown length is taken to turn.
 TURNS = 4
@@ -55,6 +55,16 @@ def reads_rows(node: ast.expr) -> bool:
     """Return whether an expression reads where nothing may be, or divides whole numbers."""
     risky = (ast.Subscript, ast.FloorDiv, ast.Mod)
     return any(isinstance(part, risky) for part in ast.walk(node))
+
+
+def must_wait(node: ast.expr, text: Text) -> bool:
+    """Return whether an expression must not be evaluated before it is known to be needed."""
+    called = (
+        text.functions.get(part.func.id)
+        for part in ast.walk(node)
+        if isinstance(part, ast.Call) and isinstance(part.func, ast.Name)
+    )
+    return reads_rows(node) or any(x is not None and not _straight(x) for x in called)
 
 
 @lru_cache(maxsize=16384)

@@ -87,9 +87,6 @@ class Walker(Functions):
                 return False
             case ast.Expr(value=value):
                 self._value(value, env)
-            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
-                for target, one in zip(targets, self._value(value, env), strict=True):
-                    self._assign(target, one, env)
             case ast.Assign(
                 targets=[ast.Name(id=name)], value=ast.BinOp(left=left, op=ast.Mult(), right=right)
             ) if name in self._frames[-1].once and not isinstance(env.get(name), Slot):
@@ -141,7 +138,11 @@ class Walker(Functions):
         return True
 
     def _assign(self, target: ast.expr, value: Any, env: Env) -> None:
-        self._put(target, self._places(target, env), value, env)
+        if not isinstance(target, ast.Tuple):
+            self._put(target, self._places(target, env), value, env)
+            return
+        for part, one in zip(target.elts, value, strict=True):
+            self._assign(part, one, env)
 
     def _at(self, target: Any, place: Any, env: Env) -> Any:
         return self._named(target.id, env) if place is None else self._read(place)

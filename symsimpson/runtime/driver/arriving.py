@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.begin import begin, begin_anew
+from symsimpson.runtime.driver.begin import START_OF_RUN, begin, begin_anew
 from symsimpson.runtime.driver.between import states_at
 from symsimpson.runtime.driver.brief import take_all
 from symsimpson.runtime.driver.explicit import steady
@@ -17,22 +17,19 @@ from symsimpson.runtime.driver.steps import COUNTS, INPUTS, SET, SIGNATURES, TOL
 SIGNATURES |= {
     "run_to_end": types.int64(
         SET,
-        types.int64[::1],
-        types.float64[::1],
-        WORKSPACE,
-        TOLD_ROWS,
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[::1],
-        types.int64,
-        types.int64,
-        types.int64,
-        types.float64,
-        types.float64[:, :, :, ::1],
-        types.float64[:, :, ::1],
-        COUNTS,
-        WORKSPACE,
-        types.float64[::1],
+        types.UniTuple(types.int64, 3),
+        types.Tuple((types.float64[::1], WORKSPACE, TOLD_ROWS)),
+        START_OF_RUN,
+        types.Tuple((types.int64, types.int64, types.int64, types.float64)),
+        types.Tuple(
+            (
+                types.float64[:, :, :, ::1],
+                types.float64[:, :, ::1],
+                COUNTS,
+                WORKSPACE,
+                types.float64[::1],
+            )
+        ),
         INPUTS,
     )
 }
@@ -41,38 +38,21 @@ FEWEST_LOOKED_AT = 16
 
 
 @njit(**DRIVER_OPTIONS)
-def run_to_end(
-    kernels,
-    more,
-    times,
-    W,
-    at,
-    parameters,
-    q,
-    other,
-    most,
-    every,
-    few,
-    limit,
-    states,
-    kept,
-    iterations,
-    end,
-    told,
-    inputs,
-):
+def run_to_end(kernels, addresses, setting, start, asked, found, inputs):
     """Begin anew, take steps until the end lies behind one, and then a part of a step to there.
 
-    Returns the number of whole steps; -1 where anything is not as it should be, -2 where ``most``
-    steps did not lead there. ``more`` has the addresses of legendre (0 if momenta are given), of
-    the energy, and of what sets the energy and the rate of the run, which go to ``parameters``;
-    ``times`` the step, the start, the end, and how near that must be met. ``end`` has the state
-    before the last part, and takes that behind it; ``told`` the part, and the iterations.
+    Returns the number of whole steps; -1 where anything is not as it should be, -2 where the most
+    steps that are ``asked`` for did not lead there. ``addresses`` are those of legendre (0 if
+    momenta are given), of the energy, and of what sets the energy and the rate of the run, which go
+    to its parameters; ``setting`` has the step, the start, the end, and how near that must be met.
+    What is ``found`` are states, their times, iterations, at the end the state before the last
+    part, and then that behind it; and of the last part how long it is, and all iterations.
     """
-    legendre, energy, retime = more[0], more[1], more[2]
+    (legendre, energy, retime), (times, W, at) = addresses, setting
+    (most, every, few, limit), (states, kept, iterations, end, told) = asked, found
     h, t0, t_end, near = times[0], times[1], times[2], times[3]
-    n, time = q.size, at[KEPT]
-    begin_anew(kernels, legendre, h, t0, W, at, parameters, q, other)
+    parameters, n, time = start[0], at[DIMENSION], at[KEPT]
+    begin_anew(kernels, legendre, (h, t0, W, at), start)
     call(retime, h, t0, W)
     begin(kernels, 0, h, t0, W, at)
     W[time, 0], kept[0, 0, 0] = t0, t0
@@ -85,9 +65,8 @@ def run_to_end(
     if not (parameters[-1] > 0.0 and W[at[MASS_PIVOT], 0] >= 0.0):  # the first rate
         return -1
     progress = np.zeros(3, dtype=np.int64)
-    take_all(
-        kernels, h, t0, W, at, progress, most, every, states[0], states[1], kept, iterations, inputs
-    )
+    stores = states[0], states[1], kept, iterations
+    take_all(kernels, (h, t0, W, at), progress, most, every, stores, inputs)
     if W[at[STATUS], 0] != ARRIVED:
         return -2 if progress[0] == most else -1
     steps = progress[0] - 1
@@ -100,33 +79,19 @@ def run_to_end(
         end[1, a] = W[at[PREVIOUS] + 2 * n + a, 0]
     for row in range(W.shape[0]):  # the last part does not depend on the way that led there
         W[row, 0] = 0.0
-    fine, asked = np.zeros(1, dtype=np.bool_), np.full(1, t_end)
-    states_at(
-        kernels,
-        energy,
-        h,
-        before,
-        W,
-        at,
-        end[:1],
-        end[1:],
-        np.zeros(1, dtype=np.int64),
-        asked,
-        ends[0],
-        ends[1],
-        told[:1],
-        fine,
-        1,
-        inputs,
-        near,
-        parameters.reshape(1, -1),
-    )
+    fine, when = np.zeros(1, dtype=np.bool_), np.full(1, t_end)
+    sought = np.zeros(1, dtype=np.int64), when, near
+    last_part = ends[0], ends[1], told[:1], fine
+    own = inputs, parameters.reshape(1, -1)
+    here = h, before, W, at
+    states_at(kernels, energy, here, (end[:1], end[1:]), sought, last_part, 1, own)
     for a in range(n):
         end[0, a], end[1, a] = ends[0, 0, a], ends[1, 0, a]
     if not fine[0]:
         return -1
     if few > 0 and last + 1 >= FEWEST_LOOKED_AT:
         seen, rate = min(last, few), time + RATE_BEHIND
-        if not steady(energy, h, W, at, states[0], states[1], last, seen, limit, rate):
+        judged, stored = (last, seen, limit), (states[0], states[1])
+        if not steady(energy, (h, t0, W, at), stored, judged, rate):
             return -1
     return steps

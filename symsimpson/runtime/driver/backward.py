@@ -6,40 +6,26 @@ Compiled behind the text of the driver, whose names it uses.
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.between import GIVEN, TIMES
+from symsimpson.runtime.driver.between import BETWEEN, GIVEN, STATES_GIVEN
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call
-from symsimpson.runtime.driver.steps import INPUTS, SIGNATURES, STATES, TOLD_ROWS, WORKSPACE, give
+from symsimpson.runtime.driver.steps import INPUTS, SETTING, SIGNATURES, STATES, WORKSPACE, give
 
 SIGNATURES |= {
     "carry_back": types.void(
+        types.UniTuple(types.int64, 2),
+        SETTING,
+        types.UniTuple(types.int64, 2),
         types.int64,
-        types.int64,
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        types.int64,
-        types.int64,
-        types.int64,
-        STATES,
-        GIVEN,
+        types.Tuple((STATES, GIVEN, INPUTS)),
         WORKSPACE,
         types.int64[::1],
         WORKSPACE,
-        INPUTS,
     ),
     "pull_velocities": types.void(
-        types.int64,
-        types.int64,
-        types.int64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        TIMES,
-        GIVEN,
-        GIVEN,
-        types.int64,
-        types.int64,
+        types.UniTuple(types.int64, 3),
+        BETWEEN,
+        STATES_GIVEN,
+        types.UniTuple(types.int64, 2),
         WORKSPACE,
         WORKSPACE,
     ),
@@ -47,30 +33,17 @@ SIGNATURES |= {
 
 
 @njit(**DRIVER_OPTIONS)
-def carry_back(
-    prepare,
-    adjoint,
-    h,
-    t0,
-    W,
-    at,
-    row,
-    slope_row,
-    first,
-    records,
-    jumps,
-    totals,
-    chosen,
-    slopes,
-    inputs,
-):
-    """Carry derivatives by the state, from ``row`` of the workspace on, back over steps.
+def carry_back(addresses, setting, rows, first, given, totals, chosen, slopes):
+    """Carry derivatives by the state, from the first of ``rows`` on, back over steps.
 
-    The last of the ``records`` are those of the steps from number ``first`` on. ``jumps`` are
-    added at the states behind these steps, if there are any. What stands from ``slope_row`` on is
-    added to ``totals``, and what rounding takes from these to its second row; ``slopes`` takes
-    those that are ``chosen``, step by step.
+    ``addresses`` are those of prepare and of the adjoint. The last of the records that are
+    ``given`` are those of the steps from number ``first`` on; behind them, jumps are added at the
+    states behind these steps, if there are any, and inputs. What stands from the second of ``rows``
+    on is added to ``totals``, and what rounding takes from these to its second row; ``slopes``
+    takes those that are ``chosen``, step by step.
     """
+    (prepare, adjoint), (h, t0, W, at) = addresses, setting
+    (row, slope_row), (records, jumps, inputs) = rows, given
     n, steps = at[DIMENSION], slopes.shape[0]
     call(prepare, h, t0, W)
     for back in range(steps):
@@ -95,12 +68,14 @@ def carry_back(
 
 
 @njit(**DRIVER_OPTIONS)
-def pull_velocities(prepare, start, adjoint, h, W, at, t, q, p, row, slope_row, out, slopes):
+def pull_velocities(addresses, setting, states, rows, out, slopes):
     """Turn derivatives by q and p at states into those by q and v, in ``out``.
 
-    ``slopes`` takes those by parameters at given q and v.
+    ``addresses`` are those of prepare, of the start, and of the adjoint there; ``rows`` where
+    derivatives by the state, and by parameters, begin. ``slopes`` takes the latter at given v.
     """
-    n = at[DIMENSION]
+    (prepare, start, adjoint), (h, t, W, at) = addresses, setting
+    (q, p), (row, slope_row), n = states, rows, at[DIMENSION]
     call(prepare, h, t[0], W)
     for i in range(out.shape[0]):
         for a in range(n):

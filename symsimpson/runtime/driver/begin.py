@@ -8,22 +8,22 @@ from numba import njit, types
 
 from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
-from symsimpson.runtime.driver.steps import SET, SIGNATURES, TOLD_ROWS, WORKSPACE, keep, put_back
+from symsimpson.runtime.driver.steps import (
+    SET,
+    SETTING,
+    SIGNATURES,
+    TOLD_ROWS,
+    WORKSPACE,
+    keep,
+    put_back,
+)
 
+#: Parameters, positions, and momenta or velocities.
+START_OF_RUN = types.UniTuple(types.float64[::1], 3)
 SIGNATURES |= {
     "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
     "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
-    "begin_anew": types.void(
-        SET,
-        types.int64,
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[::1],
-    ),
+    "begin_anew": types.void(SET, types.int64, SETTING, START_OF_RUN),
     "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
 }
 
@@ -44,8 +44,9 @@ def begin(kernels, legendre, h, t, W, at):
 
 
 @njit(**DRIVER_OPTIONS)
-def begin_anew(kernels, legendre, h, t, W, at, parameters, q, other):
-    """Begin at q and p, or v, in a workspace in which another run may have been."""
+def begin_anew(kernels, legendre, setting, start):
+    """Begin in a workspace in which another run may have been, with parameters, q and p, or v."""
+    (h, t, W, at), (parameters, q, other) = setting, start
     second = at[MOMENTUM] if legendre == 0 else at[VELOCITY]
     for row in range(W.shape[0]):
         W[row, 0] = 0.0

@@ -16,41 +16,27 @@ from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, 
 MOST_PARTS = 200
 #: Stored states may be on disk, or belong to somebody else: they are only read.
 TIMES, GIVEN = (types.Array(types.float64, n, "C", readonly=True) for n in (1, 2))
+#: The setting of a run whose states have these times, and their q and p.
+BETWEEN = types.Tuple((types.float64, TIMES, WORKSPACE, TOLD_ROWS))
+STATES_GIVEN = types.UniTuple(GIVEN, 2)
+INTEGERS, REALS, TRUTHS = types.int64[::1], types.float64[::1], types.boolean[::1]
 SIGNATURES |= {
     "states_at": types.void(
         SET,
         types.int64,
-        types.float64,
-        TIMES,
-        WORKSPACE,
-        TOLD_ROWS,
-        GIVEN,
-        GIVEN,
-        types.int64[::1],
-        types.float64[::1],
-        WORKSPACE,
-        WORKSPACE,
-        types.float64[::1],
-        types.boolean[::1],
+        BETWEEN,
+        STATES_GIVEN,
+        types.Tuple((INTEGERS, REALS, types.float64)),
+        types.Tuple((WORKSPACE, WORKSPACE, REALS, TRUTHS)),
         types.int64,
-        INPUTS,
-        types.float64,
-        GIVEN,
+        types.Tuple((INPUTS, GIVEN)),
     ),
     "between": types.void(
         SET,
-        types.float64,
-        TIMES,
-        WORKSPACE,
-        TOLD_ROWS,
-        GIVEN,
-        GIVEN,
-        types.int64[::1],
-        types.int64[::1],
-        types.float64[::1],
-        WORKSPACE,
-        WORKSPACE,
-        types.boolean[::1],
+        BETWEEN,
+        STATES_GIVEN,
+        types.Tuple((INTEGERS, INTEGERS, REALS)),
+        types.Tuple((WORKSPACE, WORKSPACE, TRUTHS)),
         types.int64,
         INPUTS,
         INPUTS,
@@ -59,8 +45,9 @@ SIGNATURES |= {
 
 
 @njit(**DRIVER_OPTIONS)
-def begin_again(kernels, h, t, W, at, q, p):
+def begin_again(kernels, setting, q, p):
     """Begin at a stored state."""
+    h, t, W, at = setting
     n = at[DIMENSION]
     for k in range(at[POSITION], at[POSITION] + 4 * n):
         W[k, 0] = 0.0
@@ -73,15 +60,16 @@ def begin_again(kernels, h, t, W, at, q, p):
 
 
 @njit(**DRIVER_OPTIONS)
-def take(kernels, h, t, W, at, count, q, p, inputs, first):
+def take(kernels, setting, count, q, p, inputs, first):
     """Take steps from (q, p), and leave there the state after them; tells whether all went well.
 
     The first has the inputs of this number.
 
     Steps in doubt are not recovered here: that is rare, and would make this slow to compile.
     """
+    h, t, W, at = setting
     n, direct = at[DIMENSION], kernels[MODE] == EXPLICIT
-    begin_again(kernels, h, t, W, at, q, p)
+    begin_again(kernels, setting, q, p)
     for step in range(count):
         give(W, at, inputs, first + step)
         if not direct:
@@ -102,17 +90,18 @@ def take(kernels, h, t, W, at, count, q, p, inputs, first):
 
 
 @njit(**DRIVER_OPTIONS)
-def between(
-    kernels, h, t, W, at, q, p, start, whole, rest, q_out, p_out, fine, every, inputs, rests
-):
+def between(kernels, setting, states, sought, found, every, inputs, rests):
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
-    ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; where that and the whole
-    steps go up, no step is taken twice. ``every`` whole steps lie between stored states; they have
-    ``inputs``, and those of size ``rest[i]`` have ``rests``. ``q_out`` and ``p_out`` have one row
-    more than there are states to give: the state after the whole steps stands there. ``fine`` tells
-    of each whether its steps went well.
+    ``setting`` has the times of stored states, ``states`` are their q and p, and what is
+    ``sought`` tells by ``start`` which of them; where that and the whole steps go up, no step is
+    taken twice. ``every`` whole steps lie between stored states; they have ``inputs``, and those of
+    size ``rest[i]`` have ``rests``. What is ``found`` are q, p and whether steps went well. The
+    first two have one row more than there are states to give: the state after the whole steps
+    stands there.
     """
+    (h, t, W, at), (q, p) = setting, states
+    (start, whole, rest), (q_out, p_out, fine) = sought, found
     n, last = at[DIMENSION], len(start)
     stored, done, well = -1, 0, True
     for i in range(last):
@@ -122,35 +111,27 @@ def between(
                 q_out[last, a], p_out[last, a] = q[stored, a], p[stored, a]
         now = t[stored] + h * done
         if whole[i] > done and well:
-            well = take(
-                kernels,
-                h,
-                now,
-                W,
-                at,
-                whole[i] - done,
-                q_out[last],
-                p_out[last],
-                inputs,
-                stored * every + done,
-            )
+            first, count = stored * every + done, whole[i] - done
+            well = take(kernels, (h, now, W, at), count, q_out[last], p_out[last], inputs, first)
             done = whole[i]
             now = t[stored] + h * done
         for a in range(n):
             q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         fine[i] = well
         if well and rest[i] != 0.0:
-            fine[i] = take(kernels, rest[i], now, W, at, 1, q_out[i], p_out[i], rests, i)
+            part = rest[i], now, W, at
+            fine[i] = take(kernels, part, 1, q_out[i], p_out[i], rests, i)
 
 
 @njit(**DRIVER_OPTIONS)
-def part_of_step(kernels, energy, h, now, ahead, asked, W, at, q, p, inputs, near):
-    """Go from (q, p) to a time between ``now`` and ``ahead``, a step, and leave the state there.
+def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
+    """Go from a state to a time between that of it and ``ahead``, a step; leave the new one there.
 
     Returns the part of tau that leads there, and whether all went well. It is found by Newton's
     method, ``near`` as rounding is, with the rate that the energy's kernel tells; between a time
     before and one behind it.
     """
+    (h, now, W, at), (q, p) = setting, state
     n, time = at[DIMENSION], at[KEPT]
     start_q, start_p = q.copy(), p.copy()
     part, low, high, left = 0.0, 0.0, h, asked - now
@@ -162,7 +143,7 @@ def part_of_step(kernels, energy, h, now, ahead, asked, W, at, q, p, inputs, nea
         part += change
         for a in range(n):
             q[a], p[a] = start_q[a], start_p[a]
-        well = take(kernels, part, now, W, at, 1, q, p, inputs, 0)
+        well = take(kernels, (part, now, W, at), 1, q, p, inputs, 0)
         later = W[time, 0]
         call(energy, part, later, W)
         before, left = left, asked - later
@@ -179,32 +160,18 @@ def part_of_step(kernels, energy, h, now, ahead, asked, W, at, q, p, inputs, nea
 
 
 @njit(**DRIVER_OPTIONS)
-def states_at(
-    kernels,
-    energy,
-    h,
-    t,
-    W,
-    at,
-    q,
-    p,
-    start,
-    asked,
-    q_out,
-    p_out,
-    part,
-    fine,
-    every,
-    inputs,
-    near,
-    parameters,
-):
+def states_at(kernels, energy, setting, states, sought, found, every, own):
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
-    ``t``, ``q``, ``p`` are stored states, ``start`` tells which of them; ``every`` steps lie from
-    one to the next. ``part`` takes how far each state is into its step. ``q_out`` and ``p_out``
-    have one row more, for what is tried. ``parameters`` have a row for each state, or one for all.
+    ``setting`` has the times of stored states, ``states`` are their q and p; ``every`` steps lie
+    from one to the next. What is ``sought`` tells by ``start`` which of them, the times that are
+    asked for, and how near they must be met. What is ``found`` are q and p, which have one row
+    more, for what is tried, how far each state is into its step, and whether all went well. Its
+    ``own`` are inputs, and parameters: a row for each state, or one for all.
     """
+    (h, t, W, at), (q, p) = setting, states
+    (start, asked, near), (q_out, p_out, part, fine) = sought, found
+    inputs, parameters = own
     n, last, time = at[DIMENSION], len(start), at[KEPT]
     for i in range(last):
         k, now, ahead, well, more = start[i], t[start[i]], t[start[i]], True, True
@@ -217,7 +184,8 @@ def states_at(
             if more and well and now != asked[i]:
                 for a in range(n):
                     q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
-                well = take(kernels, h, now, W, at, 1, q_out[last], p_out[last], inputs, 0)
+                step = h, now, W, at
+                well = take(kernels, step, 1, q_out[last], p_out[last], inputs, 0)
                 ahead = W[time, 0]
                 more = well and (asked[i] - ahead) * h >= 0.0
                 if more:
@@ -225,7 +193,8 @@ def states_at(
                     for a in range(n):
                         q_out[i, a], p_out[i, a] = q_out[last, a], p_out[last, a]
         if now != asked[i] and well:
+            here, state = (h, now, W, at), (q_out[i], p_out[i])
             part[i], well = part_of_step(
-                kernels, energy, h, now, ahead, asked[i], W, at, q_out[i], p_out[i], inputs, near
+                kernels, energy, here, ahead, asked[i], state, inputs, near
             )
         fine[i] = well

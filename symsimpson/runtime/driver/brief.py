@@ -7,15 +7,15 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.begin import begin_anew
+from symsimpson.runtime.driver.begin import START_OF_RUN, begin_anew
 from symsimpson.runtime.driver.explicit import finite, steady, take_explicit_steps
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS
 from symsimpson.runtime.driver.steps import (
     COUNTS,
     INPUTS,
     SET,
+    SETTING,
     SIGNATURES,
-    TOLD_ROWS,
     WORKSPACE,
     take_steps,
 )
@@ -23,22 +23,11 @@ from symsimpson.runtime.driver.steps import (
 SIGNATURES |= {
     "run_briefly": types.int64(
         SET,
-        types.int64,
-        types.int64,
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        types.float64[::1],
-        types.float64[::1],
-        types.float64[::1],
-        types.int64,
-        types.int64,
-        types.int64,
-        types.float64,
-        types.float64[:, :, :, ::1],
-        COUNTS,
-        WORKSPACE,
+        types.UniTuple(types.int64, 2),
+        SETTING,
+        START_OF_RUN,
+        types.Tuple((types.int64, types.int64, types.int64, types.float64)),
+        types.Tuple((types.float64[:, :, :, ::1], COUNTS, WORKSPACE)),
         INPUTS,
     )
 }
@@ -49,53 +38,25 @@ take_all = take_steps if ITERATED else take_explicit_steps
 
 
 @njit(**DRIVER_OPTIONS)
-def run_briefly(
-    kernels,
-    legendre,
-    energy,
-    h,
-    t0,
-    W,
-    at,
-    parameters,
-    q,
-    other,
-    steps,
-    every,
-    few,
-    limit,
-    states,
-    iterations,
-    end,
-    inputs,
-):
+def run_briefly(kernels, addresses, setting, start, asked, found, inputs):
     """Begin anew, take all steps, and return how many iterations they took, or -1.
 
     It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
-    energy at a few of the stored states is not ``steady``. ``end`` takes the last q and p, then
-    the least and the largest of stored positions.
+    energy at a few of the stored states is not ``steady``. ``addresses`` are those of legendre (0
+    if momenta are given) and of the energy. ``asked`` are the number of steps, how many lie between
+    stored states, how many of these are looked at, and a limit; ``found`` takes states, iterations,
+    and at the end the last q and p, then the least and the largest of stored positions.
     """
-    n, last = q.size, steps // every if every != 0 else 0
-    begin_anew(kernels, legendre, h, t0, W, at, parameters, q, other)
+    (legendre, energy), (_, _, W, at) = addresses, setting
+    (steps, every, few, limit), (states, iterations, end) = asked, found
+    n, last = at[DIMENSION], steps // every if every != 0 else 0
+    begin_anew(kernels, legendre, setting, start)
     for a in range(n):
         states[0, 0, a, 0] = W[at[POSITION] + a, 0]
         states[1, 0, a, 0] = W[at[MOMENTUM] + a, 0]
     progress, nothing = np.zeros(3, dtype=np.int64), np.empty((1, 0, 1))
-    take_all(
-        kernels,
-        h,
-        t0,
-        W,
-        at,
-        progress,
-        steps,
-        every,
-        states[0],
-        states[1],
-        nothing,
-        iterations,
-        inputs,
-    )
+    stores = states[0], states[1], nothing, iterations
+    take_all(kernels, setting, progress, steps, every, stores, inputs)
     over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
     if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):
         return -1
@@ -109,6 +70,7 @@ def run_briefly(
         for i in range(1, last + 1):
             least, largest = min(least, states[0, i, a, 0]), max(largest, states[0, i, a, 0])
         end[2, a], end[3, a] = least, largest
-    if few > 0 and not steady(energy, h, W, at, states[0], states[1], last, few, limit, 0):
+    stored = states[0], states[1]
+    if few > 0 and not steady(energy, setting, stored, (last, few, limit), 0):
         return -1
     return count

@@ -12,15 +12,7 @@ from symsimpson.runtime.driver.begin import begin, begin_growth
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
-from symsimpson.runtime.driver.steps import (
-    INPUTS,
-    RENEWING,
-    SET,
-    SIGNATURES,
-    TOLD_ROWS,
-    WORKSPACE,
-    take_steps,
-)
+from symsimpson.runtime.driver.steps import INPUTS, RENEWING, SET, SETTING, SIGNATURES, take_steps
 
 #: Where in the cursor what stands.
 BLOCK, STEP, BEGUN = 0, 1, 2
@@ -34,38 +26,20 @@ SIGNATURES |= {
     "advance_blocks": types.void(
         SET,
         types.int64[::1],
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
+        SETTING,
         types.int64[::1],
-        types.int64,
-        types.int64,
-        types.int64,
-        types.int64,
-        MEMBERS,
-        MEMBERS,
-        MEMBERS,
-        STORED,
-        STORED,
-        STORED,
-        types.int64[:, ::1],
-        STORED,
-        STORED,
-        types.int64[:, ::1],
-        types.int64[::1],
-        MEMBERS,
-        types.float64[::1],
-        INPUTS,
-        MEMBERS,
-        STORED,
+        types.UniTuple(types.int64, 4),
+        types.Tuple((MEMBERS, MEMBERS, MEMBERS, INPUTS, MEMBERS)),
+        types.Tuple((STORED, STORED, STORED, types.int64[:, ::1], types.int64[::1])),
+        types.Tuple((STORED, STORED, types.int64[:, ::1], STORED, types.float64[::1], MEMBERS)),
     )
 }
 
 
 @njit(**DRIVER_OPTIONS)
-def load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters):
+def load_block(kernels, more, setting, block, starts):
     """Put the members of a block into the lanes; the last one fills a ragged end."""
+    (h, t0, W, at), (q0, other0, parameters) = setting, starts
     members = q0.shape[0]
     n = at[DIMENSION]
     second = at[MOMENTUM] if more[0] == 0 else at[VELOCITY]
@@ -127,8 +101,9 @@ def begin_variations(momentum_slopes, h, t, W, at, columns):
 
 
 @njit(**DRIVER_OPTIONS)
-def observe(more, h, t, W, at, kinds, seen, block, members, step):
+def observe(more, setting, reductions, block, members, step):
     """Reduce the observed values of the present state into those seen before."""
+    (h, t, W, at), (kinds, seen) = setting, reductions
     if more[2] != 0:
         call(more[2], h, t, W)
     call(more[1], h, t, W)
@@ -178,23 +153,9 @@ def tell_of_variations(W, at, h, kinds, seen, block):
 
 
 @njit(**DRIVER_OPTIONS)
-def finish_block(
-    W,
-    at,
-    block,
-    step,
-    every,
-    buffer_q,
-    buffer_p,
-    kept,
-    counted,
-    q_out,
-    p_out,
-    codes_out,
-    lost,
-    kept_out,
-):
+def finish_block(W, at, block, step, every, buffers, outs, lost):
     """Store what the lanes of a block have come to."""
+    (buffer_q, buffer_p, kept, counted), (q_out, p_out, codes_out, kept_out) = buffers, outs
     n = at[DIMENSION]
     for lane in range(LANES):
         member = block * LANES + lane
@@ -221,46 +182,34 @@ def finish_block(
 
 
 @njit(**DRIVER_OPTIONS)
-def advance_blocks(
-    kernels,
-    more,
-    h,
-    t0,
-    W,
-    at,
-    cursor,
-    last,
-    budget,
-    steps,
-    every,
-    q0,
-    other0,
-    parameters,
-    buffer_q,
-    buffer_p,
-    kept,
-    counted,
-    q_out,
-    p_out,
-    codes_out,
-    lost,
-    seen,
-    kinds,
-    inputs,
-    columns,
-    kept_out,
-):
-    """Advance blocks up to ``last`` by ``budget`` steps in all; the next call goes on from there.
+def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs):
+    """Advance blocks, as far as it is asked for; the next call goes on from there.
 
-    The stored states of a block under way stay in the buffers, and what is kept beside them.
     ``more`` holds addresses: legendre (0 if momenta are given), observe (0 if nothing is), energy
     (0 if not wanted), what parameters change of momenta (0 if nothing), and what sets the energy
     and the rate of a member that keeps a time of its own (0 if none does). Observed values stand
-    behind the rows of the module. ``codes_out`` takes status, steps and iterations of each member;
-    ``seen`` two numbers for each reduction; ``lost`` has two for each lane: the steps of one that
-    has ended, else -1, and those in which its time stood still. Where a kernel is called behind
-    each step, variations begin as these ``columns``, and ``kept_out`` takes what is kept of them.
+    behind the rows of the module.
+
+    Parameters
+    ----------
+    asked
+        The last block, and a budget of steps for all; steps of a member, and how many from one
+        stored state to the next.
+    starts
+        Positions, and momenta or velocities, of all members; parameters; inputs; columns that
+        variations begin as, where a kernel is called behind each step.
+    buffers
+        Stored states of the block under way, what is kept beside them, iterations; and two numbers
+        for each lane: the steps of one that has ended, else -1, and those in which its time stood
+        still.
+    outs
+        Take states; status, steps and iterations of each member; what is kept beside states; then
+        the kinds of reductions, and two numbers for each.
     """
+    (h, t0, W, at), (last, budget, steps, every) = setting, asked
+    q0, other0, parameters, inputs, columns = starts
+    buffer_q, buffer_p, kept, counted, lost = buffers
+    q_out, p_out, codes_out, kept_out, kinds, seen = outs
     progress = np.zeros(3, dtype=np.int64)
     members, n = q0.shape[0], at[DIMENSION]
     timed = more[4] != 0
@@ -270,7 +219,7 @@ def advance_blocks(
         block = cursor[BLOCK]
         own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
-            load_block(kernels, more, h, t0, W, at, block, q0, other0, parameters)
+            load_block(kernels, more, setting, block, (q0, other0, parameters))
             if RENEWING and followed:
                 begin_growth(W, at, columns)
             elif followed:
@@ -285,7 +234,7 @@ def advance_blocks(
                     for k in range(kept_out.shape[2]):
                         kept[0, k, lane] = W[at[KEPT] + k, lane]
             if watched:
-                observe(more, h, t0, W, at, kinds, seen, block, members, 0)
+                observe(more, setting, (kinds, seen), block, members, 0)
             cursor[BEGUN], cursor[STEP] = 1, 0
             budget -= 1
         progress[0], progress[1] = cursor[STEP], 0
@@ -293,56 +242,16 @@ def advance_blocks(
         while progress[0] < steps and budget > 0 and alive:
             step = progress[0]
             until = min(steps, step + 1 if watched or timed else step + budget)
+            stores = buffer_q, buffer_p, kept, counted
             if kernels[MODE] == EXPLICIT:
-                take_explicit_steps(
-                    kernels,
-                    h,
-                    t0,
-                    W,
-                    at,
-                    progress,
-                    until,
-                    every,
-                    buffer_q,
-                    buffer_p,
-                    kept,
-                    counted,
-                    own,
-                )
+                take_explicit_steps(kernels, setting, progress, until, every, stores, own)
             else:
-                take_steps(
-                    kernels,
-                    h,
-                    t0,
-                    W,
-                    at,
-                    progress,
-                    until,
-                    every,
-                    buffer_q,
-                    buffer_p,
-                    kept,
-                    counted,
-                    own,
-                )
+                take_steps(kernels, setting, progress, until, every, stores, own)
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is taken and not yet counted: take_steps does that first
-                    take_steps(
-                        kernels,
-                        h,
-                        t0,
-                        W,
-                        at,
-                        progress,
-                        progress[0] + 1,
-                        every,
-                        buffer_q,
-                        buffer_p,
-                        kept,
-                        counted,
-                        own,
-                    )
+                    until = progress[0] + 1
+                    take_steps(kernels, setting, progress, until, every, stores, own)
             if timed:
                 look_at_time(W, at, lost[LANES:])
             alive = False
@@ -353,26 +262,12 @@ def advance_blocks(
                     lost[lane] = max(progress[0] - 1, 0)
             budget -= progress[0] - step
             if watched and alive:
-                observe(
-                    more, h, t0 + h * progress[0], W, at, kinds, seen, block, members, progress[0]
-                )
+                here = h, t0 + h * progress[0], W, at
+                observe(more, here, (kinds, seen), block, members, progress[0])
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
             tell_of_variations(W, at, h, kinds, seen, block)
-            finish_block(
-                W,
-                at,
-                block,
-                progress[0],
-                every,
-                buffer_q,
-                buffer_p,
-                kept,
-                counted,
-                q_out,
-                p_out,
-                codes_out,
-                lost,
-                kept_out,
-            )
+            whole = buffer_q, buffer_p, kept, counted
+            found = q_out, p_out, codes_out, kept_out
+            finish_block(W, at, block, progress[0], every, whole, found, lost)
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

@@ -9,10 +9,9 @@ from numba import njit, types
 from symsimpson.module.interface import *
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, INLINE, LANES, call
 from symsimpson.runtime.driver.steps import (
-    COUNTS,
     INPUTS,
     RENEWING,
-    SET,
+    SETTING,
     SIGNATURES,
     STATES,
     TOLD_ROWS,
@@ -25,45 +24,22 @@ from symsimpson.runtime.driver.steps import (
 )
 
 SIGNATURES |= {
-    "take_explicit_steps": types.void(
-        SET,
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        types.int64[::1],
-        types.int64,
-        types.int64,
-        STATES,
-        STATES,
-        STATES,
-        COUNTS,
-        INPUTS,
-    ),
+    "take_explicit_steps": SIGNATURES["take_steps"],
     "evaluate": types.void(
-        types.int64,
-        types.int64,
-        types.int64,
+        types.UniTuple(types.int64, 3),
         types.float64,
         WORKSPACE,
         TOLD_ROWS,
-        types.float64[::1],
-        types.float64[:, :],
-        types.float64[:, :],
+        types.Tuple((types.float64[::1], types.float64[:, :], types.float64[:, :])),
         types.int64,
         WORKSPACE,
         INPUTS,
     ),
     "steady": types.boolean(
         types.int64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        STATES,
-        STATES,
-        types.int64,
-        types.int64,
-        types.float64,
+        SETTING,
+        types.UniTuple(STATES, 2),
+        types.Tuple((types.int64, types.int64, types.float64)),
         types.int64,
     ),
 }
@@ -81,21 +57,20 @@ def finite(W, first, last, lane):
 
 
 @njit(**DRIVER_OPTIONS)
-def take_explicit_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out, inputs
-):
+def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs):
     """Take steps that need no iteration, all up to the next state to store in one call.
 
     Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that
     step.
     """
+    h, t0, W, at = setting
     n, lanes = at[DIMENSION], LANES
     position, status = at[POSITION], at[STATUS]
     state_end = position + 4 * n
     kept = np.empty((4 * n, lanes))
     step, before = progress[0], progress[2]
     single = 0
-    followed = kernels[BEHIND] != 0 and kept_out.shape[1] > 0
+    followed = kernels[BEHIND] != 0 and stores[2].shape[1] > 0
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
         count = 1 if single > 0 or followed else min(count, AT_ONCE, at[STEPS_A_CALL])
@@ -138,18 +113,18 @@ def take_explicit_steps(
         if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
             renew(W, at)
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
+            store(W, at, step // every, stores)
     progress[0] = step
 
 
 @njit(**DRIVER_OPTIONS)
-def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out, inputs):
+def evaluate(addresses, h, W, at, states, block, out, inputs):
     """Evaluate a kernel that maps (t, q, p) to the rows of a block, for each of many states.
 
+    ``addresses`` are those of prepare, of a kernel that comes before it, or 0, and its own.
     ``inputs`` has steps in the places of states.
-    Another kernel comes before it, if its address is not 0.
     """
-    n = at[DIMENSION]
+    (prepare, before, kernel), (t, q, p), n = addresses, states, at[DIMENSION]
     call(prepare, h, 0.0, W)
     for i in range(q.shape[0]):
         for a in range(n):
@@ -164,14 +139,16 @@ def evaluate(prepare, before, kernel, h, W, at, t, q, p, block, out, inputs):
 
 
 @njit(**DRIVER_OPTIONS)
-def steady(energy, h, W, at, q, p, last, few, limit, rate):
+def steady(energy, setting, states, judged, rate):
     """Return whether the energy at some states stays near that of the first.
 
-    No change is more than ``limit`` times the kinetic energy of most of the states, nor more than
+    ``states`` are q and p; ``judged`` the last of them, how many are looked at, and a limit. No
+    change is more than ``limit`` times the kinetic energy of most of the states, nor more than
     that of some of the first ones. They are ``few`` and the first, spread over those up to the
     last; the kinetic energy stands behind the energy. Where the row of a ``rate`` dt/dtau is given,
     not 0, it is that times the energy that does not drift.
     """
+    (h, _, W, at), (q, p), (last, few, limit) = setting, states, judged
     n, row = at[DIMENSION], at[ENERGY]
     kinetic = np.empty(few + 1)
     start, change = 0.0, 0.0

@@ -36,23 +36,15 @@ SET, TOLD_ROWS, WORKSPACE = types.int64[::1], types.int64[::1], types.float64[:,
 STATES, COUNTS = types.float64[:, :, ::1], types.int64[:, ::1]
 #: Inputs by member, step, node and number; one stands for all, or the last for those behind it.
 INPUTS = types.Array(types.float64, 4, "A", readonly=True)
+#: A run, as functions take it: the step, the time of its start, the workspace, and what the driver
+#: is told of it; where states are stored, q, p, what is kept beside them, and iterations.
+SETTING = types.Tuple((types.float64, types.float64, WORKSPACE, TOLD_ROWS))
+STORES = types.Tuple((STATES, STATES, STATES, COUNTS))
 #: What is called from Python, each compiled by itself when it is first needed.
 SIGNATURES = {
     "apply": types.void(types.int64, types.float64, types.float64, WORKSPACE),
     "take_steps": types.void(
-        SET,
-        types.float64,
-        types.float64,
-        WORKSPACE,
-        TOLD_ROWS,
-        types.int64[::1],
-        types.int64,
-        types.int64,
-        STATES,
-        STATES,
-        STATES,
-        COUNTS,
-        INPUTS,
+        SET, SETTING, types.int64[::1], types.int64, types.int64, STORES, INPUTS
     ),
 }
 
@@ -99,11 +91,12 @@ def step_back(W, at, lane):
 
 
 @njit(**INLINE)
-def store(W, at, place, q_out, p_out, kept_out, iterations_out):
+def store(W, at, place, stores):
     """Store the states of lanes that go on, and their iterations since the states before.
 
     So is what is kept behind each step, where there is room for it.
     """
+    q_out, p_out, kept_out, iterations_out = stores
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
             for a in range(at[DIMENSION]):
@@ -196,9 +189,7 @@ def watch(kernels, h, t, W, at):
 
 
 @njit(**DRIVER_OPTIONS)
-def take_steps(
-    kernels, h, t0, W, at, progress, stop, every, q_out, p_out, kept_out, iterations_out, inputs
-):
+def take_steps(kernels, setting, progress, stop, every, stores, inputs):
     """Take steps until ``stop``, an event, or no lane is left.
 
     ``progress`` is (step, event, before), the last the steps that were taken before all of these.
@@ -208,13 +199,14 @@ def take_steps(
     keeps. A lane with a status other than 0 is not touched. At an event the step is not
     finished: ``recover`` does that, and ``take_steps`` goes on.
     """
+    h, t0, W, at = setting
     # as rows of their own their lanes are vectors
     active, status, in_doubt = W[at[ACTIVE]], W[at[STATUS]], W[at[IN_DOUBT]]
     relative, contraction = W[at[RELATIVE]], W[at[CONTRACTION]]
     step, recovered, before = progress[0], progress[1] != 0, progress[2]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
-    followed = kernels[BEHIND] != 0 and kept_out.shape[1] > 0
+    followed = kernels[BEHIND] != 0 and stores[2].shape[1] > 0
     if watched and not recovered:
         call(kernels[MEASURE], h, t0 + h * (before + step), W)
     while step < stop:
@@ -257,5 +249,5 @@ def take_steps(
         if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
             renew(W, at)
         if every != 0 and step % every == 0:
-            store(W, at, step // every, q_out, p_out, kept_out, iterations_out)
+            store(W, at, step // every, stores)
     progress[0] = step

@@ -7,37 +7,16 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.between import GIVEN, TIMES, begin_again
+from symsimpson.runtime.driver.between import BETWEEN, STATES_GIVEN, begin_again
 from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
-from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give
+from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, WORKSPACE, give
 
 SIGNATURES |= {
     "add_up_work": types.int64(
-        SET,
-        types.int64,
-        types.float64,
-        TIMES,
-        WORKSPACE,
-        TOLD_ROWS,
-        GIVEN,
-        GIVEN,
-        types.int64,
-        types.int64,
-        WORKSPACE,
-        INPUTS,
+        SET, types.int64, BETWEEN, STATES_GIVEN, types.int64, types.int64, WORKSPACE, INPUTS
     ),
     "step_costs": types.int64(
-        SET,
-        types.int64,
-        types.float64,
-        TIMES,
-        WORKSPACE,
-        TOLD_ROWS,
-        GIVEN,
-        GIVEN,
-        types.int64,
-        types.float64[::1],
-        INPUTS,
+        SET, types.int64, BETWEEN, STATES_GIVEN, types.int64, types.float64[::1], INPUTS
     ),
 }
 #: Another solution of a step ends elsewhere by more than so much of the way, beside rounding.
@@ -56,17 +35,18 @@ def reached(W, at, before, after):
 
 
 @njit(**DRIVER_OPTIONS)
-def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
+def add_up_work(kernels, work, setting, states, every, row, out, inputs):
     """Integrate powers from stored state to stored state, ``every`` steps apart.
 
     ``inputs`` are those of all steps. Integrals are found from ``row`` of the workspace on; ``out``
     takes their sums from the first state on. Returns how many states could be reached: whether a
     step was the run's is seen where it ends.
     """
+    (h, t, W, at), (q, p) = setting, states
     count = out.shape[1]
     low = np.zeros(count)
     for i in range(1, q.shape[0]):
-        begin_again(kernels, h, t[i - 1], W, at, q[i - 1], p[i - 1])
+        begin_again(kernels, (h, t[i - 1], W, at), q[i - 1], p[i - 1])
         for k in range(count):
             W[row + k, 0] = 0.0
         for step in range(every):
@@ -92,14 +72,15 @@ def add_up_work(kernels, work, h, t, W, at, q, p, every, row, out, inputs):
 
 
 @njit(**DRIVER_OPTIONS)
-def step_costs(kernels, cost, h, t, W, at, q, p, row, out, inputs):
+def step_costs(kernels, cost, setting, states, row, out, inputs):
     """Integrate a running cost over the step behind each state but the last.
 
     It is found in a ``row`` of the workspace. Returns how many states could be reached.
     """
+    (h, t, W, at), (q, p) = setting, states
     n = at[DIMENSION]
     for i in range(out.shape[0]):
-        begin_again(kernels, h, t[i], W, at, q[i], p[i])
+        begin_again(kernels, (h, t[i], W, at), q[i], p[i])
         W[row, 0], W[row + 1, 0] = 0.0, 0.0
         give(W, at, inputs, i)
         W[at[ACTIVE], 0] = 1.0

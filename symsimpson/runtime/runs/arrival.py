@@ -147,21 +147,12 @@ def states_at(
         numbers.driver("states_at")(
             kernels.set(name, "clock"),
             kernels.address("energy"),
-            h,
-            states[0],
-            workspace(header, numbers, rows[0]),
-            header.told,
-            *states[1:],
-            start[some],
-            asked[some],
-            q_out,
-            p_out,
-            part_out,
-            well,
+            (h, states[0], workspace(header, numbers, rows[0]), header.told),
+            states[1:],
+            (start[some], asked[some], near),
+            (q_out, p_out, part_out, well),
             every,
-            NO_INPUTS,
-            near,
-            rows if len(rows) == 1 else rows[some],
+            (NO_INPUTS, rows if len(rows) == 1 else rows[some]),
         )
         part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
     return part, q, p, fine

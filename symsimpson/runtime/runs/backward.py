@@ -195,20 +195,14 @@ class _Back:
         slopes = numbers.zeros((count, len(self._chosen)))
         jumps = self._jumps(first, q, p)
         numbers.driver("carry_back")(
-            *self._kernels,
-            spec.h,
-            spec.t0,
-            self._W,
-            header.told,
-            header.layout["ADJOINT"],
-            header.layout["COST_SLOPE"],
+            tuple(self._kernels),
+            (spec.h, spec.t0, self._W, header.told),
+            (header.layout["ADJOINT"], header.layout["COST_SLOPE"]),
             first,
-            records,
-            jumps,
+            (records, jumps, spec.inputs),
             self._totals,
             self._chosen,
             slopes,
-            spec.inputs,
         )
         by_node = slopes.reshape(count, len(self._chosen) // self._nodes, self._nodes)
         held = self._by_step.shape[2] < self._nodes

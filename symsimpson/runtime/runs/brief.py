@@ -91,26 +91,16 @@ class Prepared:
     ) -> int:
         """Take steps, and return how many iterations they took; -1 if not all is well."""
         h, t0, steps = times
-        found: int = self.run_briefly(
+        count: int = self.run_briefly(
             self.kernels,
-            self.legendre if asked.velocity else 0,
-            self.energy,
-            h,
-            t0,
-            self.W,
-            self.told,
-            asked.values,
-            asked.q,
-            asked.other,
-            steps,
-            every,
-            few,
-            LIMIT,
-            *stored,
-            end,
+            (self.legendre if asked.velocity else 0, self.energy),
+            (h, t0, self.W, self.told),
+            (asked.values, asked.q, asked.other),
+            (steps, every, few, LIMIT),
+            (*stored, end),
             NO_INPUTS,
         )
-        return found
+        return count
 
     def arrive(
         self,
@@ -127,28 +117,16 @@ class Prepared:
         ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
         iterations; ``asked.values`` those of E0 and the first rate.
         """
-        more = np.array([self.legendre if asked.velocity else 0, self.energy, self.retime])
-        found: int = self.run_to_end(
+        steps: int = self.run_to_end(
             self.kernels,
-            more,
-            np.array([*times, resolution(FLOAT64)]),
-            self.W,
-            self.told,
-            asked.values,
-            asked.q,
-            asked.other,
-            self.most,
-            every,
-            few,
-            LIMIT,
-            stored[0],
-            self.kept,
-            stored[1],
-            end,
-            told,
+            (self.legendre if asked.velocity else 0, self.energy, self.retime),
+            (np.array([*times, resolution(FLOAT64)]), self.W, self.told),
+            (asked.values, asked.q, asked.other),
+            (self.most, every, few, LIMIT),
+            (stored[0], self.kept, stored[1], end, told),
             NO_INPUTS,
         )
-        return found
+        return steps
 
 
 def make_ready(program: Program) -> None:

@@ -236,7 +236,8 @@ def look_at_energy(
         steady = program.numbers.driver("steady")
         energy, header = program.kernels.address("energy"), run.header
         rate = header.layout["RATE"] if header.retimed else 0
-        if steady(energy, run.h, run.W, header.told, run.q, run.p, last, few, LIMIT, rate):
+        setting = run.h, run.t0, run.W, header.told
+        if steady(energy, setting, (run.q, run.p), (last, few, LIMIT), rate):
             return None
     places = np.arange(few + 1) * last // few
     found = energies_at(program, run, steps, q, p, places)

@@ -143,8 +143,7 @@ class Run:
         if any_angle:
             self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
         legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
-        into = self.W, self.told, self._parameters
-        self._begin_anew(self._kernels(), legendre, self.h, self.t0, *into, q, other)
+        self._begin_anew(self._kernels(), legendre, self._setting, (self._parameters, q, other))
         if self.header.retimed:
             if not onward:
                 self.apply("retime")
@@ -154,6 +153,10 @@ class Run:
             self.kept[0, 0, 0] = self.t0
         if self.every:
             self.store(0)
+
+    @property
+    def _setting(self) -> tuple[Any, ...]:
+        return self.h, self.t0, self.W, self.told
 
     @cached_property
     def _begin_anew(self) -> Any:
@@ -343,28 +346,18 @@ class Run:
 
     def take(self, stop: int) -> None:
         """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
-        kernels, at, W = self._kernels(), self.told, self.W
-        t0, stop = self.t0, stop - self.first
+        kernels, setting, stop = self._kernels(), self._setting, stop - self.first
         self._progress[2] = self.first
         while True:
             self._take_steps(
-                kernels,
-                self.h,
-                t0,
-                W,
-                at,
-                self._progress,
-                stop,
-                self.every,
-                *self._stores,
-                self._inputs,
+                kernels, setting, self._progress, stop, self.every, self._stores, self._inputs
             )
             event = self._progress.item(1)
             if event == 0:
                 if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
                     self._step_back()
                 return
-            self._driver("recover")(kernels, self.h, self._time(), W, at, event)
+            self._driver("recover")(kernels, self.h, self._time(), self.W, self.told, event)
             if not self.alive:
                 self._progress[1] = 0
                 return

@@ -72,17 +72,11 @@ def test_lanes_do_not_know_of_each_other():
         progress = np.zeros(3, dtype=np.int64)
         driver("take_steps", 8)(
             addresses,
-            0.02,
-            0.0,
-            W,
-            at,
+            (0.02, 0.0, W, at),
             progress,
             200,
             0,
-            stored,
-            stored.copy(),
-            stored[:, :0],
-            np.zeros((1, 8), dtype=np.int64),
+            (stored, stored.copy(), stored[:, :0], np.zeros((1, 8), dtype=np.int64)),
             NO_INPUTS,
         )
         assert progress.tolist() == [200, 0, 0]

@@ -189,3 +189,42 @@ def test_functions_of_arrays():
         y, z = np.zeros((60, 4))[:, ::2], np.zeros((60, 2))
         assert made(x, y, length, flag) == plain["function"](x, z, length, flag)
         assert (y == z).all()
+
+
+TUPLES = """\
+import numpy as np
+from numba import njit
+
+@njit()
+def share(number, k, parts):
+    x, y = parts
+    return number // k + np.int64(x[0]) + y.shape[0]
+
+@njit()
+def function(setting, parts, k):
+    (h, count), (x, y) = setting, parts
+    both = x, y
+    if k > 0 and share(count, k, both) > 4:
+        x[0] = h
+        return share(count, k, (y, x))
+    return -1
+"""
+
+
+def test_tuples_of_numbers_and_arrays_and_calls_that_are_not_made():
+    """Nothing is divided by zero: a call behind ``and`` waits for what stands before it."""
+    some = types.Tuple((types.float64, types.int64))
+    signature = types.int64(some, types.UniTuple(types.float64[::1], 2), types.int64)
+    names = {}
+    exec(stub("function", 3), names)
+    names["walk_function"] = walking_function(
+        lambda: read_functions(TUPLES), "function", signature, 128
+    )
+    made = njit(signature)(names["function"])
+    plain = {}
+    exec(TUPLES.replace("@njit()", ""), plain)
+    for k in (0, 1, 2, 50):
+        first, second = ([np.arange(1.0, 4.0), np.full(2, 7.0)] for _ in "12")
+        given = 2.5, 12
+        assert made(given, tuple(first), k) == plain["function"](given, tuple(second), k)
+        assert all((a == b).all() for a, b in zip(first, second, strict=True))
