@@ -227,7 +227,7 @@ class Ensemble(Quantities, Differentiated):
         >>> stepper = ss.compile(ss.systems.pendulum())
         >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
         >>> many.to_pandas().shape
-        (12, 10)
+        (12, 11)
         """
         return dataframe(self._table(), "member", self._about(), self.program.units)
 
