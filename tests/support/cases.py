@@ -2,7 +2,7 @@
 
 Products of systems and schemes, and campaigns over random systems, have thousands of cases. Each
 day some of them are drawn, so that all have their turn: of a product as many as it takes for every
-value of every parameter to come up once, but no more than five, of a campaign as many as make sixty
+value of every parameter to come up once, but no more than three, of a campaign as many as make sixty
 systems. Of pages and notebooks none is left out. The seed stands at the end of the report;
 ``--seed`` asks for it again, ``--cases every`` for all cases.
 """
@@ -17,7 +17,7 @@ import pytest
 from support.places import TESTS
 
 #: Slow cases of a product, and random systems that a campaign looks at in one run of the tests.
-CASES_A_DAY, SYSTEMS_A_DAY = 5, 60
+CASES_A_DAY, SYSTEMS_A_DAY = 3, 60
 #: So many numbers are a campaign, fewer are values that somebody chose.
 CAMPAIGN = 8
 SEED = "SYMSIMPSON_TEST_SEED"
