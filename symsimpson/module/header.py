@@ -215,7 +215,8 @@ def read_header(text: str, where: str) -> Header:
             f"this symsimpson drives interface {INTERFACE}.\n"
             "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
         )
-    if not (_are_facts(facts) and layout.keys() >= _SIZES):
+    fits = _are_facts(facts) and layout.keys() >= _SIZES
+    if not (fits and layout["DIMENSION"] == len(facts["coordinates"])):
         raise StaleKernelError(
             f"{where}: what the module says of itself is not complete, or of other types.\n"
             "It is damaged, or was made by somebody else. Generate it anew."
@@ -233,13 +234,28 @@ def with_facts(text: str, facts: Mapping[str, object]) -> str:
 
 
 def _are_facts(facts: Mapping[Any, Any]) -> bool:
-    """Return whether these are facts of a module, of the types that they should have."""
+    """Return whether these are facts of a module: all that it needs, of types that it should have.
+
+    There is a value and a sign for each parameter.
+    """
     known = {x.name: x for x in fields(Header) if x.name not in ("layout", "tables", "functions")}
     needed = {name for name, x in known.items() if x.default is MISSING}
-    kinds = {"str": str, "int": int, "bool": bool}
-    return needed <= facts.keys() <= known.keys() and all(
-        isinstance(value, kinds.get(str(known[name].type), (tuple, type(None))))
-        for name, value in facts.items()
+    if not needed <= facts.keys() <= known.keys():
+        return False
+    if not all(_is_of(value, str(known[name].type)) for name, value in facts.items()):
+        return False
+    return len(facts["parameters"]) == len(facts["defaults"]) == len(facts["signs"])
+
+
+def _is_of(value: object, kind: str) -> bool:
+    """Return whether a value has the type that an annotation names."""
+    single = {"str": str, "int": int, "bool": bool, "float": float}
+    kind, optional = kind.removesuffix(" | None"), kind.endswith(" | None")
+    if kind in single:
+        return type(value) is single[kind]
+    inner = single[kind.removeprefix("tuple[").partition(",")[0]]
+    return (value is None and optional) or (
+        isinstance(value, tuple) and all(type(one) is inner for one in value)
     )
 
 

@@ -2,8 +2,8 @@
 
 Products of systems and schemes, and campaigns over random systems, have thousands of cases. Each
 day some of them are drawn, so that all have their turn: of a product as many as it takes for every
-value of every parameter to come up once, but no more than three, of a campaign as many as make sixty
-systems. Of pages and notebooks none is left out. The seed stands at the end of the report;
+value of every parameter to come up once, but no more than three, of a campaign as many as make
+sixty systems. Of pages and notebooks none is left out. The seed stands at the end of the report;
 ``--seed`` asks for it again, ``--cases every`` for all cases.
 """
 

@@ -85,7 +85,18 @@ def test_a_module_of_the_interface_before_is_refused_and_told_what_to_do():
 
 
 @pytest.mark.parametrize(
-    "facts", [{"order": "two"}, {"colour": 1}, {"coordinates": "theta"}, {"layout": {}}]
+    "facts",
+    [
+        {"order": "two"},
+        {"colour": 1},
+        {"coordinates": "theta"},
+        {"coordinates": (1,)},
+        {"coordinates": ("theta", "phi")},
+        {"coordinates": None},
+        {"defaults": (1.0,)},
+        {"signs": ()},
+        {"layout": {}},
+    ],
 )
 def test_facts_of_other_kinds_are_refused(facts):
     with pytest.raises(StaleKernelError, match="of other types"):
