@@ -246,12 +246,12 @@ def test_work_is_unknown_behind_a_step_that_cannot_be_taken_again(monkeypatch):
         if name != "add_up_work":
             return plain(self, name, *given, **more)
 
-        def add_up(kernels, work, h, t, W, told, q, p, every, row, out, inputs):
+        def add_up(kernels, work, setting, states, every, row, out, inputs):
+            h, t, W, told = setting
             calls.append(len(t))
             few = 101 if len(calls) == 1 else 1
-            return plain(self, name)(
-                kernels, work, h, t[:few], W, told, q[:few], p[:few], every, row, out[:few], inputs
-            )
+            setting, states = (h, t[:few], W, told), tuple(x[:few] for x in states)
+            return plain(self, name)(kernels, work, setting, states, every, row, out[:few], inputs)
 
         return add_up
 
