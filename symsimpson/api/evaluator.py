@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.runtime.equations import evaluate_equations
 from symsimpson.runtime.evaluating import evaluate_energy
 from symsimpson.runtime.program import Program
@@ -27,6 +28,11 @@ class Evaluator:
     """
 
     def __init__(self, program: Program) -> None:
+        if not isinstance(program, Program):
+            raise InputError(
+                f"a stepper is made of a program, and {type(program).__name__} is none.\n"
+                "Make one with symsimpson.compile(system, scheme), or symsimpson.load(path)."
+            )
         #: The module, compiled, as the package knows it.
         self.program = program
         self.source, self.reference_state = program.source, program.reference_state

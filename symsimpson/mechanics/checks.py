@@ -17,6 +17,7 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
 from symsimpson.mechanics.coordinates import time
+from symsimpson.module.quantity import SCALARS
 
 __all__ = ["check_names", "fail", "read_coordinates", "read_name", "read_parameters", "spell"]
 
@@ -111,7 +112,7 @@ def _check_time(system: str, q: AppliedUndef) -> None:
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
     """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
-    taken = {"energy": "the energy"}
+    taken = {one.name: f"the {one.doc}" for one in SCALARS}
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:

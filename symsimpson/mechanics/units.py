@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from symsimpson.errors import ModelError
+from symsimpson.module.quantity import SCALARS
 from symsimpson.support.names import did_you_mean, spelled
 
 __all__ = ["NO_UNITS", "read_units"]
@@ -35,7 +36,8 @@ def read_units(
         If a name is none of these, or a unit is no text.
     """
     own = [spelled(q) for q in coordinates]
-    known = [*own, *(f"{x}_{q}" for x in "vp" for q in own), *map(spelled, others), "t", "energy"]
+    known = [*own, *(f"{x}_{q}" for x in "vp" for q in own), *map(spelled, others), "t"]
+    known += [one.name for one in SCALARS]
     found: dict[str, str] = {}
     for key, unit in dict(given or {}).items():
         quantity = spelled(key)
@@ -44,7 +46,7 @@ def read_units(
                 f"system '{name}': units has {quantity!r}, which it does not have."
                 f"{did_you_mean(quantity, known)}\n"
                 "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
-                "parameters, invariants, points, 't' or 'energy'."
+                f"parameters, invariants, points, 't', {', '.join(one.name for one in SCALARS)}."
             )
         if not isinstance(unit, str):
             raise ModelError(
@@ -56,4 +58,7 @@ def read_units(
         for q in own:
             if q in found:
                 found.setdefault(f"v_{q}", f"{found[q]}/{found['t']}")
+    for one in SCALARS:
+        if one.like in found:
+            found.setdefault(one.name, found[one.like])
     return found

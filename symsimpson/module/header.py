@@ -204,19 +204,18 @@ def read_header(text: str, where: str) -> Header:
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 if isinstance(value, ast.Call) and value.args:  # array((...))
                     value = value.args[0]
-                with suppress(ValueError):
+                with suppress(ValueError, TypeError, RecursionError, MemoryError):
                     constants[name] = ast.literal_eval(value)
             case ast.FunctionDef(name=name):
                 functions.append(name)
     facts, layout = constants.get("FACTS"), _of_type(constants, int)
-    if layout.get("INTERFACE") != INTERFACE or not isinstance(facts, dict):
+    if layout.get("INTERFACE") != INTERFACE:
         raise StaleKernelError(
             f"{where}: the module has kernel interface {constants.get('INTERFACE')}, "
             f"this symsimpson drives interface {INTERFACE}.\n"
             "Generate it anew: symsimpson generate, or symsimpson.generate(system, scheme)."
         )
-    fits = _are_facts(facts) and layout.keys() >= _SIZES
-    if not (fits and layout["DIMENSION"] == len(facts["coordinates"])):
+    if not (isinstance(facts, dict) and _are_facts(facts) and _fit(facts, layout)):
         raise StaleKernelError(
             f"{where}: what the module says of itself is not complete, or of other types.\n"
             "It is damaged, or was made by somebody else. Generate it anew."
@@ -244,7 +243,23 @@ def _are_facts(facts: Mapping[Any, Any]) -> bool:
         return False
     if not all(_is_of(value, str(known[name].type)) for name, value in facts.items()):
         return False
-    return len(facts["parameters"]) == len(facts["defaults"]) == len(facts["signs"])
+    signs = set(facts["signs"]) <= {"", "positive", "negative"}
+    sizes = len(facts["parameters"]) == len(facts["defaults"]) == len(facts["signs"])
+    names = *facts["coordinates"], *facts["parameters"], *facts.get("inputs", ())
+    return signs and sizes and len(set(names)) == len(names) and facts["order"] > 0
+
+
+def _fit(facts: Mapping[str, Any], layout: Mapping[str, int]) -> bool:
+    """Return whether the constants of a module have what its facts ask for."""
+    asked = {"retimed": "TIME", "constraints": "HELD_SIZE", "inputs": "INPUT"}
+    needed = _SIZES | {block for fact, block in asked.items() if facts.get(fact)}
+    if not needed <= layout.keys() or layout["DIMENSION"] != len(facts["coordinates"]):
+        return False
+    places = facts.get("input_places", ())
+    number = re.compile(r"[0-9]*\.?[0-9]+(e-?[0-9]+)?")
+    return len(places) == layout["NODES"] * bool(facts.get("inputs")) and all(
+        number.fullmatch(place) for place in places
+    )
 
 
 def _is_of(value: object, kind: str) -> bool:

@@ -1,1 +1,1 @@
-"""Runtime of generated modules: cache, loader, driver, stepper. Knows nothing of SymPy."""
+"""Runtime of generated modules: cache, driver, programs, runs, results. Knows nothing of SymPy."""

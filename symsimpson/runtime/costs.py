@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
+from symsimpson.module.quantity import SCALARS
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.inputs import read_array
 from symsimpson.runtime.kernels.observed import read_expression
@@ -52,7 +53,7 @@ class StateCost:
 
     Parameters
     ----------
-    stepper : Evaluator
+    program : Program
         One that differentiates its steps.
     what : str
         Names it in messages.
@@ -72,13 +73,16 @@ class StateCost:
         names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
         names += [f"a_{j}" for j in range(len(program.parameters))] + ["t"]
         symbols = {name: sp.Symbol(name, real=True) for name in names}
-        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "energy": sp.Symbol("energy")}
+        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
+        computed = {one.symbol: sp.Symbol(one.symbol) for one in SCALARS}
         # the text was written anew from a list of what is allowed; numbers are what they say
-        self._expression = sp.sympify(found.text, locals={**symbols, **functions}, rational=True)
-        if self._expression.has(functions["energy"]):
+        self._expression = sp.sympify(
+            found.text, locals=symbols | functions | computed, rational=True
+        )
+        if self._expression.has(*computed.values()):
             raise InputError(
-                f"{what} contains the energy, whose derivatives are not known here.\n"
-                "Write it with coordinates, velocities and parameters."
+                f"{what} contains the energy, or a part of it, whose derivatives are not known "
+                "here.\nWrite it with coordinates, velocities and parameters."
             )
         self._moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
         if self._moving and program.header.constraints:

@@ -61,11 +61,11 @@ def gradient_of(
     ------
     InputError, ConvergenceError, Interrupted
     """
+    refuse_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
     asked = [spelled(one) for one in (wanted.wrt if several else [wanted.wrt])]
     names = [name for name in asked if name not in STATE]
     _check(wanted, asked, velocities=request.v0 is not None)
-    refuse_retimed(program, "gradients of costs")
     program = varied_program(program, read_varied(program, names), wanted.running)
     spec = read_run(program, request)
     every = read_count("every", wanted.every, least=1)

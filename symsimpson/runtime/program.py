@@ -192,6 +192,7 @@ class Program:
             "tools": self.tools,
             "differentiate": self.differentiate,
             "names": self.names,
+            "default_inputs": self.default_inputs,
         }
         return partial(new_program, self.source, self.where, **given), ()
 

@@ -238,7 +238,8 @@ class Ensemble(Quantities, Differentiated):
             name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
             for name, x in own.items()
         }
-        found |= {"t": np.broadcast_to(self.t, shape), **self._columns()}
+        columns = {"t": np.broadcast_to(self.t, shape), **self._columns()}
+        found |= {name: x for name, x in columns.items() if name not in own}
         return {name: np.asarray(x).reshape(-1) for name, x in found.items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.module.quantity import velocities_by
 from symsimpson.runtime.ensembles.blocks import run_blocks
 from symsimpson.runtime.ensembles.ensemble import Ensemble, spread
 from symsimpson.runtime.ensembles.task import Task
 from symsimpson.runtime.evaluating import evaluate, evaluate_members
-from symsimpson.runtime.kernels.quantity import velocities_by
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.requested import run

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
-from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
+from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.runtime.kernels.reader import Reader
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] 
     ------
     InputError
         If it contains something else than arithmetic, functions and the names of coordinates,
-        momenta, velocities, parameters, t and energy.
+        momenta, velocities, parameters, t, energy and kinetic_energy.
     """
     reader = Reader(program, "the expression")
     text = reader.read_any(expression)
@@ -92,7 +92,7 @@ def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[
     ------
     InputError
         If a kind is unknown, or an expression contains something else than arithmetic, functions
-        and the names of coordinates, momenta, parameters, t and energy.
+        and the names of coordinates, momenta, parameters, t, energy and kinetic_energy.
     """
     if given is None:
         return ()

@@ -9,7 +9,7 @@ from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.kernels.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
 from symsimpson.module.matrices import slopes_of
-from symsimpson.runtime.kernels.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
 from symsimpson.runtime.program import Program
 from symsimpson.support.names import did_you_mean, spelled
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import UnknownNameError
-from symsimpson.runtime.kernels.quantity import SCALARS
-from symsimpson.runtime.kernels.quantity import VECTORS as WITH_COORDINATES
+from symsimpson.module.quantity import SCALARS
+from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.outcome import Outcome
 from symsimpson.runtime.results.states import States, with_units

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
+from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.results.tables import write
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.kernels.quantity import SCALARS, VECTORS
+from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.tables import dataframe

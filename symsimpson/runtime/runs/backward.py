@@ -88,7 +88,7 @@ def differentiate_back(
 
     Parameters
     ----------
-    stepper : Evaluator
+    program : Program
         One that differentiates its steps.
     spec : RunSpec
     objective : Objective

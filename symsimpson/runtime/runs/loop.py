@@ -115,8 +115,8 @@ class ControlLoop:
     @property
     def v(self) -> Reals:
         """Velocities, shape (n,)."""
+        from symsimpson.module.quantity import velocities_by
         from symsimpson.runtime.evaluating import evaluate
-        from symsimpson.runtime.kernels.quantity import velocities_by
 
         program, run = self.program, self._run
         numbers = program.numbers

@@ -68,7 +68,7 @@ def read_varied(program: Program, names: Any) -> tuple[str, ...]:
 
 
 def varied_program(program: Program, names: tuple[str, ...], running: Any = None) -> Program:
-    """Return a stepper whose module differentiates its steps by these parameters and inputs.
+    """Return a program whose module differentiates its steps by these parameters and inputs.
 
     A ``running`` cost is integrated by it, too.
 

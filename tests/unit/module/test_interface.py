@@ -95,6 +95,12 @@ def test_a_module_of_the_interface_before_is_refused_and_told_what_to_do():
         {"coordinates": None},
         {"defaults": (1.0,)},
         {"signs": ()},
+        {"signs": ("odd", "", "")},
+        {"order": -3},
+        {"retimed": True},
+        {"constraints": ("rod",)},
+        {"inputs": ("u",), "input_places": ("nonsense",)},
+        {"parameters": ("m", "m", "g")},
         {"layout": {}},
     ],
 )
@@ -106,3 +112,9 @@ def test_facts_of_other_kinds_are_refused(facts):
 def test_a_module_without_sizes_is_refused():
     with pytest.raises(StaleKernelError, match="not complete"):
         read_header(signed(redefined(TEXT, {"DEGREE": ""})), "here")
+
+
+@pytest.mark.parametrize("said", ["", "FACTS = {[1]: 2}", 'FACTS = {"order": inf}', "FACTS = 3"])
+def test_a_module_without_facts_is_refused(said):
+    with pytest.raises(StaleKernelError, match="not complete, or of other types"):
+        read_header(signed(redefined(TEXT, {"FACTS": said})), "here")

@@ -125,6 +125,7 @@ def test_a_task_for_others_is_written_in_names_of_the_module(case):
         "low": ("min", case.q * case.m),
         "v": ("max", f"v_{case.name} + q0"),
         "other": ("max", "q0 + 1"),
+        "energy": ("max", case.q * sp.Symbol("kinetic_energy")),
     }
     own = read_reductions(case.stepper.program, asked)
     others = read_program(case.stepper.source, "the module in a store")

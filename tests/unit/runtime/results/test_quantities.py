@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import symsimpson as ss
-from symsimpson.runtime.kernels.quantity import QUANTITIES
+from symsimpson.module.quantity import QUANTITIES, SCALARS
 
 SYSTEM = ss.systems.spherical_pendulum()
 
@@ -41,8 +41,8 @@ def test_a_quantity_of_the_table_has_attribute_name_column_and_variable(run, man
         for k, name in enumerate(one.shown(run.program.names)):
             column = value[:, k] if one.axis else value
             assert (run[name] == column).all()
-            assert (name in frame) == one.stored
-        assert (one.name in data) == one.stored
+            assert (name in frame) == (one.axis != "constraints")
+        assert (one.name in data) == (one.axis != "constraints")
         assert getattr(many, one.name).shape[:2] == many.q.shape[:2]
 
 
@@ -51,6 +51,37 @@ def test_the_kinetic_energy_is_half_of_p_times_v(run):
     half = float(run.kinetic_energy[:2].mean())
     t = run.events(f"kinetic_energy - {half!r}").t[0]
     assert abs(run.at(t).kinetic_energy[0] - half) < 1e-12
+
+
+def test_a_cost_of_an_energy_is_refused(stepper):
+    start = SYSTEM.reference_state
+    for one in SCALARS:
+        with pytest.raises(ss.InputError, match="contains the energy, or a part of it"):
+            stepper.gradient(**start, h=0.01, steps=2, cost=f"2*{one.name}", wrt=("q",))
+
+
+@pytest.mark.parametrize("one", SCALARS, ids=lambda one: one.name)
+def test_no_coordinate_has_the_name_of_a_quantity(one):
+    (q,) = ss.coordinates(one.name)
+    with pytest.raises(ss.ModelError, match=f"has the name of the {one.doc}"):
+        ss.MechanicalSystem("named", coordinates=(q,), kinetic=q.diff() ** 2 / 2, potential=q**2)
+
+
+def test_energies_share_a_unit():
+    (x,) = ss.coordinates("x")
+    given = {"coordinates": (x,), "kinetic": x.diff() ** 2 / 2, "potential": x**2 / 2}
+    system = ss.MechanicalSystem("spring", **given, units={"energy": "J"})
+    assert system.units["kinetic_energy"] == "J"
+    system = ss.MechanicalSystem("spring", **given, units={"kinetic_energy": "eV"})
+    assert system.units == {"kinetic_energy": "eV"}
+
+
+def test_a_reduction_keeps_its_column_beside_quantities(stepper):
+    start = SYSTEM.reference_state
+    asked = {"kinetic_energy": ("max", "kinetic_energy")}
+    many = stepper.ensemble([start["q0"]], v0=start["v0"], h=0.02, steps=50, reduce=asked)
+    assert many.to_pandas()["kinetic_energy"].iloc[0] == many.reduced["kinetic_energy"][0]
+    assert many.kinetic_energy[0] < many.reduced["kinetic_energy"][0]
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from support.cases import sweep
 
 import symsimpson as ss
-from symsimpson.runtime.kernels.quantity import SCALARS
+from symsimpson.module.quantity import SCALARS
 
 TOP, PENDULUM = ss.systems.lagrange_top(), ss.systems.double_pendulum()
 

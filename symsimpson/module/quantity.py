@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from symsimpson.module.header import Header
-from symsimpson.runtime.names import Names
 from symsimpson.support.names import Named
 
 __all__ = ["QUANTITIES", "SCALARS", "VECTORS", "Quantity"]
@@ -40,15 +40,16 @@ class Quantity:
         Where it stands in the workspace.
     kernel : callable or None
         Takes a header, and returns the kernel that computes it; None for the state itself.
-    axis : {"", "coordinates", "constraints", "invariants"}
-        What it has a number for each of; "" for a single number.
+    axis : {"", "coordinates", "constraints"}
+        What it has a number for each of; "" for a single number. Tables and files have single
+        numbers, and those of coordinates.
     prefix : str
         Stands before a name of these in the names of its numbers.
     symbol : str
         Stands for it in kernels that observe expressions, with a number behind it if there is an
         axis; "" if no expression may contain it.
-    stored : bool
-        Whether it is among the columns of tables and the variables of files.
+    like : str
+        The quantity whose unit it has, unless it is given one.
     """
 
     name: str
@@ -58,17 +59,17 @@ class Quantity:
     axis: str = ""
     prefix: str = ""
     symbol: str = ""
-    stored: bool = True
+    like: str = ""
 
-    def places(self, names: Names) -> Mapping[str, int]:
+    def places(self, names: Any) -> Mapping[str, int]:
         """Return the place of each name that a user may give; of a single number there is none."""
         return self._axis(names).places if self.axis else {}
 
-    def shown(self, names: Names) -> list[str]:
+    def shown(self, names: Any) -> list[str]:
         """Return the names of its numbers."""
         return [f"{self.prefix}{x}" for x in self._axis(names).shown] if self.axis else [self.name]
 
-    def _axis(self, names: Names) -> Named:
+    def _axis(self, names: Any) -> Named:
         found: Named = getattr(names, self.axis)
         return found
 
@@ -86,10 +87,16 @@ _TABLE = (
         by("multipliers"),
         axis="constraints",
         prefix="lambda_",
-        stored=False,
     ),
     Quantity("energy", "energy H", "ENERGY", by("energy"), symbol="energy"),
-    Quantity("kinetic_energy", "kinetic energy", "KINETIC", by("energy"), symbol="kinetic"),
+    Quantity(
+        "kinetic_energy",
+        "kinetic energy",
+        "KINETIC",
+        by("energy"),
+        symbol="kinetic_energy",
+        like="energy",
+    ),
 )
 QUANTITIES = {one.name: one for one in _TABLE}
 #: Those with a number for each coordinate, and those of one number.
