@@ -75,8 +75,8 @@ def plot_members(many: Any, name: Any, some: Any, *, ax: Any = None) -> Any:
         last = values[np.isfinite(values)]
         ax.hist(last, bins=min(60, max(5, int(len(last) ** 0.5))))
         ax.set(xlabel=f"{with_unit(name, units)} at the end", ylabel="members")
-    stepper = many.program
-    ax.set_title(f"{stepper.system}, {stepper.scheme}: {len(some)} of {len(many)} members")
+    program = many.program
+    ax.set_title(f"{program.system}, {program.scheme}: {len(some)} of {len(many)} members")
     ax.grid(lw=0.4, alpha=0.6)
     return ax
 
@@ -124,8 +124,8 @@ def plot_exponents(chaos: Any, *, ax: Any = None) -> Any:
     ax = axes(ax, (7, 3))
     for k, history in enumerate(chaos.history.T):
         ax.plot(chaos.t, history, lw=0.8, label=f"exponent {k + 1}")
-    stepper = chaos.trajectory.program
-    ax.set(xlabel="t", ylabel="exponent, 1 / time", title=f"{stepper.system}, {stepper.scheme}")
+    program = chaos.trajectory.program
+    ax.set(xlabel="t", ylabel="exponent, 1 / time", title=f"{program.system}, {program.scheme}")
     ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), frameon=False)
     ax.grid(lw=0.4, alpha=0.6)
     return ax

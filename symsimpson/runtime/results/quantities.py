@@ -74,10 +74,10 @@ class Quantities:
 
         Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body.
         """
-        module = self.program
-        if module.tools is None or not getattr(module.declared, "positions", None):
+        program = self.program
+        if program.tools is None or not getattr(program.declared, "positions", None):
             return {}
-        return module.tools.points_of(module.declared, *self._where())
+        return program.tools.points_of(program.declared, *self._where())
 
     def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """Return times, positions and values of parameters, of which the first axes agree."""

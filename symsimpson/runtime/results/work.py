@@ -128,9 +128,9 @@ def _added_up(run: Stored, count: int) -> Reals:
 
     Steps that the run took with more robust kernels are taken with these.
     """
-    module, every = run.program, run.every
+    program, every = run.program, run.every
     assert every is not None
-    numbers, header, kernels = module.numbers, module.header, module.kernels
+    numbers, header, kernels = program.numbers, program.header, program.kernels
     W = workspace(header, numbers, numbers.read(run.parameter_values))
     t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
     out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
