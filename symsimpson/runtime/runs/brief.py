@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.runtime.inputs import read_steps, read_times
+from symsimpson.runtime.inputs import MOST_STEPS, read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
@@ -168,7 +168,7 @@ def read_asked(program: Program, request: Request) -> Asked | None:
         return None
     values = program.values(request.parameters)
     known = (request.h, values.tobytes()) in program.findings.checked_steps
-    if not known or not (every is None or every > 0):
+    if not known or not (every is None or 0 < every <= MOST_STEPS):
         return None
     q, other = read_plainly(request.q0, n), read_plainly(p0 if v0 is None else v0, n)
     if q is None or other is None:

@@ -162,3 +162,11 @@ def test_threads_do_not_meet():
     for thread in threads:
         thread.join()
     assert found == [[end] * 50 for end in alone]
+
+
+def test_what_a_long_run_refuses_a_short_one_does_not_take(taken):
+    stepper = ss.compile(ss.systems.pendulum())
+    start = {"q0": [1.0], "v0": [0.0], "h": 0.01}
+    stepper.integrate(**start, steps=4)
+    with pytest.raises(ss.InputError, match="every is"):
+        stepper.integrate(**start, steps=4, every=2**60)
