@@ -14,7 +14,6 @@ from symsimpson.codegen.constraint_functions import (
 )
 from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
-from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels, equation_constants, solve_constants, solve_tables
 from symsimpson.codegen.looped_stages import LoopedStages
@@ -22,7 +21,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.retimed import keeping_time
 from symsimpson.codegen.sizes import drifting, sizes
 from symsimpson.codegen.stages import StageKernels
-from symsimpson.codegen.storage import Storage
+from symsimpson.codegen.storage import Storage, node_stride
 from symsimpson.codegen.tangents import differentiating
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.terms_of_l import (

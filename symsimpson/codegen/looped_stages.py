@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from symsimpson.codegen.ir import Call, Kernel, Loop
-from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.unrolled import lanes
 
 __all__ = ["LoopedStages"]

@@ -12,10 +12,10 @@ from typing import Self
 import sympy as sp
 
 from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store
-from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Definition, Graph, Level
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
 from symsimpson.discrete.equations import DiscreteEquations

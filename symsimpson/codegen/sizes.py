@@ -5,12 +5,11 @@ from __future__ import annotations
 from symsimpson.codegen.differentials import cost_of_time
 from symsimpson.codegen.differentials import sizes as differential_sizes
 from symsimpson.codegen.held import Held
-from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.stages import StageKernels
-from symsimpson.codegen.storage import Storage
+from symsimpson.codegen.storage import Storage, node_stride
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Composed
 from symsimpson.module.blocks import Sizes

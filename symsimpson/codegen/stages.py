@@ -30,10 +30,10 @@ from symsimpson.codegen.ir import (
     Statement,
     Store,
 )
-from symsimpson.codegen.layout import node_stride
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
 from symsimpson.codegen.unrolled import STATE, lanes, velocity

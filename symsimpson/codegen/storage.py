@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-__all__ = ["Storage"]
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["Storage", "node_stride"]
+
+#: Nodes are filled up to a multiple of this: a vector register of the widest machines.
+REGISTER = 8
 
 
 @dataclass(frozen=True)
@@ -101,3 +106,9 @@ class Storage:
 
     def _half(self, blocks: int) -> int:
         return blocks * (self.band + 1) - 1
+
+
+def node_stride(scheme: Scheme) -> int:
+    """Return the rows of a value that all nodes have: more than nodes where these are lanes."""
+    full = -(-scheme.stages // REGISTER) * REGISTER
+    return full if scheme.by_stages else scheme.stages

@@ -15,7 +15,7 @@ from symsimpson.mechanics.plain import Plain, Symbols
 __all__ = ["LARGE", "Declared"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
-#: Expressions of more nodes are not written in SymPy.
+#: Parts of a Lagrangian with more nodes than this, as trees, are left as they are written.
 LARGE = 2000
 
 

@@ -28,9 +28,7 @@ def equations_of(header: Header, run: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     entries = unknown[:, None] * at["EQUATION_STRIDE"] + at["EQUATION_OFFSET"] + unknown
     matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
     jacobian = np.where(inside, matrix[np.where(inside, entries, 0)], 0.0).reshape(d, n, d, n)
-    return residual, jacobian[
-        :, :, [header.tables["COLUMN_ORDER"].index(k) for k in range(1, d + 1)]
-    ]
+    return residual, jacobian[:, :, _columns(header)]
 
 
 def _columns(header: Header) -> list[int]:

@@ -59,12 +59,9 @@ def reads_rows(node: ast.expr) -> bool:
 
 def must_wait(node: ast.expr, text: Text) -> bool:
     """Return whether an expression must not be evaluated before it is known to be needed."""
-    called = (
-        text.functions.get(part.func.id)
-        for part in ast.walk(node)
-        if isinstance(part, ast.Call) and isinstance(part.func, ast.Name)
+    return reads_rows(node) or any(
+        name in text.functions and not _straight(text.functions[name]) for name in _weight(node)[1]
     )
-    return reads_rows(node) or any(x is not None and not _straight(x) for x in called)
 
 
 @lru_cache(maxsize=16384)

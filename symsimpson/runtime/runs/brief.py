@@ -213,21 +213,7 @@ def _of_steps(
     else:
         t, iterations = np.array([t0 + h * steps]), np.array([count])
         Q, P = end[:1], end[1:2]
-    return Trajectory(
-        t=t,
-        q=Q,
-        p=P,
-        newton_iterations=iterations,
-        h=h,
-        steps=steps,
-        every=every or None,
-        status=Status.SUCCESS,
-        message=DONE,
-        program=program,
-        parameter_values=asked.values,
-        input_values=NO_INPUTS,
-        variations=None,
-    )
+    return _trajectory(program, asked, (t, Q, P, iterations), h, steps)
 
 
 def _regular(program: Program, asked: Asked, end: Floats) -> bool:
@@ -264,6 +250,19 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
         t = np.append(before, t[:far])
         q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
         iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
+    return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau)
+
+
+def _trajectory(
+    program: Program,
+    asked: Asked,
+    states: tuple[Any, ...],
+    h: float,
+    steps: int,
+    tau: Floats | None = None,
+) -> Trajectory:
+    """Return a run that has come to its end, with these times, q, p and iterations."""
+    t, q, p, iterations = states
     return Trajectory(
         t=t,
         q=q,
@@ -271,7 +270,7 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
         newton_iterations=iterations,
         h=h,
         steps=steps,
-        every=every or None,
+        every=asked.every or None,
         status=Status.SUCCESS,
         message=DONE,
         program=program,

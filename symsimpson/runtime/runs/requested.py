@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import refuse_together
 from symsimpson.runtime.program import Program
-from symsimpson.runtime.results.sampled import Sampled, Saved
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.brief import brief_run
-from symsimpson.runtime.runs.chosen import chosen_run, last_time
 from symsimpson.runtime.runs.integrate import integrate
 from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import read_run
 from symsimpson.runtime.runs.timed import timed_run
 from symsimpson.runtime.runs.variations import read_varied, varied_program
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.results.sampled import Sampled, Saved
 
 __all__ = ["differentiating", "end_of_step", "run", "tangent_of_step"]
 
@@ -63,6 +64,8 @@ def _chosen(
     program: Program, request: Request, progress: bool | None, on_failure: str
 ) -> Sampled | Saved:
     """Run, and keep chosen states or quantities."""
+    from symsimpson.runtime.runs.chosen import chosen_run, last_time  # few runs need it
+
     refuse_together(request)
     if request.t_eval is not None and request.t_end is None and request.steps is None:
         t_end, steps = last_time(program, request)
