@@ -6,7 +6,7 @@ They are the transpose of the tangent, and so the exact derivatives of the cost 
 from __future__ import annotations
 
 from symsimpson.codegen.held_tangents import HeldDifferentials
-from symsimpson.codegen.ir import Call, Kernel, Statement, When
+from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.unrolled import lanes
 
 __all__ = ["adjoint_kernels"]
@@ -34,21 +34,9 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
 
 
 def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
-    cost = made.if_costly(Call("cost_slopes"))
-    of_end = (
-        *made.drag(),
-        *cost,
-        Call("pull_impulse", _AT_NODE),
-        *made.if_costly(Call("add_cost", _AT_NODE)),
-        Call("assemble_adjoint", _AT_NODE),
-    )
-    of_nodes = (
-        *made.parameter_slopes(),
-        *cost,
-        Call("weigh_node", _AT_NODE),
-        *made.if_varied(Call("pull_parameters", _HERE)),
-        Call("pull_start", _HERE),
-        *made.if_costly(Call("integrate_cost", _AT_NODE), Call("pull_cost", _AT_NODE)),
+    cost = made.if_costly(Call("cost_slopes"), Call("add_cost", _AT_NODE))
+    nodes = Loop(
+        "node", "range(NODES)", (Call("weigh_node", _AT_NODE), Call("pull_parameters", _HERE))
     )
     return (
         *made.pulled_end(),
@@ -56,12 +44,15 @@ def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
         *made.path_known(),
         *((Call("decay_adjoint"),) if made.loops.damped else ()),
         Call("begin_adjoint"),
-        *made.loops.all_rows(*of_end, at_points=made.pulled_right()),
+        *made.assembled(*cost),
+        Call("pull_end"),
+        *made.pulled_right(),
         *made.adjoint_joined(),
         Call("factor_equations"),
         Call("solve_adjoint"),
         *made.adjoint_parted(),
-        made.nodes(*of_nodes),
+        *made.if_varied(nodes),
+        Call("pull_start"),
         *made.pulled_start(),
         Call("close_adjoint"),
         Call("exchange_steps"),

@@ -14,10 +14,13 @@ from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
-from symsimpson.codegen.written_tangent import is_written
 
-__all__ = ["Differentials", "cost_of_time", "sizes"]
+__all__ = ["Differentials", "cost_of_time", "few_columns", "sizes"]
 
+#: With more products than this, variations are solved for one by one.
+MOST_TERMS = 4000
+
+_HERE = ("W", "node", "lane")
 #: Derivatives by parameters, and where they stand.
 _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
 
@@ -34,12 +37,15 @@ class Differentials:
         Coordinates in the order in which they are stored.
     following : bool
         Whether increments of some coordinates follow from those of the others.
+    in_order : bool
+        Whether the matrix of all unknowns needs no exchange of rows.
     """
 
     low: Lowering
     loops: LoopKernels
     places: tuple[int, ...]
     following: bool
+    in_order: bool
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -64,18 +70,18 @@ class Differentials:
         return (*self.loops.all_rows(), Call("solve_following")) if self.following else ()
 
     def parameter_slopes(self) -> tuple[Statement, ...]:
-        """Find the derivatives of F and P by parameters at a node, with its weight."""
-        grown = (Call("grow_slopes", ("W", "node", "lane")),) if self.loops.damped else ()
-        return self.if_varied(Call("parameter_slopes"), *grown)
-
-    def drag(self) -> tuple[Statement, ...]:
-        """Add to F_v at a node what forces contribute."""
-        return (Call("add_drag"),) if self.loops.dragged else ()
+        """Find and keep the derivatives of F and P by parameters at a node, with its weight."""
+        grown = (Call("grow_slopes", _HERE),) if self.loops.damped else ()
+        return self.if_varied(
+            Call("parameter_slopes"), *grown, Call("keep_parameter_slopes", _HERE)
+        )
 
     def nodes(self, *body: Statement) -> Loop:
-        """Go over all nodes of the path, with their jets."""
-        grown = (Call("grow_node", ("W", "node", "lane")),) if self.loops.damped else ()
-        return self.loops.nodes("range(NODES)", Call("jet"), *grown, *body)
+        """Go over all nodes of the path, and keep their jets."""
+        grown = (Call("grow_node", _HERE),) if self.loops.damped else ()
+        drag = (Call("keep_drag", _HERE),) if self.loops.dragged else ()
+        kept = Call("keep_jet", _HERE)
+        return self.loops.nodes("range(NODES)", Call("jet"), *grown, kept, *drag, *body)
 
     def timed(self) -> Self:
         """Return the same with times at nodes, if the running cost asks for them."""
@@ -109,7 +115,14 @@ def cost_of_time(low: Lowering) -> bool:
     return cost is not None and cost.depends(plain.t)
 
 
-def sizes(low: Lowering) -> dict[str, Any]:
+def few_columns(low: Lowering) -> bool:
+    """Return whether the derivative of a step is worth to be computed as a whole."""
+    n, size, stages = low.n, low.equations.unknowns.size, low.equations.scheme.stages
+    columns = 2 * n + len(low.varied)
+    return columns * (size**2 + 2 * stages * n**2) + size**3 / 3 <= MOST_TERMS
+
+
+def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
     """Return numbers that the sizes of what derivatives of a step have follow from."""
     if low.equations.varied is None:
         return {}
@@ -117,7 +130,7 @@ def sizes(low: Lowering) -> dict[str, Any]:
     return {
         **dict(zip(("f_slopes", "p_slopes"), slopes, strict=True)),
         "differentiated": True,
-        "written": is_written(low),
+        "by_columns": by_columns,
         "costly": low.equations.cost is not None,
         "varied": len(low.varied),
     }

@@ -195,6 +195,10 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
     lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
     for name, value in module.tables.items():
         lines += folded(f"{name} = ", _table(value, number), "    ")
+    straight = tuple(kernel.name for kernel in module.kernels if kernel.straight)
+    if straight:
+        lines += ["", "# kernels without choices: their loops are worth to be unrolled"]
+        lines += [f"STRAIGHT = {_literal(straight)}"]
     printer.used |= exact.used
     return "\n".join([*lines, ""])
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from symsimpson.codegen.differentials import Differentials
-from symsimpson.codegen.ir import Call, Loop, Statement
+from symsimpson.codegen.ir import Call, Index, Loop, Statement
 
 __all__ = ["HeldDifferentials"]
 
-_ONE = ("W", "variation", "lane")
-_AT_POINT = ("W", "h", "point", "variation", "lane")
-_OF_ONE = ("W", "constraint", "variation", "lane")
+_AT_POINT = ("W", "h", "point", "dq", "room", "lane")
+_BY_PARAMETER = ("W", "room", "parameter", "lane")
 
 
 class HeldDifferentials(Differentials):
@@ -19,10 +18,30 @@ class HeldDifferentials(Differentials):
         """Return statements where there are constraints."""
         return statements if self.loops.held else ()
 
-    def at_points(self) -> tuple[Statement, ...]:
-        """Add what constraints at a control point contribute to the right sides."""
-        varied = self.if_varied(Call("add_constraint_slopes", _AT_POINT))
-        return self.if_held(*self._slopes(), each(Call("vary_constraint", _AT_POINT), *varied))
+    def assembled(self, *more: Statement) -> tuple[Statement, ...]:
+        """Assemble the matrix of the step's derivatives; ``more`` is done at each node."""
+        points = self.if_varied(Call("constraint_parameter_slopes"), _kept("keep_point_slopes"))
+        constraint = Call("assemble_constraint", ("W", "h", "point", "lane"))
+        return (
+            self.nodes(*self.parameter_slopes(), *more),
+            *self.if_held(Call("clear_matrix", ("W", "lane", str(self.loops.entries)))),
+            Call("assemble_step", ("W", "h", "lane")),
+            *((Call("assemble_step_drag"),) if self.loops.dragged else ()),
+            *self.loops.points(
+                "range(DEGREE + 1)", "constrain", constraint, _kept("keep_point"), *points
+            ),
+        )
+
+    def varied_points(self) -> tuple[Statement, ...]:
+        """Add what constraints at control points contribute to the right sides."""
+        varied = self.if_varied(
+            Call("add_constraint_slopes", ("W", "h", "point", "room", "parameter", "lane"))
+        )
+        return self._points("range(DEGREE + 1)", each(Call("vary_constraint", _AT_POINT), *varied))
+
+    def _points(self, over: str, *body: Statement) -> tuple[Statement, ...]:
+        """Go over control points whose matrices are kept, if there are constraints."""
+        return self.if_held(Loop("point", over, body))
 
     def joined(self) -> tuple[Statement, ...]:
         """Bring equations and right sides into the order of elimination."""
@@ -34,9 +53,7 @@ class HeldDifferentials(Differentials):
 
     def pulls(self) -> tuple[Statement, ...]:
         """Add what the pulls of constraints change by to dp1 - dp0."""
-        varied = self.if_varied(Call("add_pull_slopes", ("W", "h", "variation", "lane")))
-        moved = each(Call("vary_pull", _AT_POINT), *varied)
-        return self.loops.points("range(DEGREE)", "constrain", *self._slopes(), moved)
+        return self._points("range(DEGREE)", each(Call("vary_pull", _AT_POINT)))
 
     def impulse(self) -> tuple[Statement, ...]:
         """Find p1 - p0 once more, before the projection."""
@@ -62,20 +79,23 @@ class HeldDifferentials(Differentials):
                 Call("constrain"),
                 *self._slopes(),
                 each(
-                    Call("vary_curvature", _OF_ONE),
-                    *self.if_varied(Call("add_curvature_slopes", _OF_ONE)),
+                    Call("vary_curvature", ("W", "constraint", "dq", "room", "lane")),
+                    *self.if_varied(
+                        Call("add_curvature_slopes", ("W", "constraint", *_BY_PARAMETER[1:]))
+                    ),
                 ),
             ),
         )
         taken = map(Call, ("momentum_taken", "allow_no_change", "solve_held", "constrain"))
         begun = each(
-            Call("begin_projection", _ONE), *self.if_varied(Call("add_projection_slopes", _ONE))
+            Call("begin_projection", ("W", "dq", "room", "lane")),
+            *self.if_varied(Call("add_projection_slopes", _BY_PARAMETER)),
         )
         closed = each(
-            Call("take_right_side", _ONE),
+            Call("take_right_side", ("W", "room", "lane")),
             Call("solve_held"),
-            Call("close_projection", _ONE),
-            *self.if_varied(Call("add_momentum_slopes", _ONE)),
+            Call("close_projection", ("W", "dq", "lane")),
+            *self.if_varied(Call("add_momentum_slopes", ("W", "dq", "parameter", "lane"))),
         )
         return (
             *self.loops.start("t + h"),
@@ -124,7 +144,7 @@ class HeldDifferentials(Differentials):
 
     def pulled_right(self) -> tuple[Statement, ...]:
         """Add what constraints at a control point contribute to the right side of the adjoint."""
-        return self.if_held(Call("pull_point", ("W", "h", "point", "lane")))
+        return self._points("range(DEGREE)", Call("pull_point", ("W", "h", "point", "lane")))
 
     def adjoint_joined(self) -> tuple[Statement, ...]:
         """Bring equations and the right side of the adjoint into the order of elimination."""
@@ -138,10 +158,8 @@ class HeldDifferentials(Differentials):
     def pulled_start(self) -> tuple[Statement, ...]:
         """Add the derivatives by q0 and by parameters that go through control points."""
         here = ("W", "h", "point", "lane")
-        found = self.loops.points(
+        found = self._points(
             "range(DEGREE + 1)",
-            "constrain",
-            *self._slopes(),
             Call("pull_start_of_point", here),
             *self.if_varied(Call("pull_slopes_of_point", here)),
         )
@@ -149,9 +167,18 @@ class HeldDifferentials(Differentials):
 
     @staticmethod
     def _of_room(function: str) -> Call:
-        return Call(function, ("W", "room_of(W, variation, lane)", "lane"))
+        return Call(function, ("W", "room", "lane"))
 
 
 def each(*body: Statement) -> Loop:
-    """Go over variations."""
-    return Loop("variation", "range(int(W[TANGENTS, lane]))", body)
+    """Go over variations: where dq and dp stand, the room of each, the parameter if it is one's."""
+    here = (
+        Index("dq", "TANGENT + variation * 2 * DIMENSION"),
+        Index("room", "room_of(W, variation, lane)"),
+        Index("parameter", "parameter_of(W, variation, lane)"),
+    )
+    return Loop("variation", "range(int(W[TANGENTS, lane]))", (*here, *body))
+
+
+def _kept(function: str) -> Call:
+    return Call(function, ("W", "point", "lane"))

@@ -155,11 +155,15 @@ class Function:
 
 @dataclass(frozen=True)
 class Kernel:
-    """One function ``(h, t, workspace)`` over all lanes of a block."""
+    """One function ``(h, t, workspace)`` over all lanes of a block.
+
+    It is ``straight`` if its loops are worth to be walked turn by turn, however long.
+    """
 
     name: str
     doc: str
     body: tuple[Statement, ...]
+    straight: bool = False
 
 
 @dataclass(frozen=True)

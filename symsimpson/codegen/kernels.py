@@ -12,6 +12,7 @@ from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
     constraint_functions,
 )
+from symsimpson.codegen.differentials import few_columns
 from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.levels import Level
@@ -51,6 +52,7 @@ from symsimpson.discrete.reductions import (
     Separable,
 )
 from symsimpson.module.blocks import layout
+from symsimpson.module.interface import PIVOTED
 
 __all__ = ["UNROLLED_UNKNOWNS", "lower", "unrolled"]
 
@@ -260,12 +262,15 @@ def _module(
 
     Derivatives of a step are taken of all that it is made of.
     """
-    storage = loops.storage
+    # the order of elimination in which Newton's method needs no exchange of rows serves here, too
+    written = any(kernel.name == PIVOTED for kernel in kernels) and not loops.held
+    in_order = written and unknowns == low.equations.unknowns.size and few_columns(low)
     more, own_kernels, own_tables = differentiating(
         low,
         loops,
-        sorted(range(low.n), key=storage.order.__getitem__),
+        sorted(range(low.n), key=loops.storage.order.__getitem__),
         following="FOLLOWING" in tables,
+        in_order=in_order,
     )
     functions, kernels, tables = functions + more, kernels + own_kernels, tables | own_tables
     more, kernels = keeping_time(low, loops, kernels)
@@ -294,7 +299,7 @@ def _module(
     doc = "What depends on the parameters and h alone."
     known = low.statements(stores, (Level.RUN,), "constants")
     prepare = Kernel("prepare", doc, lanes((*known, *coefficients, *for_stages)))
-    first, rows = layout(sizes(low, loops, stages))
+    first, rows = layout(sizes(low, loops, stages, by_columns=in_order))
     return Module(
         low.names,
         tuple(functions),

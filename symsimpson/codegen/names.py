@@ -43,6 +43,7 @@ RESERVED = frozenset(BLOCKS) | frozenset(
         "node",
         "KICKS",
         "DRIFTS",
+        "STRAIGHT",
         "STRIDE",
         "MANY",
         "FRESH",

@@ -17,7 +17,13 @@ from symsimpson.module.blocks import Sizes
 __all__ = ["drifting", "sizes"]
 
 
-def sizes(low: Lowering, loops: LoopKernels, stages: StageKernels | LoopedStages | None) -> Sizes:
+def sizes(
+    low: Lowering,
+    loops: LoopKernels,
+    stages: StageKernels | LoopedStages | None,
+    *,
+    by_columns: bool,
+) -> Sizes:
     """Return what the sizes of all blocks follow from."""
     storage, held, plain = loops.storage, loops.held, low.equations.plain
     unknowns, scheme = low.equations.unknowns, low.equations.scheme
@@ -46,7 +52,7 @@ def sizes(low: Lowering, loops: LoopKernels, stages: StageKernels | LoopedStages
         drifting=drifting(low.equations),
         retimed=low.equations.system.retiming is not None,
         **(stages.sizes if stages is not None else {}),
-        **differential_sizes(low),
+        **differential_sizes(low, by_columns=by_columns),
     )
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import attrgetter
 
-__all__ = ["ADJACENT", "BLOCKS", "TOLD", "Block", "Sizes", "layout"]
+__all__ = ["ADJACENT", "BLOCKS", "TOLD", "Block", "Sizes", "layout", "scratch"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +34,8 @@ class Sizes:
         halves of an iteration; angles of which sines are kept.
     staged_by_loops, staged_times : bool
         Whether loops do so, and need the times of nodes.
-    differentiated, written, costly : bool
-        Whether steps are differentiated, line by line, and a running cost with them.
+    differentiated, by_columns, costly : bool
+        Whether steps are differentiated, by columns of their derivative, with a running cost.
     varied, f_slopes, p_slopes : int
         Parameters that are varied; derivatives of F and P by them that are not zero.
     """
@@ -67,7 +68,7 @@ class Sizes:
     staged_by_loops: bool = False
     staged_times: bool = False
     differentiated: bool = False
-    written: bool = False
+    by_columns: bool = False
     costly: bool = False
     varied: int = 0
     f_slopes: int = 0
@@ -106,6 +107,8 @@ class Block:
         Whether the driver is told where it stands.
     optional : bool
         Whether a module has it only if it has rows in it.
+    scratch : bool
+        Whether no kernel reads what another one has left there.
     """
 
     name: str
@@ -113,11 +116,14 @@ class Block:
     size: Size = one
     told: bool = False
     optional: bool = False
+    scratch: bool = False
 
 
-def part(name: str, doc: str, size: Size = one, told: bool = False) -> Block:
+def part(
+    name: str, doc: str, size: Size = one, told: bool = False, *, scratch: bool = False
+) -> Block:
     """Return a block of systems that need it: with constraints, inputs, stages, derivatives."""
-    return Block(name, doc, size, told, optional=True)
+    return Block(name, doc, size, told, optional=True, scratch=scratch)
 
 
 #: All of them, in their order. Sizes that are spoken of are squared norms with the diagonal of
@@ -167,25 +173,30 @@ _TABLE = (
     Block("PARAMETER", "parameters", lambda s: s.parameters, told=True),
     Block("INVARIANT", "quantities to watch", lambda s: s.invariants),
     Block("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
-    Block("NODE_POSITION", "q at a node", coordinates),
-    Block("NODE_VELOCITY", "v at a node", coordinates),
-    Block("NODE_L_Q", "F at a node", coordinates),
-    Block("NODE_L_V", "P, or a, at a node", coordinates),
-    Block("NODE_L_QQ", "F_q at a node", entries),
-    Block("NODE_L_QV", "F_v at a node", entries),
+    Block("NODE_POSITION", "q at a node", coordinates, scratch=True),
+    Block("NODE_VELOCITY", "v at a node", coordinates, scratch=True),
+    Block("NODE_L_Q", "F at a node", coordinates, scratch=True),
+    Block("NODE_L_V", "P, or a, at a node", coordinates, scratch=True),
+    Block("NODE_L_QQ", "F_q at a node", entries, scratch=True),
+    Block("NODE_L_QV", "F_v at a node", entries, scratch=True),
     Block("NODE_L_VV", "M at a node", entries),
     Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
     Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, told=True),
     Block("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
-    part("NODE_F_V", "derivatives of the forces by v at a node", lambda s: s.dragged * s.entries),
-    part("NODE_TIME", "t at a node", lambda s: s.timed),
+    part(
+        "NODE_F_V",
+        "derivatives of the forces by v at a node",
+        lambda s: s.dragged * s.entries,
+        scratch=True,
+    ),
+    part("NODE_TIME", "t at a node", lambda s: s.timed, scratch=True),
     part(
         "INPUT",
         "inputs of the step, of each its values at all nodes",
         lambda s: s.inputs * s.stride,
         told=True,
     ),
-    part("NODE_INPUT", "inputs at a node", lambda s: s.inputs),
+    part("NODE_INPUT", "inputs at a node", lambda s: s.inputs, scratch=True),
     part(
         "GROWTH",
         "by how much the weights of nodes have grown, and those of the end of the step",
@@ -255,8 +266,8 @@ _TABLE = (
         "how far constraints are from following from one another: 0 to 1",
         lambda s: s.constrained,
     ),
-    Block("RESIDUAL", "residual, then the correction", unknowns),
-    Block("JACOBIAN", "its derivatives", lambda s: s.jacobian),
+    Block("RESIDUAL", "residual, then the correction", unknowns, scratch=True),
+    Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
     part(
         "NODE_F_A",
         "derivatives of F by the parameters that are varied, at a node",
@@ -273,9 +284,74 @@ _TABLE = (
         "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns
     ),
     part(
+        "START_SLOPES",
+        "derivatives of the rows of a step by q0, increments held",
+        lambda s: s.differentiated * s.degree * s.entries,
+        scratch=True,
+    ),
+    part(
+        "END_SLOPES",
+        "those of p1 - p0 by q0, then by increments in the order of elimination",
+        lambda s: s.differentiated * (s.degree + 1) * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_QQ",
+        "F_q at all nodes",
+        lambda s: s.differentiated * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_QV",
+        "F_v at all nodes",
+        lambda s: s.differentiated * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_VV", "M at all nodes", lambda s: s.differentiated * s.nodes * s.entries, scratch=True
+    ),
+    part(
+        "STEP_F_V",
+        "derivatives of the forces by v at all nodes",
+        lambda s: s.differentiated * s.dragged * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_F_A",
+        "derivatives of F by parameters at all nodes",
+        lambda s: s.nodes * s.f_slopes,
+        scratch=True,
+    ),
+    part("STEP_P_A", "those of P", lambda s: s.nodes * s.p_slopes, scratch=True),
+    part(
+        "POINT_QQ",
+        "second derivatives of lambda.phi at all control points",
+        lambda s: s.differentiated * (s.degree + 1) * s.bordered,
+        scratch=True,
+    ),
+    part(
+        "POINT_A",
+        "derivatives of phi by parameters at these",
+        lambda s: (s.degree + 1) * s.varied * s.m,
+        scratch=True,
+    ),
+    part(
+        "POINT_QA",
+        "those of Phi^T lambda",
+        lambda s: (s.degree + 1) * s.varied * s.constrained * s.n,
+        scratch=True,
+    ),
+    part(
         "DERIVATIVE",
         "of the end of the step, column by column: by q, by p and by what is varied",
-        lambda s: s.written * 2 * s.n * (2 * s.n + s.varied),
+        lambda s: s.by_columns * 2 * s.n * (2 * s.n + s.varied),
+        scratch=True,
+    ),
+    part(
+        "COLUMN_ROOM",
+        "right sides of the equations for these columns",
+        lambda s: s.by_columns * (s.unknowns + s.n) * (2 * s.n + s.varied),
+        scratch=True,
     ),
     part("ADJOINT", "derivatives of a cost by q and p", lambda s: 2 * s.differentiated * s.n),
     part(
@@ -347,6 +423,17 @@ TOLD = {
         )
     )
 }
+
+
+def scratch(first: Mapping[str, int]) -> dict[str, range]:
+    """Return the rows of each block that is scratch, by where the blocks of a module begin."""
+    known = sorted({first[name] for name in (*BLOCKS, "ROWS") if name in first})
+    ends = dict(pairwise(known))
+    return {
+        block.name: range(first[block.name], ends.get(first[block.name], first[block.name]))
+        for block in _TABLE
+        if block.scratch and block.name in first
+    }
 
 
 def layout(sizes: Sizes) -> tuple[dict[str, int], int]:

@@ -25,11 +25,14 @@ class Array:
     pointer : llvmlite value
     shape, strides : tuple of whole numbers
         Strides in numbers.
+    values : bool
+        Whether what stands in it is kept as values, as long as nobody else looks at it.
     """
 
     pointer: Any
     shape: tuple[Any, ...]
     strides: tuple[Any, ...]
+    values: bool = False
 
     @property
     def size(self) -> Any:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from symsimpson.walk.arrays import BYTE, Array, Arrays
+from symsimpson.walk.arrays import BYTE, Array
+from symsimpson.walk.rows import Rows
 from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, Along, Refused, known
 
 __all__ = ["Blocks", "Loop", "Slot"]
@@ -30,7 +31,7 @@ class Loop:
     after: Any
 
 
-class Blocks(Arrays):
+class Blocks(Rows):
     """Values with control flow, variables and tables."""
 
     def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...] = FLAGS) -> None:

@@ -75,6 +75,9 @@ class Expressions(ABC):
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
         self._frames: list[Frame] = []
+        #: Names in what is walked after the present statement, and in it, of each block around it.
+        self._following: list[frozenset[str]] = []
+        self._names: dict[ast.AST, frozenset[str]] = {}
 
     @abstractmethod
     def _called(self, name: str, arguments: list[Any]) -> Any:

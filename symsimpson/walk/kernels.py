@@ -13,6 +13,7 @@ from llvmlite import ir
 from symsimpson.errors import GenerationError
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.calls import Calls
+from symsimpson.walk.rows import BlockBuilder
 from symsimpson.walk.text import ARGUMENTS, Text, read_text
 from symsimpson.walk.values import DOUBLE, Refused
 from symsimpson.walk.walker import Walker
@@ -121,10 +122,10 @@ def _walked(
     made.linkage = "internal"
     made.attributes.add("alwaysinline")
     set.add(made.attributes, wide(bits))
-    builder = ir.IRBuilder(made.append_basic_block("entry"))
+    builder = BlockBuilder(made.append_basic_block("entry"))
     h, t, workspace = made.args
 
-    rows = Array(workspace, (None, lanes), (lanes, 1))
+    rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
     walker = Walker(text, Calls(builder), library(context))
     try:
         walker.kernel(name, h, t, rows, vector=vector)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
+from symsimpson.module.blocks import scratch
 from symsimpson.module.definitions import syntax
 
 __all__ = ["ARGUMENTS", "Text", "read_text"]
@@ -20,7 +21,7 @@ ARGUMENTS = ["h", "t", "workspace"]
 _COMPILER = ("numba", "numba.extending")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Text:
     """Functions and constants of a module.
 
@@ -30,10 +31,13 @@ class Text:
         Kernels, and what they call.
     constants : mapping from str to number, tuple or ndarray
         Everything else that has a name, functions of ``math`` among it.
+    scratch : mapping from str to range
+        Rows of blocks in which no kernel leaves anything to others.
     """
 
     functions: Mapping[str, ast.FunctionDef]
     constants: Mapping[str, Any]
+    scratch: Mapping[str, range] = field(default_factory=dict)
 
 
 @lru_cache(maxsize=4)  # kernels of a module are made one after the other
@@ -53,7 +57,7 @@ def read_text(text: str) -> Text:
     constants: dict[str, Any] = {}
     exec(compile(ast.Module(others, []), "<constants of a module>", "exec"), constants)
     tables = {k: np.asarray(v) for k, v in constants.items() if isinstance(v, list)}
-    return Text(functions, constants | tables)
+    return Text(functions, constants | tables, scratch(constants))
 
 
 def _walked(node: ast.FunctionDef) -> bool:

@@ -60,33 +60,15 @@ def reads_rows(node: ast.expr) -> bool:
 def must_wait(node: ast.expr, text: Text) -> bool:
     """Return whether an expression must not be evaluated before it is known to be needed."""
     return reads_rows(node) or any(
-        name in text.functions and not _straight(text.functions[name]) for name in _weight(node)[1]
+        name in text.functions and not _straight(text.functions[name]) for name in _calls(node)
     )
 
 
 @lru_cache(maxsize=16384)
-def _weight(node: ast.AST) -> tuple[int, tuple[str, ...]]:
-    """Return the operations of a statement without calls, and the functions that it calls."""
-    own, calls = 0, []
-    for child in _parts(node):
-        match child:
-            case ast.For(iter=ast.Call(args=[ast.Constant(value=int(count))]), body=body):
-                turns = count
-            case ast.For(body=body):
-                turns = TURNS
-            case ast.BinOp() | ast.Compare() | ast.IfExp() | ast.Subscript():
-                own += 1
-                continue
-            case ast.Call(func=ast.Name(id=name)):
-                calls.append(name)
-                continue
-            case _:
-                continue
-        for statement in body:
-            inner, called = _weight(statement)
-            own += turns * inner
-            calls += turns * list(called)
-    return own, tuple(calls)
+def _calls(node: ast.AST) -> frozenset[str]:
+    """Return the names of functions that a tree calls."""
+    calls = (part.func for part in ast.walk(node) if isinstance(part, ast.Call))
+    return frozenset(name.id for name in calls if isinstance(name, ast.Name))
 
 
 def _parts(node: ast.AST) -> Iterator[ast.AST]:
@@ -98,11 +80,29 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
         yield from _parts(child)
 
 
+@lru_cache(maxsize=65536)
 def weight(node: ast.AST, text: Text) -> int:
     """Return about how many operations a statement has, in the functions that it calls too."""
-    own, calls = _weight(node)
-    functions = (text.functions[name] for name in calls if name in text.functions)
-    return own + sum(weight(statement, text) for f in functions for statement in f.body)
+    own = 0
+    for part in _parts(node):
+        match part:
+            case ast.For(iter=source, body=body):
+                own += _turns(source, text) * sum(weight(statement, text) for statement in body)
+            case ast.BinOp() | ast.Compare() | ast.IfExp() | ast.Subscript():
+                own += 1
+            case ast.Call(func=ast.Name(id=name)) if name in text.functions:
+                own += sum(weight(statement, text) for statement in text.functions[name].body)
+    return own
+
+
+def _turns(source: ast.expr, text: Text) -> int:
+    """Return how often a loop turns, or a guess where its ends are no constants."""
+    match source:
+        case ast.Call(func=ast.Name(id="range"), args=[end]):
+            return _number(end, text, {}) or TURNS
+        case ast.Name(id=name) if isinstance(text.constants.get(name), (tuple, list)):
+            return len(text.constants[name])
+    return TURNS
 
 
 def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[str, int]) -> bool:

@@ -24,6 +24,8 @@ __all__ = ["Walker"]
 
 #: As many turns are made to one vector.
 WIDTHS = (4, 8, 16)
+#: Kernels that are called for what they leave in scratch.
+RESULTS = ("equations",)
 
 
 class Walker(Functions):
@@ -40,6 +42,10 @@ class Walker(Functions):
             If lanes cannot be one vector.
         """
         lanes = workspace.shape[1]
+        scratch = self._scratch(lanes) if name not in RESULTS else {}
+        if name in self._text.constants.get("STRAIGHT", ()):
+            self._few = self._weight(self._text.functions[name].body)
+        self._values.wanted = lambda place: self._wanted(place, scratch)
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
         for statement in self._text.functions[name].body:
@@ -55,6 +61,29 @@ class Walker(Functions):
                     self._statement(statement, env)
         self._frames.pop()
 
+    def _scratch(self, lanes: int) -> dict[int, str]:
+        """Return the names of blocks that are scratch, by places in the workspace."""
+        return {
+            row * lanes + lane: name
+            for name, rows in self._text.scratch.items()
+            for row in rows
+            for lane in range(lanes)
+        }
+
+    def _wanted(self, place: int, scratch: dict[int, str]) -> bool:
+        """Return whether a place is no scratch, or statements that follow name its block."""
+        block = scratch.get(place)
+        return block is None or any(block in names for names in self._following)
+
+    def _mentioned(self, node: ast.AST) -> frozenset[str]:
+        """Return the names in a statement, and in the functions that it calls."""
+        found = self._names.get(node)
+        if found is None:
+            own = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+            functions = [self._text.functions[name] for name in own if name in self._text.functions]
+            found = self._names[node] = frozenset(own).union(*map(self._mentioned, functions))
+        return found
+
     def function(self, name: str, arguments: list[Any]) -> Any:
         """Walk a function, and return its result.
 
@@ -69,7 +98,13 @@ class Walker(Functions):
 
     def _block(self, body: Sequence[ast.stmt], env: Env) -> bool:
         """Walk statements; returns whether the function was left."""
-        return any(self._statement(statement, env) for statement in body)
+        for k, statement in enumerate(body):
+            self._following.append(frozenset().union(*map(self._mentioned, body[k:])))
+            left = self._statement(statement, env)
+            self._following.pop()
+            if left:
+                return True
+        return False
 
     def _statement(self, node: ast.stmt, env: Env) -> bool:
         try:

@@ -30,6 +30,7 @@ FILES = (
     "stage_iteration",
     "stage_loops",
     "collocation",
+    "slopes",
     "tangent",
     "held_tangent",
     "adjoint",

@@ -1,13 +1,13 @@
 """Derivatives of a cost, carried from the end of a step back to its start.
 
 The cost is J(q1, p1), or what follows of it; its derivatives (a, b) by q1 and p1 stand in ADJOINT.
-With S the matrix of all unknowns, S^T w = dJ/dX. Then at node i
+With the matrix of a step's derivatives, S^T w = a at X_d + E_X^T b; derivatives by q0 are
+a + E_q^T b - R_q^T w, by p0 they are b - w_0. At node i
 
     sigma = h b_i (b - sum_k A_ik w_k),    tau = -b_i sum_k B_ik w_k
 
-are the derivatives of J by F and P there, and all others follow: by q0 they are
-a + sum_i (F_q^T sigma + P_q^T tau), by p0 they are b - w_0, by a parameter
-sum_i (F_a.sigma + P_a.tau). A running cost g adds h b_i g(t_i, q_i, v_i) at each node.
+are the derivatives of J by F and P, and those by a parameter sum_i (F_a.sigma + P_a.tau). A
+running cost g adds h b_i g(t_i, q_i, v_i) at each node.
 """
 
 
@@ -36,7 +36,7 @@ def decay_adjoint(W, lane):
 
 @compiled
 def begin_adjoint(W, lane):
-    """Begin the right side dJ/dX with what the end of the path contributes."""
+    """Begin the right side dJ/dX with what the end of the path contributes, other sums with 0."""
     for row in range(UNKNOWNS):
         W[ADJOINT_RIGHT + row, lane] = real(0)
     for column in range(DEGREE):
@@ -46,41 +46,45 @@ def begin_adjoint(W, lane):
                 W[ADJOINT_RIGHT + here, lane] = W[ADJOINT + COORDINATE[s], lane]
     for s in range(DIMENSION):
         W[ADJOINT_START + s, lane] = real(0)
-
-
-@compiled
-def pull_impulse(W, h, node, lane):
-    """Find the derivatives of b.p1 by q and v at a node; they stand where q and v stood."""
-    for s in range(DIMENSION):
-        by_position = real(0)
-        by_velocity = real(0)
-        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-            entry = c * NODE_STRIDE + s + NODE_OFFSET
-            b = W[ADJOINT + DIMENSION + COORDINATE[c], lane]
-            by_position += W[NODE_L_QQ + entry, lane] * b
-            by_velocity += W[NODE_L_QV + entry, lane] * b
-        W[NODE_POSITION + s, lane] = h * WEIGHTS[node] * by_position
-        W[NODE_VELOCITY + s, lane] = h * WEIGHTS[node] * by_velocity
+    for entry in range(VARIED * NODES):
+        W[COST_SLOPE + entry, lane] = real(0)
 
 
 @compiled
 def add_cost(W, h, node, lane):
-    """Add to these the derivatives of the running cost."""
+    """Add the running cost at a node, and its derivatives to those of J."""
+    integrate_cost(W, h, node, lane)
+    weight = h * WEIGHTS[node]
     for s in range(DIMENSION):
-        slope = NODE_COST + 1 + s
-        W[NODE_POSITION + s, lane] += h * WEIGHTS[node] * W[slope, lane]
-        W[NODE_VELOCITY + s, lane] += h * WEIGHTS[node] * W[slope + DIMENSION, lane]
+        by_position = weight * W[NODE_COST + 1 + s, lane]
+        by_velocity = WEIGHTS[node] * W[NODE_COST + 1 + DIMENSION + s, lane]
+        W[ADJOINT_START + s, lane] += by_position
+        for column in range(DEGREE):
+            k = COLUMN_ORDER[column]
+            change = BASIS[node, k] * by_position + BASIS_SLOPE[node, k] * by_velocity
+            W[ADJOINT_RIGHT + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] += change
+    for j in range(VARIED):
+        slope = weight * W[NODE_COST + 1 + 2 * DIMENSION + j, lane]
+        W[COST_SLOPE + j * NODES + node, lane] += slope
 
 
 @compiled
-def assemble_adjoint(W, h, node, lane):
-    """Add what a node contributes to the right side."""
-    for column in range(DEGREE):
-        k = COLUMN_ORDER[column]
-        for s in range(DIMENSION):
-            change = BASIS[node, k] * W[NODE_POSITION + s, lane]
-            change += BASIS_SLOPE[node, k] * W[NODE_VELOCITY + s, lane] / h
-            W[ADJOINT_RIGHT + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] += change
+def pull_end(W, lane):
+    """Add what p1 contributes: E_X^T b to the right side, E_q^T b to the derivative by q0."""
+    for s in range(DIMENSION):
+        start = W[ADJOINT_START + s, lane]
+        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+            slope = W[END_SLOPES + c * NODE_STRIDE + s + NODE_OFFSET, lane]
+            start += slope * W[ADJOINT + DIMENSION + COORDINATE[c], lane]
+        W[ADJOINT_START + s, lane] = start
+        for column in range(DEGREE):
+            first = END_SLOPES + (column + 1) * (NODE_L_QV - NODE_L_QQ) + s + NODE_OFFSET
+            here = ADJOINT_RIGHT + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+            right = W[here, lane]
+            for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                b = W[ADJOINT + DIMENSION + COORDINATE[c], lane]
+                right += W[first + c * NODE_STRIDE, lane] * b
+            W[here, lane] = right
 
 
 @compiled
@@ -115,27 +119,30 @@ def weigh_node(W, h, node, lane):
 
 @compiled
 def pull_parameters(W, node, lane):
-    """Find the derivatives by parameters that go through a node."""
+    """Add the derivatives by parameters that go through a node."""
     for j in range(VARIED):
         slope = real(0)
         for row in range(F_A_FROM[j], F_A_FROM[j + 1]):
-            slope += W[NODE_F_A + row, lane] * W[NODE_POSITION + F_A_PLACE[row], lane]
+            by_force = W[STEP_F_A + node * F_A_FROM[VARIED] + row, lane]
+            slope += by_force * W[NODE_POSITION + F_A_PLACE[row], lane]
         for row in range(P_A_FROM[j], P_A_FROM[j + 1]):
-            slope += W[NODE_P_A + row, lane] * W[NODE_VELOCITY + P_A_PLACE[row], lane]
-        W[COST_SLOPE + j * NODES + node, lane] = slope
+            by_momentum = W[STEP_P_A + node * P_A_FROM[VARIED] + row, lane]
+            slope += by_momentum * W[NODE_VELOCITY + P_A_PLACE[row], lane]
+        W[COST_SLOPE + j * NODES + node, lane] += slope
 
 
 @compiled
-def pull_start(W, node, lane):
-    """Add the derivative by q0 that goes through a node."""
-    for s in range(DIMENSION):
-        slope = real(0)
-        for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-            of_force = W[NODE_L_QQ + c * NODE_STRIDE + s + NODE_OFFSET, lane]
-            of_momentum = W[NODE_L_QV + s * NODE_STRIDE + c + NODE_OFFSET, lane]
-            slope += of_force * W[NODE_POSITION + c, lane]
-            slope += of_momentum * W[NODE_VELOCITY + c, lane]
-        W[ADJOINT_START + s, lane] += slope
+def pull_start(W, lane):
+    """Add to the derivative by q0 what the rows of the step contribute, -R_q^T w."""
+    for row in range(DEGREE):
+        first = START_SLOPES + row * (NODE_L_QV - NODE_L_QQ) + NODE_OFFSET
+        right = ADJOINT_RIGHT + row * EQUATION_ROW_STEP
+        for s in range(DIMENSION):
+            slope = real(0)
+            for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                w = W[right + c * EQUATION_PLACE_STEP, lane]
+                slope += W[first + c * NODE_STRIDE + s, lane] * w
+            W[ADJOINT_START + s, lane] -= slope
 
 
 @compiled
@@ -145,17 +152,6 @@ def integrate_cost(W, h, node, lane):
     change = h * WEIGHTS[node] * W[NODE_COST, lane] + W[COST + 1, lane]
     W[COST, lane] = before + change
     W[COST + 1, lane] = change - (W[COST, lane] - before)
-
-
-@compiled
-def pull_cost(W, h, node, lane):
-    """Add the derivatives of the running cost at a node by q0 and by parameters."""
-    weight = h * WEIGHTS[node]
-    for s in range(DIMENSION):
-        W[ADJOINT_START + s, lane] += weight * W[NODE_COST + 1 + s, lane]
-    for j in range(VARIED):
-        slope = weight * W[NODE_COST + 1 + 2 * DIMENSION + j, lane]
-        W[COST_SLOPE + j * NODES + node, lane] += slope
 
 
 @compiled

@@ -43,7 +43,7 @@ def momentum_of_adjoint(W, lane):
 def pull_curvature(W, lane):
     """Add P_q^T (b - x) - Hess(z.phi) v to the derivative by q1; x stands where velocities do."""
     for s in range(DIMENSION):
-        slope = -times_dq(W, HELD_PLACE[s], ADJOINT_START, lane)
+        slope = -times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT_START, lane)
         for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             a = COORDINATE[c]
             taken = W[ADJOINT + DIMENSION + a, lane] - W[VELOCITY + a, lane]
@@ -79,7 +79,9 @@ def take_projected(W, lane):
 def pull_projection(W, lane):
     """Add -Hess(nu.phi) x to the derivative by q1."""
     for s in range(DIMENSION):
-        W[ADJOINT + COORDINATE[s], lane] -= times_dq(W, HELD_PLACE[s], ADJOINT + DIMENSION, lane)
+        W[ADJOINT + COORDINATE[s], lane] -= times_dq(
+            W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT + DIMENSION, lane
+        )
 
 
 @compiled
@@ -94,16 +96,16 @@ def pull_projection_slopes(W, lane):
 @compiled
 def pull_point(W, h, point, lane):
     """Add to the right side what the pull of constraints at a control point contributes."""
+    first, b = POINT_QQ + point * HELD_SIZE, ADJOINT + DIMENSION
     if point < DEGREE:
         column = COLUMN_OF_POINT[point]
         for s in range(DIMENSION):
             if column >= 0:
                 row = column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-                slope = times_dq(W, HELD_PLACE[s], ADJOINT + DIMENSION, lane)
-                W[ADJOINT_RIGHT + row, lane] -= slope / h
+                W[ADJOINT_RIGHT + row, lane] -= times_dq(W, first, HELD_PLACE[s], b, lane) / h
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + point * CONSTRAINTS + c
-            slope = times_dq(W, HELD_PLACE[DIMENSION + c], ADJOINT + DIMENSION, lane)
+            slope = times_dq(W, first, HELD_PLACE[DIMENSION + c], b, lane)
             W[ADJOINT_RIGHT + row, lane] -= slope / h
 
 
@@ -119,7 +121,7 @@ def pull_start_of_point(W, h, point, lane):
     """Add the derivative by q0 that goes through a control point."""
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
-        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
+        row = POINT_QQ + point * HELD_SIZE + i * HELD_STRIDE + HELD_OFFSET
         slope = real(0)
         for b in range(DIMENSION):
             if point < DEGREE and abs(i - HELD_PLACE[b]) <= HELD_BAND:
@@ -139,12 +141,12 @@ def pull_slopes_of_point(W, h, point, lane):
         slope = real(0)
         for s in range(DIMENSION):
             if point < DEGREE:
-                pull = W[CONSTRAINT_QA + j * DIMENSION + s, lane]
+                pull = W[POINT_QA + (point * VARIED + j) * DIMENSION + s, lane]
                 slope += pull * pulled(W, point, s, lane)
         for c in range(CONSTRAINTS):
             if point > 0:
                 u = W[ADJOINT_RIGHT + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c, lane]
-                slope -= W[CONSTRAINT_A + j * CONSTRAINTS + c, lane] * u
+                slope -= W[POINT_A + (point * VARIED + j) * CONSTRAINTS + c, lane] * u
         W[COST_SLOPE + j * NODES, lane] += slope / h
 
 

@@ -10,57 +10,60 @@ with P = L_v, and what is left of the momentum changes by M dv + P_q dq.
 
 
 @compiled
-def times_dq(W, i, dq, lane):
-    """Multiply a row of the second derivatives of lambda.phi, or of Phi, with a change of q."""
+def times_dq(W, first, i, dq, lane):
+    """Multiply a row of Hess(lambda.phi), or of Phi, with a change of q.
+
+    Such matrices begin at ``first``: that of a point at hand, or one of those that are kept.
+    """
     found = real(0)
     for b in range(DIMENSION):
         j = HELD_PLACE[b]
         if abs(i - j) <= HELD_BAND:
-            entry = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET + j
+            entry = first + i * HELD_STRIDE + HELD_OFFSET + j
             found += W[entry, lane] * W[dq + COORDINATE[b], lane]
     return found
 
 
 @compiled
-def vary_constraint(W, h, point, variation, lane):
+def vary_constraint(W, h, point, dq, room, lane):
     """Add to the right side what dq0 changes of constraints at a control point and their pull."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = room_of(W, variation, lane)
+    first = POINT_QQ + point * HELD_SIZE
     if point < DEGREE:
         for s in range(DIMENSION):
             row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[room + row, lane] += times_dq(W, HELD_PLACE[s], dq, lane) / h
+            W[room + row, lane] += times_dq(W, first, HELD_PLACE[s], dq, lane) / h
     if point > 0:
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
-            W[room + row, lane] -= times_dq(W, HELD_PLACE[DIMENSION + c], dq, lane) / h
+            W[room + row, lane] -= times_dq(W, first, HELD_PLACE[DIMENSION + c], dq, lane) / h
 
 
 @compiled
-def add_constraint_slopes(W, h, point, variation, lane):
-    """Add to it what a parameter changes of these."""
-    parameter = parameter_of(W, variation, lane)
-    room = room_of(W, variation, lane)
+def add_constraint_slopes(W, h, point, room, parameter, lane):
+    """Add to it, and to dp1 - dp0, what a parameter changes of these."""
     if parameter >= 0 and point < DEGREE:
         for s in range(DIMENSION):
             row = ROW_OF_POINT[point] * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-            W[room + row, lane] += W[CONSTRAINT_QA + parameter * DIMENSION + s, lane] / h
+            pull = W[POINT_QA + (point * VARIED + parameter) * DIMENSION + s, lane] / h
+            W[room + row, lane] += pull
+            W[room + UNKNOWNS + COORDINATE[s], lane] -= pull
     if parameter >= 0 and point > 0:
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c
-            W[room + row, lane] -= W[CONSTRAINT_A + parameter * CONSTRAINTS + c, lane] / h
+            W[room + row, lane] -= (
+                W[POINT_A + (point * VARIED + parameter) * CONSTRAINTS + c, lane] / h
+            )
 
 
 @compiled
-def vary_pull(W, h, point, variation, lane):
+def vary_pull(W, h, point, dq, room, lane):
     """Add to dp1 - dp0 what the pull of constraints at a control point changes by."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = room_of(W, variation, lane)
     column = COLUMN_OF_POINT[point]
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
-        row = CONSTRAINT_QQ + i * HELD_STRIDE + HELD_OFFSET
-        pull = times_dq(W, i, dq, lane)
+        first = POINT_QQ + point * HELD_SIZE
+        row = first + i * HELD_STRIDE + HELD_OFFSET
+        pull = times_dq(W, first, i, dq, lane)
         for b in range(DIMENSION):
             if column >= 0 and abs(i - HELD_PLACE[b]) <= HELD_BAND:
                 moved = W[room + column * EQUATION_ROW_STEP + b * EQUATION_PLACE_STEP, lane]
@@ -74,17 +77,6 @@ def vary_pull(W, h, point, variation, lane):
 
 
 @compiled
-def add_pull_slopes(W, h, variation, lane):
-    """Add to it what a parameter changes of that pull."""
-    parameter = parameter_of(W, variation, lane)
-    room = room_of(W, variation, lane)
-    if parameter >= 0:
-        for s in range(DIMENSION):
-            pull = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
-            W[room + UNKNOWNS + COORDINATE[s], lane] -= pull / h
-
-
-@compiled
 def choose_constraint(W, constraint, lane):
     """Let the multiplier of one constraint be 1, and the others 0."""
     for c in range(CONSTRAINTS):
@@ -92,21 +84,19 @@ def choose_constraint(W, constraint, lane):
 
 
 @compiled
-def vary_curvature(W, constraint, variation, lane):
+def vary_curvature(W, constraint, dq, room, lane):
     """Find -(v.phi_qq) dq of a constraint, behind the right side for dv."""
-    dq = TANGENT + variation * 2 * DIMENSION
     found = real(0)
     for s in range(DIMENSION):
-        change = times_dq(W, HELD_PLACE[s], dq, lane)
+        change = times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], dq, lane)
         found -= W[VELOCITY + COORDINATE[s], lane] * change
-    W[room_of(W, variation, lane) + DIMENSION + constraint, lane] = found
+    W[room + DIMENSION + constraint, lane] = found
 
 
 @compiled
-def add_curvature_slopes(W, constraint, variation, lane):
+def add_curvature_slopes(W, constraint, room, parameter, lane):
     """Add to it what a parameter changes of Phi v."""
-    parameter = parameter_of(W, variation, lane)
-    row = room_of(W, variation, lane) + DIMENSION + constraint
+    row = room + DIMENSION + constraint
     if parameter >= 0:
         for s in range(DIMENSION):
             slope = W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
@@ -133,21 +123,17 @@ def turned_momentum(W, s, dq, lane):
 
 
 @compiled
-def begin_projection(W, variation, lane):
+def begin_projection(W, dq, room, lane):
     """Find the right side for dv: dp - Hess(nu.phi) dq - P_q dq."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = room_of(W, variation, lane)
     for s in range(DIMENSION):
         right = W[dq + DIMENSION + COORDINATE[s], lane]
-        right -= times_dq(W, HELD_PLACE[s], dq, lane)
+        right -= times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], dq, lane)
         W[room + s, lane] = right - turned_momentum(W, s, dq, lane)
 
 
 @compiled
-def add_projection_slopes(W, variation, lane):
+def add_projection_slopes(W, room, parameter, lane):
     """Add to it what a parameter changes of P and of the pull."""
-    parameter = parameter_of(W, variation, lane)
-    room = room_of(W, variation, lane)
     if parameter >= 0:
         for s in range(DIMENSION):
             W[room + s, lane] -= W[CONSTRAINT_QA + parameter * DIMENSION + s, lane]
@@ -156,9 +142,8 @@ def add_projection_slopes(W, variation, lane):
 
 
 @compiled
-def take_right_side(W, variation, lane):
+def take_right_side(W, room, lane):
     """Let the right side of a variation be that of the next solve."""
-    room = room_of(W, variation, lane)
     for s in range(DIMENSION):
         W[NODE_VELOCITY + s, lane] = W[room + s, lane]
     for c in range(CONSTRAINTS):
@@ -166,9 +151,8 @@ def take_right_side(W, variation, lane):
 
 
 @compiled
-def close_projection(W, variation, lane):
+def close_projection(W, dq, lane):
     """Find dp = M dv + P_q dq of the projected momentum."""
-    dq = TANGENT + variation * 2 * DIMENSION
     for s in range(DIMENSION):
         change = turned_momentum(W, s, dq, lane)
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
@@ -178,10 +162,9 @@ def close_projection(W, variation, lane):
 
 
 @compiled
-def add_momentum_slopes(W, variation, lane):
+def add_momentum_slopes(W, dq, parameter, lane):
     """Add to it what a parameter changes of P."""
-    parameter = parameter_of(W, variation, lane)
-    dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
+    dp = dq + DIMENSION
     if parameter >= 0:
         for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
             W[dp + COORDINATE[P_A_PLACE[row]], lane] += W[NODE_P_A + row, lane]

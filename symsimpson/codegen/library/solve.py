@@ -148,6 +148,37 @@ def factor_pivoted(W, first, count, lower, upper, stride, lane):
 
 
 @compiled
+def factor_in_order(W, first, count, stride, lane):
+    """Factorise A = L U in the place of A, dense and without exchanges; inverse pivots in U."""
+    for k in range(count):
+        row_k = first + k * stride
+        inverse = 1 / W[row_k + k, lane]
+        W[row_k + k, lane] = inverse
+        for i in range(k + 1, count):
+            row_i = first + i * stride
+            factor = W[row_i + k, lane] * inverse
+            W[row_i + k, lane] = factor
+            for j in range(k + 1, count):
+                W[row_i + j, lane] -= factor * W[row_k + j, lane]
+
+
+@compiled
+def solve_in_order(W, first, right, count, stride, lane):
+    """Solve A x = b with these factors; x takes the place of b."""
+    for i in range(count):
+        x = W[right + i, lane]
+        for k in range(i):
+            x -= W[first + i * stride + k, lane] * W[right + k, lane]
+        W[right + i, lane] = x
+    for back in range(count):
+        k = count - 1 - back
+        x = W[right + k, lane]
+        for j in range(k + 1, count):
+            x -= W[first + k * stride + j, lane] * W[right + j, lane]
+        W[right + k, lane] = x * W[first + k * stride + k, lane]
+
+
+@compiled
 def solve_factored(W, first, right, count, lower, upper, stride, lane):
     """Solve A x = b with these factors; x takes the place of b."""
     for k in range(count):

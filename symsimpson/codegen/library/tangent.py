@@ -1,31 +1,11 @@
-"""Derivatives of a step: variations of q0, p0 and parameters, carried to its end.
+"""Variations of q0, p0 and parameters, carried to the end of a step.
 
 A variation is a column of the derivative: dq and dp stand in TANGENT, those of all variations one
 behind the other; behind them each has room for the right side of its equations, which becomes dX,
-and for dp1 - dp0. The last VARIED of them belong to the parameters and inputs that are varied.
+and for dp1 - dp0. The last VARIED of them belong to the parameters and inputs that are varied. At
+the solution S dX = -(R_q dq0 + R_p dp0 + R_a da), and then dq1 = dq0 + dX_d,
+dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
 """
-
-
-@compiled
-def grow_slopes(W, node, lane):
-    """Multiply derivatives by parameters at a node by what its weight has grown to."""
-    for row in range(F_A_FROM[VARIED]):
-        W[NODE_F_A + row, lane] *= W[GROWTH + node, lane]
-    for row in range(P_A_FROM[VARIED]):
-        W[NODE_P_A + row, lane] *= W[GROWTH + node, lane]
-
-
-@compiled
-def exchange_steps(W, lane):
-    """Put the step that was taken in the place of the next one, or back."""
-    for row in range(4 * DIMENSION):
-        kept = W[POSITION + row, lane]
-        W[POSITION + row, lane] = W[PREVIOUS + row, lane]
-        W[PREVIOUS + row, lane] = kept
-    for row in range(UNKNOWNS):
-        kept = W[INCREMENT + row, lane]
-        W[INCREMENT + row, lane] = W[SOLVED + row, lane]
-        W[SOLVED + row, lane] = kept
 
 
 @compiled
@@ -52,80 +32,53 @@ def vary_momentum_at_start(W, lane):
 
 
 @compiled
-def begin_variation(W, variation, lane):
-    """Begin the right side -R_p dp0, in the row of q0, and dp1 - dp0."""
-    dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
-    room = room_of(W, variation, lane)
-    for row in range(UNKNOWNS + DIMENSION):
+def begin_variation(W, dq, room, lane):
+    """Begin the right side with -(R_q dq0 + R_p dp0), and dp1 - dp0 with E_q dq0."""
+    for row in range(DEGREE * DIMENSION, UNKNOWNS):
         W[room + row, lane] = real(0)
-    for row in range(DEGREE):
-        if ROW_ORDER[row] == 0:
-            for s in range(DIMENSION):
-                here = room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-                W[here, lane] = -W[dp + COORDINATE[s], lane]
-
-
-@compiled
-def add_slopes(W, variation, lane):
-    """Add to dF and dP at a node what the parameter itself changes."""
-    parameter = parameter_of(W, variation, lane)
-    if parameter >= 0:
-        for row in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
-            W[NODE_POSITION + F_A_PLACE[row], lane] += W[NODE_F_A + row, lane]
-        for row in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
-            W[NODE_VELOCITY + P_A_PLACE[row], lane] += W[NODE_P_A + row, lane]
-
-
-@compiled
-def vary_start(W, variation, lane):
-    """Find dF and dP at a node of a path that is moved by dq0; they stand where q and v stood."""
-    dq = TANGENT + variation * 2 * DIMENSION
     for s in range(DIMENSION):
-        force = real(0)
-        momentum = real(0)
+        impulse = real(0)
         for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-            moved = W[dq + COORDINATE[b], lane]
-            force += W[NODE_L_QQ + s * NODE_STRIDE + b + NODE_OFFSET, lane] * moved
-            momentum += W[NODE_L_QV + b * NODE_STRIDE + s + NODE_OFFSET, lane] * moved
-        W[NODE_POSITION + s, lane] = force
-        W[NODE_VELOCITY + s, lane] = momentum
+            slope = W[END_SLOPES + s * NODE_STRIDE + b + NODE_OFFSET, lane]
+            impulse += slope * W[dq + COORDINATE[b], lane]
+        W[room + UNKNOWNS + COORDINATE[s], lane] = impulse
+        for row in range(DEGREE):
+            first = START_SLOPES + row * (NODE_L_QV - NODE_L_QQ) + s * NODE_STRIDE + NODE_OFFSET
+            start = W[dq + DIMENSION + COORDINATE[s], lane] if ROW_ORDER[row] == 0 else real(0)
+            for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                start += W[first + b, lane] * W[dq + COORDINATE[b], lane]
+            W[room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] = -start
 
 
 @compiled
-def assemble_variation(W, h, node, variation, lane):
-    """Add what a node contributes to the right side: -R_q dq0 - R_a da."""
-    room = room_of(W, variation, lane)
-    for row in range(DEGREE):
-        k = ROW_ORDER[row]
-        of_force = h * WEIGHTS[node] * BASIS[node, k]
-        of_momentum = WEIGHTS[node] * BASIS_SLOPE[node, k]
-        for s in range(DIMENSION):
-            change = of_force * W[NODE_POSITION + s, lane]
-            change += of_momentum * W[NODE_VELOCITY + s, lane]
-            W[room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane] -= change
+def add_parameter(W, h, room, parameter, lane):
+    """Add to the right side, and to dp1 - dp0, what a parameter changes of F and P at all nodes."""
+    if parameter >= 0:
+        for node in range(NODES):
+            for entry in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
+                slope = W[STEP_F_A + node * F_A_FROM[VARIED] + entry, lane]
+                force = h * WEIGHTS[node] * slope
+                s = F_A_PLACE[entry]
+                W[room + UNKNOWNS + COORDINATE[s], lane] += force
+                for row in range(DEGREE):
+                    here = room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
+                    W[here, lane] -= BASIS[node, ROW_ORDER[row]] * force
+            for entry in range(P_A_FROM[parameter], P_A_FROM[parameter + 1]):
+                slope = W[STEP_P_A + node * P_A_FROM[VARIED] + entry, lane]
+                momentum = WEIGHTS[node] * slope
+                for row in range(DEGREE):
+                    here = room + row * EQUATION_ROW_STEP
+                    here += P_A_PLACE[entry] * EQUATION_PLACE_STEP
+                    W[here, lane] -= BASIS_SLOPE[node, ROW_ORDER[row]] * momentum
 
 
 @compiled
-def factor_equations(W, lane):
-    """Factorise the matrix of all unknowns, P S = L U, in its place."""
-    factor_pivoted(
-        W,
-        JACOBIAN + TANGENT_OFFSET,
-        TANGENT_UNKNOWNS,
-        TANGENT_LOWER,
-        TANGENT_UPPER,
-        TANGENT_STRIDE,
-        lane,
-    )
-
-
-@compiled
-def solve_variation(W, variation, lane):
+def solve_variation(W, room, lane):
     """Solve for dX of a variation."""
     solve_factored(
         W,
         JACOBIAN + TANGENT_OFFSET,
-        room_of(W, variation, lane),
+        room,
         TANGENT_UNKNOWNS,
         TANGENT_LOWER,
         TANGENT_UPPER,
@@ -135,88 +88,57 @@ def solve_variation(W, variation, lane):
 
 
 @compiled
-def vary_path(W, h, node, variation, lane):
-    """Find dq and dv of the path at a node."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = room_of(W, variation, lane)
-    for s in range(DIMENSION):
-        moved = W[dq + COORDINATE[s], lane]
-        slope = real(0)
-        for column in range(DEGREE):
-            k = COLUMN_ORDER[column]
-            change = W[room + column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP, lane]
-            moved += BASIS[node, k] * change
-            slope += BASIS_SLOPE[node, k] * change
-        W[NODE_POSITION + s, lane] = moved
-        W[NODE_VELOCITY + s, lane] = slope / h
+def factor_equations_in_order(W, lane):
+    """Factorise the matrix of all unknowns in its place, in the order of Newton's method."""
+    factor_in_order(W, JACOBIAN, UNKNOWNS, EQUATION_STRIDE, lane)
 
 
 @compiled
-def vary_momentum(W, h, node, variation, lane):
-    """Add what a node contributes to dp1 - dp0 = h sum_i b_i dF_i."""
-    impulse = room_of(W, variation, lane) + UNKNOWNS
-    for s in range(DIMENSION):
-        force = real(0)
-        for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
-            entry = s * NODE_STRIDE + b + NODE_OFFSET
-            force += W[NODE_L_QQ + entry, lane] * W[NODE_POSITION + b, lane]
-            force += W[NODE_L_QV + entry, lane] * W[NODE_VELOCITY + b, lane]
-        W[impulse + COORDINATE[s], lane] += h * WEIGHTS[node] * force
+def solve_variation_in_order(W, room, lane):
+    """Solve for dX of a variation with these factors."""
+    solve_in_order(W, JACOBIAN, room, UNKNOWNS, EQUATION_STRIDE, lane)
 
 
 @compiled
-def add_impulse(W, h, node, variation, lane):
-    """Add to dp1 - dp0 what the parameter itself changes of the force at a node."""
-    parameter = parameter_of(W, variation, lane)
-    impulse = room_of(W, variation, lane) + UNKNOWNS
-    if parameter >= 0:
-        for row in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
-            a = COORDINATE[F_A_PLACE[row]]
-            W[impulse + a, lane] += h * WEIGHTS[node] * W[NODE_F_A + row, lane]
-
-
-@compiled
-def add_drag(W, lane):
-    """Add to F_v at a node what forces depend on velocities."""
-    for entry in range(NODE_L_VV - NODE_L_QV):
-        W[NODE_L_QV + entry, lane] += W[NODE_F_V + entry, lane]
-
-
-@compiled
-def close_variation(W, variation, lane):
+def close_variation(W, dq, room, lane):
     """Carry a variation to the end of the step: dq1 = dq0 + dX_d, and dp1."""
-    dq = TANGENT + variation * 2 * DIMENSION
-    room = room_of(W, variation, lane)
-    for row in range(DEGREE):
-        if COLUMN_ORDER[row] == DEGREE:
-            for s in range(DIMENSION):
-                here = room + row * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-                W[dq + COORDINATE[s], lane] += W[here, lane]
-    for a in range(DIMENSION):
-        W[dq + DIMENSION + a, lane] += W[room + UNKNOWNS + a, lane]
+    for s in range(DIMENSION):
+        impulse = W[room + UNKNOWNS + COORDINATE[s], lane]
+        for column in range(DEGREE):
+            first = END_SLOPES + (column + 1) * (NODE_L_QV - NODE_L_QQ)
+            first += s * NODE_STRIDE + NODE_OFFSET
+            moved = room + column * EQUATION_ROW_STEP
+            for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
+                impulse += W[first + b, lane] * W[moved + b * EQUATION_PLACE_STEP, lane]
+            if COLUMN_ORDER[column] == DEGREE:
+                W[dq + COORDINATE[s], lane] += W[moved + s * EQUATION_PLACE_STEP, lane]
+        W[dq + DIMENSION + COORDINATE[s], lane] += impulse
 
 
 @compiled
-def decay_variation(W, variation, lane):
+def decay_variation(W, dq, lane):
     """Let a momentum decay as that of the step does."""
-    dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
     for a in range(DIMENSION):
-        W[dp + a, lane] /= W[GROWTH + NODES, lane]
+        W[dq + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
 
 
 @compiled
-def move_variation(W, variation, lane):
+def begin_column(W, column, lane):
+    """Begin a column of the derivative of a step: a unit vector, or no change of the state."""
+    for row in range(2 * DIMENSION):
+        W[DERIVATIVE + column * 2 * DIMENSION + row, lane] = real(1) if row == column else real(0)
+
+
+@compiled
+def move_variation(W, dq, room, parameter, lane):
     """Multiply a variation by the derivative of the step, and add what a parameter changes."""
     size = 2 * DIMENSION
-    here = TANGENT + variation * size
-    parameter = parameter_of(W, variation, lane)
-    room = room_of(W, variation, lane)
     for row in range(size):
         moved = real(0)
         for column in range(size):
-            moved += W[DERIVATIVE + column * size + row, lane] * W[here + column, lane]
+            moved += W[DERIVATIVE + column * size + row, lane] * W[dq + column, lane]
         if parameter >= 0:
             moved += W[DERIVATIVE + (size + parameter) * size + row, lane]
         W[room + row, lane] = moved
     for row in range(size):
-        W[here + row, lane] = W[room + row, lane]
+        W[dq + row, lane] = W[room + row, lane]

@@ -1,0 +1,147 @@
+"""Rows of a workspace as values, while the instructions of one block are made.
+
+What was stored in a row is not loaded again, and stored once, where the block ends or where a row
+that is not known is looked at. So what a kernel keeps in rows between its functions is in
+registers, and zeros that sums begin with are never there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from llvmlite import ir
+
+from symsimpson.walk.arrays import Array, Arrays
+from symsimpson.walk.values import DOUBLE, Along, known
+
+__all__ = ["BlockBuilder", "Rows"]
+
+#: Vectors have no more lanes.
+MOST_ROWS = 16
+
+
+class BlockBuilder(ir.IRBuilder):
+    """A builder that lets somebody act before a block ends."""
+
+    def __init__(self, block: Any) -> None:
+        super().__init__(block)
+        self.before_end: Callable[[], None] = lambda: None
+
+    def branch(self, target: Any) -> Any:
+        """Go to another block."""
+        self.before_end()
+        return super().branch(target)
+
+    def cbranch(self, cond: Any, truebr: Any, falsebr: Any) -> Any:
+        """Go to one of two blocks."""
+        self.before_end()
+        return super().cbranch(cond, truebr, falsebr)
+
+    def ret_void(self) -> Any:
+        """Leave the function."""
+        self.before_end()
+        return super().ret_void()
+
+
+@dataclass(frozen=True)
+class _Row:
+    """The value of a row, or of as many rows as a vector has lanes; whether it is stored."""
+
+    value: Any
+    rows: int
+    stored: Callable[[], None] | None = None
+
+
+class Rows(Arrays):
+    """Arrays, of which the rows of some are values."""
+
+    def __init__(self, builder: ir.IRBuilder, flags: tuple[str, ...]) -> None:
+        super().__init__(builder, flags)
+        self._rows: dict[int, _Row] = {}
+        self._block: Any = None
+        #: Tells of a place whether what was put there may still be asked for.
+        self.wanted: Callable[[int], bool] = lambda place: True
+        if isinstance(builder, BlockBuilder):
+            builder.before_end = self._end
+
+    def load(self, array: Array, places: list[Any], width: int) -> Any:
+        """Return a number, or part of an array where there are fewer places, or ranges."""
+        first, rows = self._range(array, places, width)
+        if first is None:
+            if array.values:
+                self._settle()
+            return super().load(array, places, width)
+        found = self._from_others(first, rows)
+        if found is None:
+            self._settle(self._overlapping(first, rows))
+            found = super().load(array, places, width)
+            self._rows[first] = _Row(found, rows)
+        return found
+
+    def _from_others(self, first: int, rows: int) -> Any:
+        """Return rows that are values: by themselves, of a vector, or each for itself; or None."""
+        near = self._overlapping(first, rows)
+        match near:
+            case [(place, row)] if row.rows == rows and place == first:
+                return row.value
+            case [(place, row)] if rows == 1:
+                return row.value if known(row.value) else self.element(row.value, first - place)
+        if len(near) == rows and all(row.rows == 1 for _, row in near):
+            return self.joined([self.real(row.value) for _, row in near])
+        return None
+
+    def store(self, array: Array, places: list[Any], value: Any, width: int) -> None:
+        """Put a number into an array, or a vector along it."""
+        first, rows = self._range(array, places, width)
+        store = super().store
+        if first is None:
+            if array.values:
+                self._settle()
+                self._rows.clear()
+            store(array, places, value, width)
+            return
+        value = float(value) if known(value) else self.real(value)
+        for place, row in self._overlapping(first, rows):
+            if row.stored and not (first <= place and place + row.rows <= first + rows):
+                row.stored()
+            del self._rows[place]
+        if rows > 1 or known(value) or value.type == DOUBLE:
+            self._rows[first] = _Row(value, rows, lambda: store(array, places, value, width))
+        else:
+            store(array, places, value, width)
+
+    def _range(self, array: Array, places: list[Any], width: int) -> tuple[int | None, int]:
+        """Return the first number that is meant, and how many; None if it is not known."""
+        if not array.values or len(places) != len(array.strides):
+            return None, 0
+        if self.builder.block is not self._block:
+            self._rows.clear()
+            self._block = self.builder.block
+        number: Any = 0
+        for place, stride in zip(places, array.strides, strict=True):
+            if isinstance(place, Along):
+                place = place.first if stride == 1 else None
+            if not known(place):
+                return None, 0
+            number += place * stride
+        return int(number), width if any(isinstance(x, Along) for x in places) else 1
+
+    def _end(self) -> None:
+        """Store, where a block ends, what may still be asked for."""
+        self._settle([(place, row) for place, row in self._rows.items() if self.wanted(place)])
+        self._rows.clear()
+
+    def _overlapping(self, first: int, rows: int) -> list[tuple[int, _Row]]:
+        """List the rows that share numbers with so many from a first one on."""
+        near = range(first - MOST_ROWS + 1, first + rows)
+        found = [(place, self._rows[place]) for place in near if place in self._rows]
+        return [(place, row) for place, row in found if place + row.rows > first]
+
+    def _settle(self, rows: list[tuple[int, _Row]] | None = None) -> None:
+        """Store what is not stored yet, of all rows or of some."""
+        for place, row in list(self._rows.items()) if rows is None else rows:
+            if row.stored:
+                row.stored()
+                self._rows[place] = _Row(row.value, row.rows)
