@@ -12,7 +12,7 @@ from symsimpson.codegen.stages import StageKernels
 from symsimpson.codegen.storage import Storage, node_stride
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.reductions import Composed
-from symsimpson.module.blocks import Sizes
+from symsimpson.module.dimensions import Sizes
 
 __all__ = ["drifting", "sizes"]
 

@@ -21,8 +21,10 @@ class Functions(Expressions):
     """Walks calls."""
 
     @abstractmethod
-    def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
-        """Walk a function where it is called."""
+    def _inside(
+        self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
+    ) -> Any:
+        """Walk a function where it is called; it may be the last of a statement."""
 
     def _called(self, name: str, arguments: list[Any]) -> Any:
         values = self._values

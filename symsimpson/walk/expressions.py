@@ -18,7 +18,7 @@ from symsimpson.walk.text import Text
 from symsimpson.walk.trees import must_wait, used_once
 from symsimpson.walk.values import Refused, known
 
-__all__ = ["Env", "Expressions", "Frame", "Product"]
+__all__ = ["Ahead", "Env", "Expressions", "Frame", "Product"]
 
 #: Names of a function that is being walked, with what they stand for.
 Env = dict[str, Any]
@@ -33,6 +33,14 @@ class Product:
 
     a: Any
     b: Any
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Names in the statements behind one of a block, and in what is left of itself."""
+
+    after: frozenset[str]
+    here: frozenset[str]
 
 
 class Frame:
@@ -75,8 +83,8 @@ class Expressions(ABC):
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
         self._frames: list[Frame] = []
-        #: Names in what is walked after the present statement, and in it, of each block around it.
-        self._following: list[frozenset[str]] = []
+        #: The statements that are being walked, each in one of the one before.
+        self._ahead: list[Ahead] = []
         self._names: dict[ast.AST, frozenset[str]] = {}
 
     @abstractmethod

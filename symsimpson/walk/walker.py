@@ -16,7 +16,7 @@ from symsimpson.errors import GenerationError
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.called import Functions
-from symsimpson.walk.expressions import Env, Frame, Product
+from symsimpson.walk.expressions import Ahead, Env, Frame, Product
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
 from symsimpson.walk.values import Along, Refused, known
 
@@ -73,7 +73,9 @@ class Walker(Functions):
     def _wanted(self, place: int, scratch: dict[int, str]) -> bool:
         """Return whether a place is no scratch, or statements that follow name its block."""
         block = scratch.get(place)
-        return block is None or any(block in names for names in self._following)
+        return block is None or any(
+            block in ahead.after or block in ahead.here for ahead in self._ahead
+        )
 
     def _mentioned(self, node: ast.AST) -> frozenset[str]:
         """Return the names in a statement, and in the functions that it calls."""
@@ -99,12 +101,23 @@ class Walker(Functions):
     def _block(self, body: Sequence[ast.stmt], env: Env) -> bool:
         """Walk statements; returns whether the function was left."""
         for k, statement in enumerate(body):
-            self._following.append(frozenset().union(*map(self._mentioned, body[k:])))
+            after = frozenset[str]().union(*map(self._mentioned, body[k + 1 :]))
+            self._ahead.append(Ahead(after, self._mentioned(statement)))
             left = self._statement(statement, env)
-            self._following.pop()
+            self._ahead.pop()
             if left:
                 return True
         return False
+
+    def _last(self, body: Sequence[ast.stmt], env: Env) -> bool:
+        """Walk the last statements of the present one: nothing of it is left behind them."""
+        if not self._ahead:
+            return self._block(body, env)
+        here = self._ahead[-1]
+        self._ahead[-1] = Ahead(here.after, frozenset())
+        left = self._block(body, env)
+        self._ahead[-1] = here
+        return left
 
     def _statement(self, node: ast.stmt, env: Env) -> bool:
         try:
@@ -120,6 +133,11 @@ class Walker(Functions):
         match node:
             case ast.Expr(value=ast.Constant()) | ast.Pass():
                 return False
+            case ast.Expr(value=ast.Call(func=ast.Name(id=name), args=arguments)) if (
+                name in self._text.functions and name not in self._apart
+            ):
+                given = [self._value(x, env) for x in arguments]
+                self._inside(self._text.functions[name], given, last=True)
             case ast.Expr(value=value):
                 self._value(value, env)
             case ast.Assign(
@@ -196,15 +214,14 @@ class Walker(Functions):
 
     def _if(self, truth: Any, body: Any, other: Any, env: Env) -> bool:
         if known(truth):
-            return self._block(body if truth else other, env)
+            return self._last(body if truth else other, env)
         self._let_change(assigned([*body, *other]), env)
         names = set(env)
         frame = self._frames[-1]
 
         def way(statements: Any) -> Callable[[], bool]:
             def walk() -> bool:
-                own = dict(env)
-                return self._block(statements, own)
+                return self._last(statements, dict(env))
 
             return walk
 
@@ -250,7 +267,8 @@ class Walker(Functions):
             if few and not leaves(node):
                 for number in turns:
                     env[name] = number
-                    if self._block(node.body, env):
+                    walk = self._last if number == turns[-1] else self._block
+                    if walk(node.body, env):
                         raise Refused("a loop that is left")
                 return
         self._keep(node, name, (first, end, step), env)
@@ -309,12 +327,14 @@ class Walker(Functions):
     def _weight(self, body: Any) -> int:
         return sum(weight(statement, self._text) for statement in body)
 
-    def _inside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
-        """Walk a function where it is called."""
+    def _inside(
+        self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
+    ) -> Any:
+        """Walk a function where it is called; it may be the last of a statement."""
         env = dict(zip([one.arg for one in function.args.args], arguments, strict=True))
         frame, values = Frame(function), self._values
         self._frames.append(frame)
-        left = self._block(function.body, env)
+        left = (self._last if last else self._block)(function.body, env)
         self._frames.pop()
         if frame.exit is not None:
             builder = values.builder

@@ -42,5 +42,4 @@ def test_the_derivative_has_the_order_of_the_scheme(exact, scheme, order, steps)
             START[0], p0=START[1], h=1 / count, steps=count, tangents=4, every=None
         )
         errors.append(np.abs(run.tangent[0] - exact).max() / np.abs(exact).max())
-    # with smaller steps of gauss8 rounding is seen, at 2e-13
     assert abs(np.log2(errors[0] / errors[1]) - order) < 0.2

@@ -74,12 +74,16 @@ def compare(text, lanes, made, wanted, system=None):
     """Call each kernel after the one before, and compare all rows."""
     module = in_floats(text)
     W = workspace(module, lanes, system)
+    scratch = [row for rows in read_text(text).scratch.values() for row in rows]
     for name, kernel in made.items():
         found, right = W.copy(), W.copy()
         near = W * (1 + 2.0**-50 * SIGNS[: W.size].reshape(W.shape))
         KERNEL(kernel.address)(0.01, 0.3, found.ctypes.data)
         wanted(name, right)
         wanted(name, near)  # what rounding becomes of
+        if name != "equations":  # there no kernel leaves anything to others
+            for rows in (found, right, near):
+                rows[scratch] = 0.5
         finite = np.isfinite(right)
         assert (np.isfinite(found) == finite).all(), name
         size = np.maximum(1.0, np.abs(right[finite]))
