@@ -51,6 +51,7 @@ from .runtime.results.events import Events as Events
 from .runtime.results.gradient import Gradient as Gradient
 from .runtime.results.gradient import hessian_product as hessian_product
 from .runtime.results.interpolate import DenseOutput as DenseOutput
+from .runtime.results.linearisation import Linearisation as Linearisation
 from .runtime.results.sampled import Sampled as Sampled
 from .runtime.results.sampled import Saved as Saved
 from .runtime.results.states import States as States

@@ -11,7 +11,9 @@ from symsimpson.api.stepping import Stepping
 from symsimpson.runtime.gradients import Wanted, gradient_of
 from symsimpson.runtime.results.chaos import Chaos
 from symsimpson.runtime.results.gradient import Gradient
+from symsimpson.runtime.results.linearisation import Linearisation
 from symsimpson.runtime.runs.chaos import lyapunov
+from symsimpson.runtime.runs.linearised import linearise
 from symsimpson.runtime.runs.request import Request, of_a_step
 from symsimpson.runtime.runs.requested import tangent_of_step
 from symsimpson.runtime.runs.variations import read_varied
@@ -167,6 +169,57 @@ class Differentiating(Stepping):
         request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
         wanted = Wanted(cost, running, samples, every, wrt)
         return gradient_of(self.program, request, wanted, progress)
+
+    def linearise(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike | None = None,
+        *,
+        p0: ArrayLike | None = None,
+        h: Any,
+        t_end: Any = None,
+        steps: int | None = None,
+        t0: Any = 0.0,
+        parameters: Parameters | None = None,
+        inputs: Any = None,
+        wrt: str | Sequence[Any] = (),
+        progress: bool | None = None,
+    ) -> Linearisation:
+        """Integrate, and differentiate each step by its start and by the inputs at its nodes.
+
+        These are the matrices of the linear system z_{k+1} = A_k z_k + B_k u_k along the run, exact
+        to rounding, as controllers and observers are designed with.
+
+        Parameters
+        ----------
+        q0, v0, p0, h, t_end, steps, t0, parameters, inputs
+            As for :meth:`integrate`.
+        wrt : str, symbol or sequence of them
+            Parameters and inputs to differentiate by, besides the state.
+        progress : bool, optional
+            As for :meth:`integrate`.
+
+        Returns
+        -------
+        Linearisation
+            States, and derivatives by them, by parameters, and by the values of inputs at nodes.
+
+        Raises
+        ------
+        InputError, ConvergenceError, Interrupted
+            As :meth:`integrate`.
+        SchemeError
+            If steps of the scheme, or of the system, are not differentiated.
+
+        Examples
+        --------
+        >>> import numpy as np, symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).linearise([1.0], p0=[0.0], h=0.01, steps=3)
+        >>> run.by_state.shape, np.round(np.linalg.det(run.by_state), 12).tolist()
+        ((3, 2, 2), [1.0, 1.0, 1.0])
+        """
+        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
+        return linearise(self.program, request, wrt, progress)
 
     def lyapunov(
         self,

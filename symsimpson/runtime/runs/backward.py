@@ -30,7 +30,7 @@ from symsimpson.runtime.runs.spec import RunSpec
 if TYPE_CHECKING:
     from symsimpson.runtime.program import Program
 
-__all__ = ["Backward", "Objective", "differentiate_back"]
+__all__ = ["Backward", "Objective", "Way", "differentiate_back"]
 
 Reals = NDArray[Any]
 #: Records of all steps are kept where they have no more numbers than this: 64 MB.
@@ -103,7 +103,7 @@ def differentiate_back(
     """
     numbers = program.numbers
     with numbers.working():
-        way = _Way(program, spec, progress)
+        way = Way(program, spec, progress)
         back = _Back(program, spec, objective, inputs)
         back.leave_end(way)
         for first, records, q, p in way.segments():
@@ -111,7 +111,7 @@ def differentiate_back(
         return back.arrived(way)
 
 
-class _Way:
+class Way:
     """The way there: a run that was made, and can be made again from places on it."""
 
     def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
@@ -176,7 +176,7 @@ class _Back:
         first = self.program.header.layout[block]
         return self._W[first : first + count, 0]
 
-    def leave_end(self, way: _Way) -> None:
+    def leave_end(self, way: Way) -> None:
         """Begin with the cost of the last state."""
         cost, spec = self._objective.end, self._spec
         if cost is None:
@@ -234,7 +234,7 @@ class _Back:
             found = found + slopes.state
         return found
 
-    def arrived(self, way: _Way) -> Backward:
+    def arrived(self, way: Way) -> Backward:
         """Return what there is at the start."""
         spec, numbers = self._spec, self.program.numbers
         q0, p0 = way.q0[None], way.p0[None]

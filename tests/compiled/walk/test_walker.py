@@ -1,6 +1,7 @@
 """The walker on small texts: each construct, and what it refuses."""
 
 import ctypes
+import random
 
 import numpy as np
 import pytest
@@ -228,3 +229,60 @@ def test_tuples_of_numbers_and_arrays_and_calls_that_are_not_made():
         given = 2.5, 12
         assert made(given, tuple(first), k) == plain["function"](given, tuple(second), k)
         assert all((a == b).all() for a, b in zip(first, second, strict=True))
+
+
+def statements(pick, depth=0):
+    """Statements that read and write rows in all ways that there are, at random."""
+    row, other = pick.randrange(20), pick.randrange(20)
+    value = pick.choice(["0.0", "1.0", f"W[{other}, lane]", f"0.5 * W[{other}, lane] + h", "t"])
+    width, at = pick.choice([4, 8]), pick.randrange(0, 16, 4)
+    some = [
+        [f"W[{row}, lane] = {value}"],
+        [f"W[{row}, lane] += {value}"],
+        [
+            f"for k in range({width}):",
+            f"    W[{at} + k, lane] = W[{pick.choice([0, 48])} + k, lane]",
+        ],
+        [
+            f"for k in range({width}):",
+            f"    W[{48 if at < 48 else 0} + k, lane] = 0.25 * W[{at} + k, lane]",
+        ],
+        [f"W[int(W[63, lane]) - {pick.randrange(20, 60)}, lane] = W[{other}, lane]"],
+        [f"W[{row}, lane] = W[int(W[63, lane]) - {pick.randrange(20, 60)}, lane] - 1.0"],
+    ]
+    if depth < 2:
+        body = [line for _ in range(3) for line in statements(pick, depth + 1)]
+        other_body = statements(pick, depth + 1)
+        inner = [f"    {line}" for line in body]
+        some += [
+            [f"if W[{row}, lane] < {other}.5:", *inner, "else:", *(f"    {x}" for x in other_body)],
+            [f"for i in range(int(W[63, lane]) - {pick.choice([61, 62])}):", *inner],
+            [f"for j in range({pick.choice([2, 3])}):", *inner],
+        ]
+    return pick.choice(some)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_rows_are_values_wherever_they_are_looked_at(seed):
+    pick = random.Random(seed)
+    body = "\n".join(line for _ in range(14) for line in statements(pick))
+    found, wanted = run(body)
+    assert found == pytest.approx(wanted, rel=1e-14), body
+
+
+SCRATCH = "NODE_POSITION = 10\nNODE_VELOCITY = 14\nNODE_L_Q = 18\n"
+USE = """\
+for k in range(4):
+    W[NODE_POSITION + k, lane] = W[k, lane] + 1.0
+    W[NODE_VELOCITY + k, lane] = W[k, lane] + 2.0
+if W[0, lane] < 1:
+    for i in range(int(W[2, lane])):
+        W[30 + i, lane] = W[NODE_POSITION + i, lane]
+"""
+
+
+def test_scratch_is_stored_where_it_is_asked_for_and_nowhere_else():
+    found, wanted = run(USE, SCRATCH)
+    assert (found[30:32] == wanted[30:32]).all()
+    assert (found[10:14] == wanted[10:14]).all()  # it is named in what follows
+    assert (found[14:18] == np.arange(14.0, 18)[:, None]).all()  # nobody asks for it

@@ -1,0 +1,86 @@
+"""The steps of a run, linearised: each unit vector carried back over each step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.runtime.results.linearisation import Linearisation
+from symsimpson.runtime.runs.backward import Way
+from symsimpson.runtime.runs.request import Request
+from symsimpson.runtime.runs.run import workspace
+from symsimpson.runtime.runs.spec import RunSpec, read_run
+from symsimpson.runtime.runs.variations import read_varied, refuse_retimed, varied_program
+from symsimpson.support.names import spelled
+
+if TYPE_CHECKING:
+    from symsimpson.runtime.program import Program
+
+__all__ = ["linearise"]
+
+Reals = NDArray[Any]
+
+
+def linearise(program: Program, request: Request, wrt: Any, progress: bool | None) -> Linearisation:
+    """Run, and differentiate each step by its start, and by parameters and inputs.
+
+    Raises
+    ------
+    InputError, SchemeError, ConvergenceError, Interrupted
+    """
+    refuse_retimed(program, "linearisations")
+    asked: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)
+    program = varied_program(program, read_varied(program, asked))
+    spec = read_run(program, request)
+    n, size = program.n, 2 * program.n
+    header, numbers = program.header, program.numbers
+    with numbers.working():
+        way = Way(program, spec, progress)
+        q, p = numbers.zeros((2, spec.steps + 1, n))
+        rows = numbers.zeros((spec.steps, size, size))
+        slopes = numbers.zeros((spec.steps, size, len(header.varied_by or ()), header.nodes))
+        for first, records, *states in way.segments():
+            here = slice(first, first + len(records))
+            q[here], p[here] = states
+            _linearise(program, spec, first, records, rows[here], slopes[here])
+        q[-1], p[-1] = way.q1, way.p1
+    by_name = dict(zip(map(spelled, asked), np.moveaxis(slopes, 2, 0), strict=True))
+    inputs = {name for name in by_name if program.names.inputs.place(name) is not None}
+    return Linearisation(
+        spec.t0 + spec.h * np.arange(spec.steps + 1),
+        q,
+        p,
+        rows,
+        {name: found.sum(axis=2) for name, found in by_name.items() if name not in inputs},
+        {name: found for name, found in by_name.items() if name in inputs},
+    )
+
+
+def _linearise(
+    program: Program, spec: RunSpec, first: int, records: Reals, rows: Reals, slopes: Reals
+) -> None:
+    """Fill in the derivatives of the steps of a segment, row by row."""
+    header, numbers = program.header, program.numbers
+    size, W = 2 * program.n, workspace(header, numbers, spec.parameters)
+    begun = header.layout["ADJOINT"]
+    every = np.arange(slopes[0, 0].size)
+    unit = numbers.read(np.eye(size))
+    for k in range(len(records) - 1):
+        for row in range(size):
+            W[begun : begun + size, 0] = unit[row]
+            found = numbers.zeros((1, every.size))
+            numbers.driver("carry_back")(
+                tuple(map(program.kernels.address, ("prepare", "adjoint"))),
+                (spec.h, spec.t0, W, header.told),
+                (begun, header.layout["COST_SLOPE"]),
+                first + k,
+                (records[k : k + 2], numbers.zeros((0, 0)), spec.inputs),
+                numbers.zeros((2, every.size)),
+                every,
+                found,
+            )
+            rows[k, row] = W[begun : begun + size, 0]
+            slopes[k, row] = found.reshape(slopes.shape[2:])

@@ -1,0 +1,96 @@
+"""The steps of a run as linear maps: by the state, by parameters, by inputs at nodes."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+from symsimpson.errors import InputError
+
+(x, theta), u = ss.coordinates("x theta"), sp.Symbol("u")
+mass = sp.Symbol("m", positive=True)
+CART = ss.MechanicalSystem(
+    "driven_cart",
+    coordinates=(x, theta),
+    kinetic=mass * x.diff() ** 2
+    + theta.diff() ** 2 / 2
+    + x.diff() * theta.diff() * sp.cos(theta) / 2,
+    potential=-sp.cos(theta),
+    parameters={mass: 1.0},
+    inputs=(u,),
+    forces={"push": {x: u}, "drag": {theta: -theta.diff() / 5}},
+)
+START = {"q0": [0.1, 0.4], "p0": [0.2, -0.1], "h": 0.05}
+
+
+@pytest.fixture(scope="module")
+def cart():
+    return ss.compile(CART, "simpson")
+
+
+def test_they_are_the_derivatives_of_single_steps(cart):
+    values = np.random.default_rng(0).normal(size=(6, 3))
+    found = cart.linearise(**START, steps=6, wrt=("u", "m"), inputs={"u": values})
+    assert found.by_state.shape == (6, 4, 4)
+    assert found.by_input["u"].shape == (6, 4, 3)
+    for k in range(6):
+        q1, p1, D = cart.tangent(
+            found.q[k],
+            p=found.p[k],
+            h=0.05,
+            t=found.t[k],
+            wrt=("q", "p", "u", "m"),
+            inputs={"u": values[k]},
+        )
+        assert D[:, :4] == pytest.approx(found.by_state[k], abs=1e-15)
+        assert D[:, 4] == pytest.approx(found.by_input["u"][k].sum(axis=1), abs=1e-16)
+        assert D[:, 5] == pytest.approx(found.by_parameter["m"][k], abs=1e-16)
+        assert np.r_[q1, p1] == pytest.approx(np.r_[found.q[k + 1], found.p[k + 1]], abs=1e-15)
+
+
+def test_inputs_at_nodes_move_the_end_as_they_say(cart):
+    values = np.array([[0.3, -0.2, 0.7]])
+    found = cart.linearise(**START, steps=1, wrt="u", inputs={"u": values}).by_input["u"][0]
+    for node in range(3):
+        ends = []
+        for change in (1e-4, -1e-4):
+            moved = values.copy()
+            moved[0, node] += change
+            run = cart.integrate(**START, steps=1, inputs={"u": moved})
+            ends.append(np.r_[run.q[-1], run.p[-1]])
+        assert (ends[0] - ends[1]) / 2e-4 == pytest.approx(found[:, node], abs=1e-10)
+
+
+def test_a_run_is_the_product_of_its_steps():
+    stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
+    found = stepper.linearise([0.8, 1.0], p0=[0.05, 0], h=0.05, steps=40)
+    run = stepper.integrate([0.8, 1.0], p0=[0.05, 0], h=0.05, steps=40, tangents=4)
+    whole = np.linalg.multi_dot(found.by_state[::-1])
+    assert whole == pytest.approx(run.tangent[-1], rel=1e-11, abs=1e-12)
+    assert np.array_equal(found.q, run.q)
+
+
+def test_constraints_and_their_projection_are_in_it():
+    stepper = ss.compile(ss.systems.cartesian_pendulum(), "simpson")
+    state = ss.systems.cartesian_pendulum().reference_state
+    found = stepper.linearise(**state, h=0.05, steps=3)
+    q1, p1, D = stepper.tangent(found.q[1], p=found.p[1], h=0.05)
+    assert D == pytest.approx(found.by_state[1], abs=1e-13)
+
+
+def test_it_has_many_digits():
+    stepper = ss.compile(CART, "simpson", precision=40)
+    found = stepper.linearise(**START, steps=2, wrt="u", inputs={"u": 0.25})
+    J = np.kron([[0, 1], [-1, 0]], np.eye(2))
+    free = ss.compile(ss.systems.double_pendulum(), "simpson", precision=40)
+    A = free.linearise([0.3, 0.2], p0=[0, 0], h=0.1, steps=1).by_state[0]
+    assert abs(A.T @ J @ A - J).max() < 1e-37
+    assert found.by_input["u"].dtype == object
+
+
+def test_what_cannot_be_done_is_said(cart):
+    with pytest.raises(InputError, match="'w' is no parameter or input"):
+        cart.linearise(**START, steps=2, wrt="w")
+    retimed = ss.compile(ss.systems.kepler().retimed("encounters"))
+    with pytest.raises(InputError, match="linearisations are not taken"):
+        retimed.linearise([1.0, 0.0], v0=[0.0, 1.0], h=0.1, steps=2)
