@@ -138,10 +138,12 @@ def _compiled(
     progress: bool | None,
     varied: tuple[str, ...] | None,
     running: Any = None,
+    *,
+    second: bool = False,
 ) -> Program:
     """Make a program; its steps are differentiated if it is said by what, beside q and p.
 
-    Then it can integrate a ``running`` cost, too.
+    Then it can integrate a ``running`` cost, too, and differentiate rows a ``second`` time.
     """
     tools: Tools | None = TOOLS
     if isinstance(system, RetimedSystem) and varied is not None:
@@ -151,7 +153,7 @@ def _compiled(
         system, varied = extended(system, [known[name] for name in varied])
         tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
-        derivation = _derived(system, scheme, exploit, varied, running)
+        derivation = _derived(system, scheme, exploit, varied, running, second)
     return new_program(
         derivation.text,
         f"{system.name}__{scheme.name}",
@@ -172,16 +174,24 @@ def _derived(
     exploit: frozenset[str],
     varied: tuple[str, ...] | None,
     running: Any,
+    second: bool,
 ) -> Derivation:
     """Derive a module, or take what another process has derived of the same declaration."""
 
     def derived() -> Derivation:
-        return derive(system, scheme, exploit, varied, running)
+        return derive(system, scheme, exploit, varied, running, second=second)
 
     if system.retiming is not None or running is not None or system.large:
         return derived()
     energies = (system.kinetic, system.potential, system.gyroscopic)
-    parts: list[object] = [system.digest, *energies, astuple(scheme), sorted(exploit), varied]
+    parts: list[object] = [
+        system.digest,
+        *energies,
+        astuple(scheme),
+        sorted(exploit),
+        varied,
+        second,
+    ]
     parts += [(symbol.name, value) for symbol, value in system.parameters.items()]
     return kept_text(map(str, parts), derived)
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.equations import evaluate_equations
+from symsimpson.runtime.equations import evaluate_curvature, evaluate_equations
 from symsimpson.runtime.evaluating import evaluate_energy
 from symsimpson.runtime.program import Program
 from symsimpson.support.calling import explaining
@@ -128,6 +128,69 @@ class Evaluator:
         return evaluate_equations(
             self.program, q0, p0, nodes, h, parameters, t, inputs, multipliers
         )[1]
+
+    def hessian(
+        self,
+        q0: ArrayLike,
+        nodes: ArrayLike,
+        h: float,
+        weights: ArrayLike,
+        parameters: Parameters | None = None,
+        *,
+        t: float = 0.0,
+        inputs: Any = None,
+        multipliers: ArrayLike | None = None,
+        constraint_weights: ArrayLike | None = None,
+        wrt: str | Sequence[Any] = (),
+    ) -> Reals:
+        """Evaluate second derivatives of weighted equations, sum_k weights_k . D_k L_d.
+
+        Programmes of optimal control, whose Lagrangian they are part of, ask for these. A kernel
+        for them is derived and compiled when it is first asked for.
+
+        Parameters
+        ----------
+        q0, nodes, h, parameters, t, inputs, multipliers
+            As for :meth:`residual`.
+        weights : array_like, shape (d + 1, n)
+            Those of D_k L_d for k = 0..d, of forces too; with multipliers less Phi(X_k)^T mu_k.
+        constraint_weights : array_like, shape (d + 1, m), optional
+            Weights of phi(X_k), which are added.
+        wrt : str, symbol or sequence of them
+            Parameters and inputs to differentiate by, besides control points and multipliers.
+
+        Returns
+        -------
+        ndarray, shape (K, K)
+            By X_0, ..., X_d, n columns each; by mu_0, ..., mu_(d-1), m each; by what ``wrt`` names:
+            a column for a parameter, and s for an input, by its values at the nodes. Symmetric.
+
+        Raises
+        ------
+        InputError
+            If shapes are other ones, or a step has no equations.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum(), "midpoint")
+        >>> H = stepper.hessian([1.0], [[0.9]], h=0.1, weights=[[0.5], [2.0]], wrt="l")
+        >>> H.shape, bool(abs(H - H.T).max() == 0)
+        ((3, 3), True)
+        """
+        return evaluate_curvature(
+            self.program,
+            q0,
+            nodes,
+            h,
+            weights,
+            parameters,
+            t,
+            inputs,
+            multipliers,
+            constraint_weights,
+            wrt,
+        )
 
     def energy(
         self,

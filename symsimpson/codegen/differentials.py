@@ -15,7 +15,7 @@ from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 
-__all__ = ["Differentials", "cost_of_time", "few_columns", "sizes"]
+__all__ = ["Differentials", "cost_of_time", "few_columns", "point_of_node", "sizes"]
 
 #: With more products than this, variations are solved for one by one.
 MOST_TERMS = 4000
@@ -132,8 +132,16 @@ def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
         "differentiated": True,
         "by_columns": by_columns,
         "costly": low.equations.cost is not None,
+        "second": low.equations.second,
+        "curvatures": _count(low, "node"),
+        "point_curvatures": _count(low, "point"),
         "varied": len(low.varied),
     }
+
+
+def _count(low: Lowering, what: str) -> int:
+    """Count the second derivatives that do not vanish."""
+    return len(low.curvatures.places(what)) if low.equations.second else 0
 
 
 def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str, int]]:
@@ -146,14 +154,15 @@ def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str
     ]
 
 
-def _point(low: Lowering) -> Point:
+def point_of_node(low: Lowering) -> Point:
+    """Return the node at hand, as loops have it."""
     return Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
 
 
 def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     """Write the derivatives of F and P by the parameters that are varied, at a node."""
     stores = [
-        Store(Row(block, k), low.slopes.entry(_point(low), "slopes", what, places[s], name))
+        Store(Row(block, k), low.slopes.entry(point_of_node(low), "slopes", what, places[s], name))
         for block, what in _BLOCKS
         for k, (name, s) in enumerate(_not_zero(low, places, what))
     ]
@@ -163,7 +172,7 @@ def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:
 
 def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
     """Write the derivatives of phi and Phi^T lambda by parameters, at a control point."""
-    point = replace(_point(low), suffix="c", multipliers=low.multipliers)
+    point = replace(point_of_node(low), suffix="c", multipliers=low.multipliers)
     count, stores = len(low.multipliers), []
     for j, name in enumerate(low.varied):
         for c in range(count):
@@ -181,7 +190,7 @@ def _cost(low: Lowering, places: tuple[int, ...]) -> Function:
     keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
     keys += [(what, a) for what in ("g_q", "g_v") for a in places]
     keys += [("g_a", name) for name in low.varied]
-    values: list[sp.Expr] = [low.cost.entry(_point(low), "cost", *key) for key in keys]
+    values: list[sp.Expr] = [low.cost.entry(point_of_node(low), "cost", *key) for key in keys]
     stores = [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]
     doc = "The running cost and its derivatives, at a node."
     return Function("cost_slopes", doc, low.statements(stores, (Level.ITERATION,)))

@@ -18,6 +18,7 @@ from symsimpson.codegen.printer import count_operations
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
+from symsimpson.discrete.curvatures import derive_curvatures
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
 from symsimpson.discrete.reductions import Coupled
@@ -96,6 +97,11 @@ class Lowering:
             "MULTIPLIER",
             Level.ITERATION,
         )
+        self.weights = self._base(
+            [f"w_{k}" for k in range(2 * self.n + 1)] if equations.second else [],
+            "NODE_WEIGHT",
+            Level.ITERATION,
+        )
         self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
@@ -129,6 +135,12 @@ class Lowering:
         """A running cost and its derivatives."""
         assert self.equations.cost is not None
         return self._template(derive_cost(self.equations.plain, self._by_name, self.equations.cost))
+
+    @cached_property
+    def curvatures(self) -> JetTemplate:
+        """Second derivatives of these, and of constraints, with weights."""
+        eqs = self.equations
+        return self._template(derive_curvatures(eqs.plain, eqs.varied or (), eqs.cost))
 
     @property
     def _by_name(self) -> dict[str, sp.Symbol]:

@@ -53,6 +53,8 @@ def derive(
     exploit: str | Iterable[str] = "all",
     varied: Iterable[str] | None = None,
     running: Any = None,
+    *,
+    second: bool = False,
 ) -> Derivation:
     """Generate the module of a system and a scheme, and say what that took.
 
@@ -64,13 +66,15 @@ def derive(
         Names of parameters and inputs: a step is then differentiated by these, and by q and p.
     running : sympy.Expr or LAGRANGIAN, optional
         A cost that is integrated along the path, in the user's symbols.
+    second : bool
+        Whether rows of a step are to be differentiated twice.
 
     Returns
     -------
     Derivation
     """
     names = None if varied is None else tuple(varied)
-    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running)
+    return _derive(system, read_scheme(scheme), read_exploit(exploit), names, running, second)
 
 
 def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
@@ -120,19 +124,22 @@ def _derive(
     exploit: frozenset[str],
     names: tuple[str, ...] | None,
     running: Any,
+    second: bool,
 ) -> Derivation:
     varied = None if names is None else _varied(system, names)
     cost = _cost(system, running)
     with collecting() as seconds, rarely_collected():
         # MechanicalSystem, Scheme -> DiscreteEquations -> Module of kernels -> text
-        equations = discretise(system, scheme, exploit, varied, cost)
+        equations = discretise(system, scheme, exploit, varied, cost, second=second)
         if not unrolled(equations) and equations.plain.rates:
             raise SchemeError(
                 f"{system.name} is so large that steps of {scheme.name} are loops, whose kicks "
                 "have no friction yet.\nChoose a scheme of the family, as 'simpson' or 'gauss8'."
             )
         if not unrolled(equations):  # in loops, forces damp
-            equations = discretise(system, scheme, exploit - {"conformal"}, varied, cost)
+            equations = discretise(
+                system, scheme, exploit - {"conformal"}, varied, cost, second=second
+            )
         with timed("text"):
             module = lower(equations)
             text = emit(equations, module)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from symsimpson.codegen.adjoints import adjoint_kernels
+from symsimpson.codegen.curvature import curvature_functions, curvature_kernel, curvature_tables
 from symsimpson.codegen.held_tangents import HeldDifferentials, each
 from symsimpson.codegen.ir import Call, Function, Index, Kernel, Loop, Statement, When
 from symsimpson.codegen.looped import LoopKernels
@@ -38,7 +39,12 @@ def differentiating(
     storage = loops.held.storage if loops.held else loops.storage
     made = HeldDifferentials(low, loops, tuple(places), following, in_order)
     kernels = [*_tangent_kernels(made), *adjoint_kernels(made)]
-    return made.functions(), kernels, made.tables() | _tables(storage, loops.degree)
+    functions, tables = made.functions(), made.tables() | _tables(storage, loops.degree)
+    if low.equations.second:
+        kernels.append(curvature_kernel(made))
+        functions += curvature_functions(made)
+        tables |= curvature_tables(made)
+    return functions, kernels, tables
 
 
 def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:

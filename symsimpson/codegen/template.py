@@ -22,7 +22,8 @@ class Point:
     """Where a jet is evaluated: names of q and v there, and a suffix for everything made of them.
 
     ``v`` is None where only functions of t, u and q are asked for, ``t`` where nothing depends on
-    it; ``u`` are the inputs there, ``multipliers`` those of constraints.
+    it; ``u`` are the inputs there, ``multipliers`` those of constraints, ``weights`` those of what
+    is differentiated twice.
     """
 
     suffix: str
@@ -31,6 +32,7 @@ class Point:
     t: sp.Expr | None = None
     u: tuple[sp.Expr, ...] = ()
     multipliers: tuple[sp.Expr, ...] = ()
+    weights: tuple[sp.Expr, ...] = ()
 
 
 class JetTemplate:
@@ -77,6 +79,11 @@ class JetTemplate:
         """The coordinates on which a force acts."""
         return self._jet.forced
 
+    def places(self, what: str) -> list[tuple[int, int]]:
+        """List the indices of entries of a matrix that do not vanish."""
+        keys = [key for key in self._program.outputs if key[0] == what]  # type: ignore[index]
+        return sorted((key[1], key[2]) for key in keys)  # type: ignore[index]
+
     def vanishes(self, what: str, *index: int | str) -> bool:
         """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]
@@ -86,9 +93,13 @@ class JetTemplate:
         key: Key = (what, *index)
         value = self._value(self._jet[key], point, section)
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
-        own = [self._names[i] if isinstance(i, int) else i for i in index]
+        own = [self._spelt(i) for i in index]
         hint = "_".join((what.replace("_", ""), *own, *suffix))
         return self._graph.define(re.sub(r"[^A-Za-z0-9_]", "_", hint), value, section)
+
+    def _spelt(self, i: int | str) -> str:
+        """Return an index as names of entries have it: a coordinate by its name."""
+        return str(self._names[i] if isinstance(i, int) and i < len(self._names) else i)
 
     def _value(self, value: Value, point: Point, section: str) -> sp.Expr:
         """Write a multiple of a line; of a sum, only under a name."""
@@ -155,6 +166,8 @@ class JetTemplate:
             return point.u[place]
         if kind == "l":
             return point.multipliers[place]
+        if kind == "w":
+            return point.weights[place]
         if kind == "t":
             assert point.t is not None
             return point.t

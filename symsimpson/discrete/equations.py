@@ -65,7 +65,8 @@ class DiscreteEquations:
     equations, ``columns`` those whose increments are the unknowns, both in the order in which
     elimination takes them; an explicit scheme has none. ``parts`` are what is solved in a step.
     Derivatives of a step are taken by q, p and what is ``varied``, plain symbols of parameters and
-    inputs; there are none of them if that is None. A running ``cost`` may be integrated, too.
+    inputs; there are none of them if that is None. A running ``cost`` may be integrated, too,
+    and rows of a step be differentiated a ``second`` time.
     """
 
     system: MechanicalSystem
@@ -78,6 +79,7 @@ class DiscreteEquations:
     parts: tuple[Part, ...]
     varied: tuple[sp.Symbol, ...] | None = None
     cost: Cost | None = None
+    second: bool = False
 
     @cached_property
     def jet(self) -> Jet:
@@ -167,6 +169,8 @@ def discretise(
     exploit: str | Iterable[str] = "all",
     varied: tuple[sp.Symbol, ...] | None = None,
     cost: Cost | None = None,
+    *,
+    second: bool = False,
 ) -> DiscreteEquations:
     """Derive the equations of one step.
 
@@ -180,6 +184,8 @@ def discretise(
         Plain symbols by which a step is differentiated, beside q and p.
     cost : Cost, optional
         Integrated along the path; steps carry its derivatives back, too.
+    second : bool
+        Whether second derivatives are asked for.
 
     Returns
     -------
@@ -220,7 +226,9 @@ def discretise(
         )
     rows, columns = ((), ()) if explicit else elimination_order(scheme.degree)
     h = sp.Symbol("h", positive=True)
-    return DiscreteEquations(system, scheme, wanted, plain, h, rows, columns, parts, varied, cost)
+    return DiscreteEquations(
+        system, scheme, wanted, plain, h, rows, columns, parts, varied, cost, second
+    )
 
 
 def _composed_in_time(

@@ -64,6 +64,11 @@ class Plain:
         """A symbol for the multiplier of each constraint."""
         return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.constraints)))
 
+    @property
+    def weights(self) -> tuple[sp.Symbol, ...]:
+        """Symbols for weights of F, of P and of a cost, or of momenta and constraints."""
+        return tuple(sp.Symbol(f"w_{k}", real=True) for k in range(2 * len(self.q) + 1))
+
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of symbols."""
         return self.graph.numbers(s.name for s in symbols)
@@ -137,11 +142,12 @@ class Plain:
     def level(self, graph: Graph) -> Callable[[int], int]:
         """Return a function that tells of nodes what they depend on.
 
-        0 for parameters alone, 1 for t, u and q, 2 for v, p or multipliers. The graph may be
-        another one with symbols of these names.
+        0 for parameters alone, 1 for t, u and q, 2 for v, p, multipliers or weights. The graph may
+        be another one with symbols of these names.
         """
         positions = set(graph.numbers(s.name for s in (*self.q, *self.u, self.t)))
-        moving = set(graph.numbers(s.name for s in (*self.v, *self.p, *self.multipliers)))
+        others = (*self.v, *self.p, *self.multipliers, *self.weights)
+        moving = set(graph.numbers(s.name for s in others))
 
         def level(n: int) -> int:
             symbols = graph.nodes[n].symbols

@@ -322,6 +322,20 @@ _TABLE = (
         lambda s: s.costly * (1 + 2 * s.n + s.varied),
     ),
     part(
+        "ROW_WEIGHT",
+        "weights of D_k L_d, k = 0..d, then of phi(X_k)",
+        lambda s: s.second * (s.degree + 1) * (s.n + s.m),
+    ),
+    part("COST_WEIGHT", "that of the running cost", lambda s: s.second),
+    part("NODE_WEIGHT", "what these are at a node", lambda s: s.second * (2 * s.n + 1)),
+    part("NODE_CURVATURE", "second derivatives at a node", lambda s: s.curvatures),
+    part("POINT_CURVATURE", "those at a control point", lambda s: s.point_curvatures),
+    part(
+        "HESSIAN",
+        "second derivatives of a step, by control points, multipliers and what is varied",
+        lambda s: s.second * ((s.degree + 1) * s.n + s.degree * s.m + s.varied * s.nodes) ** 2,
+    ),
+    part(
         "TIME",
         "t and what rounding has taken from it, then both before the step",
         lambda s: 4 * s.retimed,

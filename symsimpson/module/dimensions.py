@@ -33,6 +33,10 @@ class Sizes:
         Whether loops do so, and need the times of nodes.
     differentiated, by_columns, costly : bool
         Whether steps are differentiated, by columns of their derivative, with a running cost.
+    second : bool
+        Whether rows of a step are differentiated twice.
+    curvatures, point_curvatures : int
+        Second derivatives that are not zero, at a node and at a control point.
     varied, f_slopes, p_slopes : int
         Parameters that are varied; derivatives of F and P by them that are not zero.
     """
@@ -67,6 +71,9 @@ class Sizes:
     differentiated: bool = False
     by_columns: bool = False
     costly: bool = False
+    second: bool = False
+    curvatures: int = 0
+    point_curvatures: int = 0
     varied: int = 0
     f_slopes: int = 0
     p_slopes: int = 0

@@ -70,6 +70,7 @@ KERNELS = (
     "record",
     "step_cost",
     "running_cost",
+    "curvature",
     "retime",
     "clock",
     "energy_in_tau",

@@ -1,10 +1,12 @@
-"""The equations of a step at given nodes: residual and Jacobian, with multipliers or without."""
+"""The equations of a step at given nodes: residual, Jacobian, and second derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
@@ -12,11 +14,13 @@ from symsimpson.module.matrices import equations_of, held_equations_of
 from symsimpson.runtime.inputs import read_array, read_number, read_vector
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.variations import read_varied, varied_program
 
 if TYPE_CHECKING:
+    from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.program import Program
 
-__all__ = ["evaluate_equations"]
+__all__ = ["evaluate_curvature", "evaluate_equations"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
@@ -40,17 +44,138 @@ def evaluate_equations(
     InputError
         If there are no equations, or arrays of other shapes.
     """
+    header, numbers = program.header, program.numbers
+    _check_equations(program, "equations")
+    with numbers.working():
+        p = read_vector("p0", p0, program.names.coordinates, numbers)
+        step = _Step.read(program, q0, nodes, h, given, t, inputs, multipliers)
+        step.evaluate("equations", p)
+        found = (
+            equations_of(header, step.run)
+            if multipliers is None
+            else held_equations_of(header, step.run, step.h)
+        )
+        residual, jacobian = map(numbers.result, found)
+    return residual.ravel(), jacobian.reshape(residual.size, residual.size)
+
+
+def evaluate_curvature(
+    program: Program,
+    q0: ArrayLike,
+    nodes: ArrayLike,
+    h: Any,
+    weights: ArrayLike,
+    given: Mapping[Any, Any] | None,
+    t: Any,
+    inputs: Any,
+    multipliers: ArrayLike | None,
+    constraint_weights: ArrayLike | None,
+    wrt: Any,
+) -> Reals:
+    """Evaluate second derivatives of weighted rows of a step.
+
+    Raises
+    ------
+    InputError
+        If there are no equations, or arrays of other shapes.
+    """
+    _check_equations(program, "equations")
+    names = read_varied(program, wrt)
+    program = varied_program(program, names, second=True)
     header, n, numbers = program.header, program.n, program.numbers
     d, m = header.degree, len(header.constraints)
-    if "equations" not in header.functions:
+    with numbers.working():
+        step = _Step.read(program, q0, nodes, h, given, t, inputs, multipliers)
+        rows = _shaped("weights", weights, (d + 1, n), numbers)
+        held = numbers.zeros((d + 1, m))
+        if constraint_weights is not None:
+            held = _shaped("constraint_weights", constraint_weights, (d + 1, m), numbers)
+        step.run.rows("ROW_WEIGHT", (d + 1) * (n + m))[:] = np.concatenate([rows, held], axis=None)
+        step.evaluate("curvature", numbers.zeros(n))
+        size = header.layout["HESSIAN_SIZE"]
+        matrix = numbers.result(step.run.rows("HESSIAN", size**2)).reshape(size, size)
+        # derivatives by a parameter go through all nodes
+        spread = [np.eye((d + 1) * n + d * m)]
+        for name in names:
+            nodes_of = np.ones((header.nodes, 1))
+            spread.append(np.eye(header.nodes) if name in header.inputs else nodes_of)
+        into = _diagonal(spread)
+        found = into.T @ matrix @ into
+        return np.asarray((found + found.T) / 2)  # sums over nodes have another order there
+
+
+def _diagonal(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return a matrix with these blocks along its diagonal."""
+    found = np.zeros([sum(block.shape[axis] for block in blocks) for axis in (0, 1)], dtype=int)
+    row = column = 0
+    for block in blocks:
+        found[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    return found
+
+
+def _check_equations(program: Program, kernel: str) -> None:
+    """Refuse steps that are explicit.
+
+    Raises
+    ------
+    InputError
+    """
+    if kernel not in program.header.functions:
         raise InputError(
             f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
             "Ask a stepper of another scheme, as 'simpson'."
         )
-    with numbers.working():
-        names = program.names.coordinates
-        q = read_vector("q0", q0, names, numbers)
-        p = read_vector("p0", p0, names, numbers)
+
+
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
+    """Read an array of this shape.
+
+    Raises
+    ------
+    InputError
+    """
+    array = read_array(name, value, numbers)
+    if array.shape != shape:
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {shape}.\n"
+            "Pass a row for each control point X_0, ..., X_d."
+        )
+    return array
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step whose control points and multipliers are given."""
+
+    program: Program
+    run: Run
+    q: Reals
+    h: Any
+    t: Any
+    inputs: Reals
+
+    @classmethod
+    def read(
+        cls,
+        program: Program,
+        q0: ArrayLike,
+        nodes: ArrayLike,
+        h: Any,
+        given: Mapping[Any, Any] | None,
+        t: Any,
+        inputs: Any,
+        multipliers: ArrayLike | None,
+    ) -> _Step:
+        """Read a step, and put its path into a workspace.
+
+        Raises
+        ------
+        InputError
+        """
+        header, n, numbers = program.header, program.n, program.numbers
+        d, m = header.degree, len(header.constraints)
+        q = read_vector("q0", q0, program.names.coordinates, numbers)
         h, t = read_number("h", h, numbers), read_number("t", t, numbers)
         points = read_array("nodes", nodes, numbers)
         if points.shape != (d, n):
@@ -65,24 +190,25 @@ def evaluate_equations(
                 f"{program.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
                 "at X_0, ..., X_(d-1); none to a system without constraints."
             )
-        kernels = program.kernels
         run = Run(program, program.values(given), h, h * 0, 0, 1)
-        run.rows("POSITION", n)[:] = q
-        run.rows("MOMENTUM", n)[:] = p
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
-        addresses = kernels.address("prepare"), 0, kernels.address("equations")
+        return cls(program, run, q, h, t, read_driving(program, inputs, h, 1))
+
+    def evaluate(self, kernel: str, p: Reals) -> None:
+        """Call a kernel for it, with a momentum at its start."""
+        program, run = self.program, self.run
+        numbers, layout = program.numbers, program.header.layout
+        run.rows("POSITION", program.n)[:] = self.q
+        run.rows("MOMENTUM", program.n)[:] = p
         numbers.driver("evaluate")(
-            addresses,
-            h,
+            (program.kernels.address("prepare"), 0, program.kernels.address(kernel)),
+            self.h,
             run.W,
-            header.told,
-            (numbers.read([t]), q[None, :], p[None, :]),
-            header.layout["RESIDUAL"],
+            program.header.told,
+            (numbers.read([self.t]), self.q[None, :], p[None, :]),
+            layout["RESIDUAL"],
             numbers.zeros((1, 0)),
-            read_driving(program, inputs, h, 1),
+            self.inputs,
         )
-        found = equations_of(header, run) if mu is None else held_equations_of(header, run, h)
-        residual, jacobian = map(numbers.result, found)
-    return residual.ravel(), jacobian.reshape(residual.size, residual.size)

@@ -81,7 +81,7 @@ class Findings:
         Steps and lengths of runs that are not short, though it did not seem so.
     """
 
-    variants: dict[tuple[tuple[str, ...], Any], Program] = field(default_factory=dict)
+    variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
     checked_steps: set[tuple[Any, bytes]] = field(default_factory=set)
     regular: dict[bytes, tuple[Any, Any]] = field(default_factory=dict)
     irregular: dict[bytes, int] = field(default_factory=dict)
@@ -134,7 +134,7 @@ class Program:
     derivation: Derivation | None = None
     tools: Tools | None = None
     reference_state: Mapping[str, Any] | None = None
-    differentiate: Callable[[tuple[str, ...], Any], Program] | None = None
+    differentiate: Callable[..., Program] | None = None
     findings: Findings
 
     @property

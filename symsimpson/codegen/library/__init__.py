@@ -35,6 +35,7 @@ FILES = (
     "held_tangent",
     "adjoint",
     "held_adjoint",
+    "curvature",
     "clock",
 )
 

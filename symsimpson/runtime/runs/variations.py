@@ -67,10 +67,12 @@ def read_varied(program: Program, names: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def varied_program(program: Program, names: tuple[str, ...], running: Any = None) -> Program:
+def varied_program(
+    program: Program, names: tuple[str, ...], running: Any = None, *, second: bool = False
+) -> Program:
     """Return a program whose module differentiates its steps by these parameters and inputs.
 
-    A ``running`` cost is integrated by it, too.
+    A ``running`` cost is integrated by it, too; it may differentiate rows a ``second`` time.
 
     Raises
     ------
@@ -78,9 +80,10 @@ def varied_program(program: Program, names: tuple[str, ...], running: Any = None
         If the module was loaded from a file that does not.
     """
     own = program.header.varied_by
-    if own == names and running is None:
+    made = "curvature" in program.header.functions or not second
+    if own == names and running is None and made:
         return program
-    key = names, running
+    key = names, running, second
     if key not in program.findings.variants:
         if program.differentiate is None:
             if program.header.retimed:
@@ -95,7 +98,7 @@ def varied_program(program: Program, names: tuple[str, ...], running: Any = None
                 "symsimpson.compile, or a module with symsimpson.generate(..., "
                 f"derivatives={names!r})."
             )
-        program.findings.variants[key] = program.differentiate(names, running)
+        program.findings.variants[key] = program.differentiate(names, running, second=second)
     return program.findings.variants[key]
 
 

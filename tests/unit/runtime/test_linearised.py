@@ -66,7 +66,7 @@ def test_a_run_is_the_product_of_its_steps():
     found = stepper.linearise([0.8, 1.0], p0=[0.05, 0], h=0.05, steps=40)
     run = stepper.integrate([0.8, 1.0], p0=[0.05, 0], h=0.05, steps=40, tangents=4)
     whole = np.linalg.multi_dot(found.by_state[::-1])
-    assert whole == pytest.approx(run.tangent[-1], rel=1e-11, abs=1e-12)
+    assert np.abs(whole - run.tangent[-1]).max() < 1e-11
     assert np.array_equal(found.q, run.q)
 
 
@@ -74,8 +74,8 @@ def test_constraints_and_their_projection_are_in_it():
     stepper = ss.compile(ss.systems.cartesian_pendulum(), "simpson")
     state = ss.systems.cartesian_pendulum().reference_state
     found = stepper.linearise(**state, h=0.05, steps=3)
-    q1, p1, D = stepper.tangent(found.q[1], p=found.p[1], h=0.05)
-    assert D == pytest.approx(found.by_state[1], abs=1e-13)
+    *_, D = stepper.tangent(found.q[1], p=found.p[1], h=0.05)
+    assert np.abs(D - found.by_state[1]).max() < 1e-13
 
 
 def test_it_has_many_digits():

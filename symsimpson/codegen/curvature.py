@@ -1,0 +1,77 @@
+"""The kernel of second derivatives of a step, made only where it is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from symsimpson.codegen.differentials import Differentials, point_of_node
+from symsimpson.codegen.ir import Call, Function, Kernel, Row, Statement, Store
+from symsimpson.codegen.levels import Level
+from symsimpson.codegen.unrolled import lanes
+
+__all__ = ["curvature_functions", "curvature_kernel", "curvature_tables"]
+
+_AT_NODE = ("W", "h", "node", "lane")
+#: What is evaluated, the function that does it, and the block it leaves entries in.
+_FUNCTIONS = {
+    "node": ("node_curvature", "NODE_CURVATURE", "alpha.F + beta.P + gamma g at a node"),
+    "point": ("point_curvature", "POINT_CURVATURE", "nu.phi - alpha.Phi^T mu at a control point"),
+}
+
+
+def curvature_tables(made: Differentials) -> dict[str, object]:
+    """Return by which variables entries are, and how large the matrix of all is."""
+    low, degree = made.low, made.loops.degree
+    count = len(low.multipliers)
+    first = (degree + 1) * low.n + degree * count
+    found: dict[str, object] = {
+        "VARIED_FROM": first,
+        "HESSIAN_SIZE": first + len(low.varied) * low.equations.scheme.stages,
+    }
+    for what, prefix in (("node", "CURVATURE"), ("point", "POINT")):
+        pairs = low.curvatures.places(what)
+        if what == "node" or count:
+            found |= {
+                f"{prefix}_ROW": tuple(i for i, _ in pairs),
+                f"{prefix}_COLUMN": tuple(j for _, j in pairs),
+            }
+    return found
+
+
+def curvature_functions(made: Differentials) -> list[Function]:
+    """Write the second derivatives at a node, and at a control point if there are constraints."""
+    low, found = made.low, []
+    for what, (name, block, of) in _FUNCTIONS.items():
+        if what == "point" and not low.multipliers:
+            continue
+        point = replace(
+            point_of_node(low), suffix=what, weights=low.weights, multipliers=low.multipliers
+        )
+        stores = [
+            Store(Row(block, k), low.curvatures.entry(point, "curvatures", what, i, j))
+            for k, (i, j) in enumerate(low.curvatures.places(what))
+        ]
+        doc = f"Second derivatives of {of}."
+        found.append(Function(name, doc, low.statements(stores, (Level.ITERATION,))))
+    return found
+
+
+def curvature_kernel(made: Differentials) -> Kernel:
+    """Return the kernel that evaluates them for the path that stands in the workspace."""
+    loops = made.loops
+    grown = (Call("grow_weights", ("W", "node", "lane")),) if loops.damped else ()
+    at_node: tuple[Statement, ...] = (
+        Call("weigh_node_rows", _AT_NODE),
+        *grown,
+        Call("node_curvature"),
+        Call("add_curvature", _AT_NODE),
+    )
+    points = loops.points(
+        "range(DEGREE + 1)",
+        "clear_constraints",
+        Call("weigh_point_rows", ("W", "h", "point", "lane")),
+        Call("point_curvature"),
+        Call("add_point_curvature", ("W", "point", "lane")),
+    )
+    body = (Call("clear_hessian_of_step"), loops.nodes("range(NODES)", *at_node), *points)
+    return Kernel("curvature", "Second derivatives of weighted rows of a step.", lanes(body))
