@@ -13,7 +13,7 @@ from symsimpson.analysis.subject import Subject
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
-from symsimpson.runtime.equations import evaluate_equations
+from symsimpson.runtime.equations import At, evaluate_equations
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 
@@ -77,9 +77,8 @@ def _nodes(s: Subject, scheme: Scheme, j: int) -> tuple[Vector, Vector, Vector]:
     share = np.array([context.mpf(k) / d for k in range(1, d + 1)])
     points = q + share[:, None] * (s.path.q[j + 1] - q)
     for _ in range(ITERATIONS):
-        left, slope = evaluate_equations(
-            s.precise.program, q, p, points, s.h, s.precise.parameters, t, None
-        )
+        at = At(q, points, s.h, s.precise.parameters, t)
+        left, slope = evaluate_equations(s.precise.program, at, p)
         change = context.lu_solve(context.matrix(slope.tolist()), context.matrix(left.tolist()))
         points = points - np.array(list(change), dtype=object).reshape(d, n)
     moved = points - q

@@ -26,7 +26,7 @@ from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.variants import in_tau
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.module.header import digest
-from symsimpson.runtime.equations import evaluate_equations
+from symsimpson.runtime.equations import At, evaluate_equations
 from symsimpson.runtime.inputs import read_step
 from symsimpson.runtime.kernels.numbers import FLOAT64
 from symsimpson.schemes.named import read_scheme
@@ -191,9 +191,8 @@ def _equations(s: Subject) -> Iterator[Check]:
     nodes = q[0] + share * (q[1] - q[0])
 
     def evaluate(points: Any) -> tuple[Any, Any]:
-        return evaluate_equations(
-            precise.program, q[0], p[0], points, s.h, precise.parameters, 0, None
-        )
+        at = At(q[0], points, s.h, precise.parameters, 0)
+        return evaluate_equations(precise.program, at, p[0])
 
     exact = evaluate(nodes)[1]
     columns = []

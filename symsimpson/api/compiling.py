@@ -153,7 +153,7 @@ def _compiled(
         system, varied = extended(system, [known[name] for name in varied])
         tools = None  # the user's system is looked at
     with waiting(f"deriving {scheme.name} for {system.name}", progress):
-        derivation = _derived(system, scheme, exploit, varied, running, second)
+        derivation = _derived(system, scheme, exploit, varied, running, second=second)
     return new_program(
         derivation.text,
         f"{system.name}__{scheme.name}",
@@ -174,6 +174,7 @@ def _derived(
     exploit: frozenset[str],
     varied: tuple[str, ...] | None,
     running: Any,
+    *,
     second: bool,
 ) -> Derivation:
     """Derive a module, or take what another process has derived of the same declaration."""

@@ -53,7 +53,7 @@ class Differentiating(Stepping):
         h : float
         wrt : sequence of str or symbols
             "q" and "p" for positions and momenta at the start, names or symbols of parameters and
-            inputs. Of an input it is the same change at all nodes.
+            inputs, "h" and "t". Of an input it is the same change at all nodes.
         t, inputs, parameters
             As for :meth:`step`.
 
@@ -81,7 +81,7 @@ class Differentiating(Stepping):
         """
         n, given = self.n, (wrt,) if isinstance(wrt, str) else tuple(wrt)
         own = [name for name in given if name not in ("q", "p")]
-        names = read_varied(self.program, own)
+        names = read_varied(self.program, own, of_steps=True)
         request = Request(
             q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
         )
@@ -137,7 +137,8 @@ class Differentiating(Stepping):
         every : int
             Steps between samples.
         wrt : str, symbol or sequence of them
-            "q" and, as it was given, "v" or "p" of the initial state; parameters; inputs.
+            "q" and, as it was given, "v" or "p" of the initial state; parameters; inputs; "h" of
+            all steps, that is t_end / steps where nothing depends on the time, and "t", that is t0.
         progress : bool, optional
             As for :meth:`integrate`.
 
@@ -195,7 +196,7 @@ class Differentiating(Stepping):
         q0, v0, p0, h, t_end, steps, t0, parameters, inputs
             As for :meth:`integrate`.
         wrt : str, symbol or sequence of them
-            Parameters and inputs to differentiate by, besides the state.
+            Parameters and inputs to differentiate by, besides the state; "h" and "t" of each step.
         progress : bool, optional
             As for :meth:`integrate`.
 

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.runtime.equations import evaluate_curvature, evaluate_equations
+from symsimpson.runtime.equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.runtime.evaluating import evaluate_energy
 from symsimpson.runtime.program import Program
 from symsimpson.support.calling import explaining
@@ -98,9 +98,8 @@ class Evaluator:
         >>> bool(abs(stepper.residual([1.0], [0.0], [q1], h=0.01)).max() < 1e-14)
         True
         """
-        return evaluate_equations(
-            self.program, q0, p0, nodes, h, parameters, t, inputs, multipliers
-        )[0]
+        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        return evaluate_equations(self.program, at, p0)[0]
 
     def jacobian(
         self,
@@ -125,9 +124,8 @@ class Evaluator:
         >>> stepper.jacobian([1.0], [0.0], [[0.9]], h=0.01).shape
         (1, 1)
         """
-        return evaluate_equations(
-            self.program, q0, p0, nodes, h, parameters, t, inputs, multipliers
-        )[1]
+        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        return evaluate_equations(self.program, at, p0)[1]
 
     def hessian(
         self,
@@ -157,7 +155,8 @@ class Evaluator:
         constraint_weights : array_like, shape (d + 1, m), optional
             Weights of phi(X_k), which are added.
         wrt : str, symbol or sequence of them
-            Parameters and inputs to differentiate by, besides control points and multipliers.
+            Parameters and inputs to differentiate by, besides control points and multipliers; "h"
+            and "t", the size of the step and the time of its start.
 
         Returns
         -------
@@ -178,19 +177,8 @@ class Evaluator:
         >>> H.shape, bool(abs(H - H.T).max() == 0)
         ((3, 3), True)
         """
-        return evaluate_curvature(
-            self.program,
-            q0,
-            nodes,
-            h,
-            weights,
-            parameters,
-            t,
-            inputs,
-            multipliers,
-            constraint_weights,
-            wrt,
-        )
+        at = At(q0, nodes, h, parameters, t, inputs, multipliers)
+        return evaluate_curvature(self.program, at, weights, constraint_weights, wrt)
 
     def energy(
         self,

@@ -22,7 +22,8 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     start = (
         *made.loops.start(),
         Call("jet"),
-        *made.if_varied(Call("parameter_slopes"), Call("pull_momentum_slopes")),
+        *made.at_state(0),
+        *made.if_varied(Call("pull_momentum_slopes")),
         Call("pull_momentum"),
     )
     return [
@@ -34,7 +35,8 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
 
 
 def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
-    cost = made.if_costly(Call("cost_slopes"), Call("add_cost", _AT_NODE))
+    place = made.at(Call("go_to_node", ("W", "h", "node", "lane")))
+    cost = made.if_costly(*place, Call("cost_slopes"), Call("add_cost", _AT_NODE))
     nodes = Loop(
         "node", "range(NODES)", (Call("weigh_node", _AT_NODE), Call("pull_parameters", _HERE))
     )
@@ -64,10 +66,16 @@ def _cost_kernels(made: HeldDifferentials) -> list[Kernel]:
     step = (
         Call("exchange_steps"),
         *made.path_known(),
-        made.loops.nodes("range(NODES)", Call("cost_slopes"), Call("integrate_cost", _AT_NODE)),
+        made.loops.nodes(
+            "range(NODES)",
+            *made.at(Call("go_to_node", ("W", "h", "node", "lane"))),
+            Call("cost_slopes"),
+            Call("integrate_cost", _AT_NODE),
+        ),
         Call("exchange_steps"),
     )
-    here = (Call("take_for_velocity"), *made.loops.start(), Call("cost_slopes"))
+    state = made.at(Call("go_to_state", ("W", "h", "0", "lane")))
+    here = (Call("take_for_velocity"), *made.loops.start(), *state, Call("cost_slopes"))
     return [
         Kernel(
             "step_cost", "Add the running cost of the step that was taken.", lanes((When(step),))

@@ -11,7 +11,7 @@ from symsimpson.codegen.unrolled import lanes
 
 __all__ = ["curvature_functions", "curvature_kernel", "curvature_tables"]
 
-_AT_NODE = ("W", "h", "node", "lane")
+_AT_NODE = ("W", "node", "lane")
 #: What is evaluated, the function that does it, and the block it leaves entries in.
 _FUNCTIONS = {
     "node": ("node_curvature", "NODE_CURVATURE", "alpha.F + beta.P + gamma g at a node"),
@@ -44,8 +44,11 @@ def curvature_functions(made: Differentials) -> list[Function]:
     for what, (name, block, of) in _FUNCTIONS.items():
         if what == "point" and not low.multipliers:
             continue
+        here = point_of_node(low)
+        v = tuple(low.step[0] * v for v in here.v or ())
+        t = here.t - low.step[1] * low.step[0] if low.sized and here.t is not None else here.t
         point = replace(
-            point_of_node(low), suffix=what, weights=low.weights, multipliers=low.multipliers
+            here, suffix=what, v=v, t=t, weights=low.weights, multipliers=low.multipliers
         )
         stores = [
             Store(Row(block, k), low.curvatures.entry(point, "curvatures", what, i, j))
@@ -59,9 +62,10 @@ def curvature_functions(made: Differentials) -> list[Function]:
 def curvature_kernel(made: Differentials) -> Kernel:
     """Return the kernel that evaluates them for the path that stands in the workspace."""
     loops = made.loops
-    grown = (Call("grow_weights", ("W", "node", "lane")),) if loops.damped else ()
+    grown = (Call("grow_weights", _AT_NODE),) if loops.damped else ()
     at_node: tuple[Statement, ...] = (
         Call("weigh_node_rows", _AT_NODE),
+        Call("go_to_node", ("W", "h", "node", "lane")),
         *grown,
         Call("node_curvature"),
         Call("add_curvature", _AT_NODE),

@@ -73,8 +73,20 @@ class Differentials:
         """Find and keep the derivatives of F and P by parameters at a node, with its weight."""
         grown = (Call("grow_slopes", _HERE),) if self.loops.damped else ()
         return self.if_varied(
-            Call("parameter_slopes"), *grown, Call("keep_parameter_slopes", _HERE)
+            *self.at(Call("go_to_node", ("W", "h", "node", "lane"))),
+            Call("parameter_slopes"),
+            *grown,
+            Call("keep_parameter_slopes", _HERE),
         )
+
+    def at(self, place: Statement) -> tuple[Statement, ...]:
+        """Say where in the step a point is, if it is differentiated by its size."""
+        return (place,) if self.low.sized else ()
+
+    def at_state(self, place: int) -> tuple[Statement, ...]:
+        """Find derivatives by parameters at the start of a step, or at its end."""
+        state = Call("go_to_state", ("W", "h", str(place), "lane"))
+        return self.if_varied(*self.at(state), Call("parameter_slopes"))
 
     def nodes(self, *body: Statement) -> Loop:
         """Go over all nodes of the path, and keep their jets."""
@@ -133,6 +145,7 @@ def sizes(low: Lowering, *, by_columns: bool) -> dict[str, Any]:
         "by_columns": by_columns,
         "costly": low.equations.cost is not None,
         "second": low.equations.second,
+        "sized": low.sized,
         "curvatures": _count(low, "node"),
         "point_curvatures": _count(low, "point"),
         "varied": len(low.varied),
@@ -156,7 +169,7 @@ def _not_zero(low: Lowering, places: Sequence[int], what: str) -> list[tuple[str
 
 def point_of_node(low: Lowering) -> Point:
     """Return the node at hand, as loops have it."""
-    return Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
+    return Point("i", low.node_q, low.node_v, low.node_t, low.node_u, step=low.step)
 
 
 def _slopes(low: Lowering, places: tuple[int, ...]) -> Function:

@@ -6,15 +6,14 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from heapq import heappop, heappush
 from typing import Self
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store
-from symsimpson.codegen.levels import Definition, Graph, Level
+from symsimpson.codegen.ir import Load, Row, Section, Statement, Store
+from symsimpson.codegen.levels import Graph, Level
 from symsimpson.codegen.names import NameTable
-from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.sections import sections
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.constraints import derive_constraints
@@ -102,6 +101,8 @@ class Lowering:
             "NODE_WEIGHT",
             Level.ITERATION,
         )
+        #: h, the place of the node at hand in the step, and whether v there goes with 1/h.
+        self.step = self._base(["h_i", "c_i", "moving"], "NODE_STEP", Level.ITERATION)
         self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
         own = [sp.Symbol(name, real=True) for name in self.names.parameters]
@@ -141,6 +142,11 @@ class Lowering:
         """Second derivatives of these, and of constraints, with weights."""
         eqs = self.equations
         return self._template(derive_curvatures(eqs.plain, eqs.varied or (), eqs.cost))
+
+    @property
+    def sized(self) -> bool:
+        """Whether a step is differentiated by its size."""
+        return self.equations.plain.step[0] in (self.equations.varied or ())
 
     @property
     def _by_name(self) -> dict[str, sp.Symbol]:
@@ -248,7 +254,7 @@ class Lowering:
         reads = tuple(Load(s, self.rows.get(s) or self.hoisted[s]) for s in inputs)
         return (
             *((Section("known before", reads),) if reads else ()),
-            *_sections(list(dict.fromkeys(defined)), title),
+            *sections(list(dict.fromkeys(defined)), title),
             *((Section("results", stores),) if stores else ()),
         )
 
@@ -350,61 +356,3 @@ class Lowering:
         if store.keep is not None:
             yield store.keep
             yield self.active
-
-
-def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
-    """Order definitions so that those of a section stand together as far as they can.
-
-    Each stands behind what it is made of. Sections begin in the order of their first definitions.
-    """
-    maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
-    needs = [{maker[s] for s in d.value.free_symbols if s in maker} for d in definitions]
-    users: dict[int, list[int]] = {}
-    for n, made_of in enumerate(needs):
-        for m in made_of:
-            users.setdefault(m, []).append(n)
-    first: dict[str, int] = {}
-    for n, definition in enumerate(definitions):
-        first.setdefault(definition.section, n)
-    ready: dict[str, list[int]] = {section: [] for section in first}
-    for n, made_of in enumerate(needs):
-        if not made_of:
-            heappush(ready[definitions[n].section], n)
-    ordered: list[Definition] = []
-    section = next(iter(first), "")
-    while len(ordered) < len(definitions):
-        if not ready[section]:
-            section = min((s for s in ready if ready[s]), key=first.__getitem__)
-        n = heappop(ready[section])
-        ordered.append(definitions[n])
-        for user in users.get(n, ()):
-            needs[user].discard(n)
-            if not needs[user]:
-                heappush(ready[definitions[user].section], user)
-    return ordered
-
-
-def _sections(definitions: Sequence[Definition], common: str | None) -> list[Section]:
-    """Group consecutive definitions under their section's title, with its operation count."""
-    groups: list[tuple[str, list[Definition]]] = []
-    for definition in definitions if common else _by_section(definitions):
-        title = common or definition.section
-        if not groups or groups[-1][0] != title:
-            groups.append((title, []))
-        groups[-1][1].append(definition)
-    sections = []
-    for title, members in groups:
-        body: list[Statement] = []
-        pairs = 0
-        operations = 0
-        for definition in members:
-            operations += count_operations(definition.value)
-            if definition.is_sincos:
-                pairs += 1
-                sine, cosine = definition.targets
-                body.append(SinCos(sine, cosine, definition.value))
-            else:
-                body.append(Assign(definition.targets[0], definition.value))
-        count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
-        sections.append(Section(f"{title}: {count}", tuple(body)))
-    return sections

@@ -207,9 +207,10 @@ class NameTable:
         self.constraints = _shown(system.plain.constraints, "constraint")
 
     def of(self, plain: Plain, symbols: Iterable[sp.Symbol]) -> tuple[str, ...]:
-        """Return the names of plain symbols of parameters and inputs."""
+        """Return the names of plain symbols of parameters and inputs, of h and t."""
         names = (*self.parameters, *self.inputs)
         own = dict(zip((*plain.parameters, *plain.u), names, strict=True))
+        own |= {plain.step[0]: "h", plain.t: "t"}
         return tuple(own[symbol] for symbol in symbols)
 
     def _user(self, name: str, substitute: str) -> str:

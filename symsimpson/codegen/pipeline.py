@@ -107,12 +107,12 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
     symbols = (*plain.parameters, *plain.u)
     users = [str(symbol) for symbol in (*system.parameters, *system.inputs)]
     own = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
-    own |= dict(zip(users, symbols, strict=True))
+    own = {"h": plain.step[0], "t": plain.t} | own | dict(zip(users, symbols, strict=True))
     for name in names:
         if name not in own:
             raise GenerationError(
                 f"derivatives names {name!r}, which is no parameter or input of {system.name}.\n"
-                f"It has {', '.join(users) or 'none'}."
+                f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'."
             )
     return tuple(own[name] for name in names)
 

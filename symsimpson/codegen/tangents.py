@@ -55,7 +55,7 @@ def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
         kernels = [replace(_tangent(made, _by_columns(made)), straight=True), pivoted]
     if made.varied:
         doc = "Begin variations of parameters at given q and v."
-        slopes = (*made.loops.start(), Call("parameter_slopes"), Call("vary_momentum_at_start"))
+        slopes = (*made.loops.start(), *made.at_state(0), Call("vary_momentum_at_start"))
         kernels.append(Kernel("momentum_slopes", doc, lanes(slopes)))
     return kernels
 

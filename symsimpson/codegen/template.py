@@ -23,7 +23,7 @@ class Point:
 
     ``v`` is None where only functions of t, u and q are asked for, ``t`` where nothing depends on
     it; ``u`` are the inputs there, ``multipliers`` those of constraints, ``weights`` those of what
-    is differentiated twice.
+    is differentiated twice, ``step`` h and where in the step the point is.
     """
 
     suffix: str
@@ -33,6 +33,7 @@ class Point:
     u: tuple[sp.Expr, ...] = ()
     multipliers: tuple[sp.Expr, ...] = ()
     weights: tuple[sp.Expr, ...] = ()
+    step: tuple[sp.Expr, ...] = ()
 
 
 class JetTemplate:
@@ -166,6 +167,8 @@ class JetTemplate:
             return point.u[place]
         if kind == "l":
             return point.multipliers[place]
+        if kind == "s":
+            return point.step[place]
         if kind == "w":
             return point.weights[place]
         if kind == "t":

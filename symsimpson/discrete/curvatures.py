@@ -20,7 +20,11 @@ __all__ = ["derive_curvatures"]
 
 
 def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | None) -> Jet:
-    """Derive second derivatives of alpha.F + beta.P + gamma g, and of nu.phi - alpha.Phi^T lambda.
+    """Derive second derivatives of h alpha.F + beta.P + h gamma g, and of nu.phi - alpha.Phi^T mu.
+
+    They are by q and w = h v at a node, which do not depend on h: the time t does, which ends up
+    c h behind the one that is given. The symbols of v and t stand for w and for the start of the
+    step.
 
     Parameters
     ----------
@@ -34,24 +38,32 @@ def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | No
     Returns
     -------
     Jet
-        Outputs ``("node", i, j)``, j <= i, by (q, v, varied), and ``("point", i, j)`` by
-        (q, lambda, varied); those that vanish are left out.
+        Outputs ``("node", i, j)``, j <= i, by (q, w, varied), and ``("point", i, j)`` by
+        (q, mu, varied); those that vanish are left out.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
-    given = [plain.L, *plain.f, *plain.constraints.values()]
-    L, *values = rebuilt(plain.graph, given, {}, graph)
-    f, phi = values[:n], values[n:]
+    h, place, _ = graph.numbers(symbol.name for symbol in plain.step)
+    phi = rebuilt(plain.graph, list(plain.constraints.values()), {}, graph)
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
     weights = graph.numbers(symbol.name for symbol in plain.weights)
     of = graph.numbers(symbol.name for symbol in varied)
     slopes = gradient(graph, L, moving)
     forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
-    terms = graph.products([*forces, *slopes[n:]], weights[: 2 * n])
     if cost is not None:
         (g,) = rebuilt(cost.graph, [cost.value], {}, graph)
-        terms = [*terms, *graph.products([g], weights[2 * n :])]
-    outputs = _second(graph, "node", graph.add(terms), [*moving, *of])
+        forces.append(g)
+    integrated = graph.add(graph.products(forces, [*weights[:n], *weights[2 * n :]][: len(forces)]))
+    momenta = graph.products(slopes[n:], weights[n : 2 * n])
+    value = graph.add([graph.multiply([integrated, (1, h)]), *momenta])
+    (t,) = graph.numbers([plain.t.name])
+    inverse = graph.power((1, h), -1)
+    moved = {v: graph.multiply([(1, v), inverse]) for v in moving[n:]}
+    if plain.step[0] in varied:
+        moved[t] = graph.add([(1, t), graph.multiply([(1, place), (1, h)])])
+    (value,) = rebuilt(graph, [value], moved)
+    outputs = _second(graph, "node", value, [*moving, *of])
     if phi:
         multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
         pulls = gradient(graph, graph.add(graph.products(phi, multipliers)), moving[:n])

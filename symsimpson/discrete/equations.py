@@ -214,7 +214,7 @@ def discretise(
         plain = replace(plain, rates=rates, acting=undamped(plain))
     free = not (explicit or plain.constraints)
     # weights are not differentiated: where what is varied stands in them, damping is a force
-    still = _free_of(plain, structure.damping, varied or ())
+    still = _free_of(plain, structure.damping, varied or ()) and plain.step[0] not in (varied or ())
     if "conformal" in wanted and structure.damping is not None and free and still:
         # nodes have weights of their own, so that M is not the same at all of them
         plain = replace(plain, rate=structure.damping, acting=(ZERO,) * system.n)

@@ -10,7 +10,7 @@ import sympy as sp
 
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
@@ -56,7 +56,17 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     held = graph.add(graph.products(phi, multipliers))
     derivatives = Derivatives(graph)
     outputs: dict[Key, Value] = {}
+    by_size = _BySize(graph, plain, derivatives)
     for name, x in zip(varied, graph.numbers(s.name for s in varied.values()), strict=True):
+        if varied[name] == plain.step[0]:
+            own = gradient(graph, L, moving)
+            forces = [graph.add([own[i], f[i]]) for i in range(n)]
+            outputs |= {("F_a", i, name): by_size(F, integrated=True) for i, F in enumerate(forces)}
+            outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(own[n:])}
+            outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
+            for i, pull in enumerate(gradient(graph, held, moving[:n]) if phi else ()):
+                outputs["pull_a", i, name] = by_size.over(scaled(-1, pull))
+            continue
         slopes = gradient(graph, derivatives(L, x), moving)
         for i in range(n):
             outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
@@ -65,6 +75,41 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
         pulls = gradient(graph, derivatives(held, x), moving[:n])
         outputs |= {("pull_a", i, name): pull for i, pull in enumerate(pulls if phi else ())}
     return written_as_jet(plain, graph, outputs)
+
+
+class _BySize:
+    """Derivatives of what stands at a node by the size of the step, its path being held.
+
+    There v goes with 1/h and t moves by its place; what is integrated has a factor h before it,
+    and is divided by that.
+    """
+
+    def __init__(self, graph: Graph, plain: Plain, derivatives: Derivatives) -> None:
+        self._graph, self._derivatives = graph, derivatives
+        self._v = graph.numbers(s.name for s in plain.v)
+        self._h, self._place, self._moving = graph.numbers(s.name for s in plain.step)
+        (self._t,) = graph.numbers([plain.t.name])
+
+    def __call__(self, value: Value, *, integrated: bool = False) -> Value:
+        """Return the derivative of a value."""
+        graph = self._graph
+        along = [
+            graph.multiply([self._derivatives(value, v), (-1, v)])
+            for v in self._v
+            if self._derivatives(value, v) != ZERO
+        ]
+        terms = [
+            self.over(graph.add(along)),
+            graph.multiply([self._derivatives(value, self._t), (1, self._place)]),
+        ]
+        if integrated:
+            terms.append(graph.multiply([value, graph.power((1, self._h), -1)]))
+        return graph.add(terms)
+
+    def over(self, value: Value) -> Value:
+        """Return a value divided by h, where v goes with 1/h."""
+        inverse = self._graph.power((1, self._h), -1)
+        return self._graph.multiply([value, inverse, (1, self._moving)])
 
 
 def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Jet:
@@ -89,4 +134,10 @@ def derive_cost(plain: Plain, varied: Mapping[str, sp.Symbol], cost: Cost) -> Je
     outputs |= {("g_q", i): slopes[i] for i in range(n)}
     outputs |= {("g_v", i): slopes[n + i] for i in range(n)}
     outputs |= {("g_a", name): slopes[2 * n + j] for j, name in enumerate(varied)}
+    by_size = _BySize(graph, plain, Derivatives(graph))
+    outputs |= {
+        ("g_a", name): by_size(value, integrated=True)
+        for name, symbol in varied.items()
+        if symbol == plain.step[0]
+    }
     return written_as_jet(plain, graph, outputs)

@@ -65,6 +65,12 @@ class Plain:
         return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.constraints)))
 
     @property
+    def step(self) -> tuple[sp.Symbol, sp.Symbol, sp.Symbol]:
+        """Symbols for h, for a node's place in the step, and for 1 if v there goes with 1/h."""
+        h, place, moving = (sp.Symbol(f"s_{k}", real=True) for k in range(3))
+        return h, place, moving
+
+    @property
     def weights(self) -> tuple[sp.Symbol, ...]:
         """Symbols for weights of F, of P and of a cost, or of momenta and constraints."""
         return tuple(sp.Symbol(f"w_{k}", real=True) for k in range(2 * len(self.q) + 1))
@@ -146,7 +152,7 @@ class Plain:
         be another one with symbols of these names.
         """
         positions = set(graph.numbers(s.name for s in (*self.q, *self.u, self.t)))
-        others = (*self.v, *self.p, *self.multipliers, *self.weights)
+        others = (*self.v, *self.p, *self.multipliers, *self.weights, *self.step)
         moving = set(graph.numbers(s.name for s in others))
 
         def level(n: int) -> int:

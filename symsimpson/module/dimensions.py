@@ -33,8 +33,8 @@ class Sizes:
         Whether loops do so, and need the times of nodes.
     differentiated, by_columns, costly : bool
         Whether steps are differentiated, by columns of their derivative, with a running cost.
-    second : bool
-        Whether rows of a step are differentiated twice.
+    second, sized : bool
+        Whether rows of a step are differentiated twice, and a step by its size.
     curvatures, point_curvatures : int
         Second derivatives that are not zero, at a node and at a control point.
     varied, f_slopes, p_slopes : int
@@ -72,6 +72,7 @@ class Sizes:
     by_columns: bool = False
     costly: bool = False
     second: bool = False
+    sized: bool = False
     curvatures: int = 0
     point_curvatures: int = 0
     varied: int = 0

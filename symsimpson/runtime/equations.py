@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,23 +20,31 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.program import Program
 
-__all__ = ["evaluate_curvature", "evaluate_equations"]
+__all__ = ["At", "evaluate_curvature", "evaluate_equations"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
 
 
-def evaluate_equations(
-    program: Program,
-    q0: ArrayLike,
-    p0: ArrayLike,
-    nodes: ArrayLike,
-    h: Any,
-    given: Mapping[Any, Any] | None,
-    t: Any,
-    inputs: Any,
-    multipliers: ArrayLike | None = None,
-) -> tuple[Reals, Reals]:
+class At(NamedTuple):
+    """A step whose control points are given, as users give them.
+
+    Attributes
+    ----------
+    q0, nodes, h, parameters, t, inputs, multipliers
+        As :meth:`Stepper.residual` takes them.
+    """
+
+    q0: ArrayLike
+    nodes: ArrayLike
+    h: Any
+    parameters: Mapping[Any, Any] | None
+    t: Any
+    inputs: Any = None
+    multipliers: ArrayLike | None = None
+
+
+def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, Reals]:
     """Evaluate residual and Jacobian of a step at given nodes, and multipliers if they are given.
 
     Raises
@@ -48,11 +56,11 @@ def evaluate_equations(
     _check_equations(program, "equations")
     with numbers.working():
         p = read_vector("p0", p0, program.names.coordinates, numbers)
-        step = _Step.read(program, q0, nodes, h, given, t, inputs, multipliers)
+        step = _Step.read(program, at)
         step.evaluate("equations", p)
         found = (
             equations_of(header, step.run)
-            if multipliers is None
+            if at.multipliers is None
             else held_equations_of(header, step.run, step.h)
         )
         residual, jacobian = map(numbers.result, found)
@@ -60,17 +68,7 @@ def evaluate_equations(
 
 
 def evaluate_curvature(
-    program: Program,
-    q0: ArrayLike,
-    nodes: ArrayLike,
-    h: Any,
-    weights: ArrayLike,
-    given: Mapping[Any, Any] | None,
-    t: Any,
-    inputs: Any,
-    multipliers: ArrayLike | None,
-    constraint_weights: ArrayLike | None,
-    wrt: Any,
+    program: Program, at: At, weights: ArrayLike, constraint_weights: ArrayLike | None, wrt: Any
 ) -> Reals:
     """Evaluate second derivatives of weighted rows of a step.
 
@@ -80,12 +78,12 @@ def evaluate_curvature(
         If there are no equations, or arrays of other shapes.
     """
     _check_equations(program, "equations")
-    names = read_varied(program, wrt)
+    names = read_varied(program, wrt, of_steps=True)
     program = varied_program(program, names, second=True)
     header, n, numbers = program.header, program.n, program.numbers
     d, m = header.degree, len(header.constraints)
     with numbers.working():
-        step = _Step.read(program, q0, nodes, h, given, t, inputs, multipliers)
+        step = _Step.read(program, at)
         rows = _shaped("weights", weights, (d + 1, n), numbers)
         held = numbers.zeros((d + 1, m))
         if constraint_weights is not None:
@@ -156,17 +154,7 @@ class _Step:
     inputs: Reals
 
     @classmethod
-    def read(
-        cls,
-        program: Program,
-        q0: ArrayLike,
-        nodes: ArrayLike,
-        h: Any,
-        given: Mapping[Any, Any] | None,
-        t: Any,
-        inputs: Any,
-        multipliers: ArrayLike | None,
-    ) -> _Step:
+    def read(cls, program: Program, at: At) -> _Step:
         """Read a step, and put its path into a workspace.
 
         Raises
@@ -175,26 +163,27 @@ class _Step:
         """
         header, n, numbers = program.header, program.n, program.numbers
         d, m = header.degree, len(header.constraints)
-        q = read_vector("q0", q0, program.names.coordinates, numbers)
-        h, t = read_number("h", h, numbers), read_number("t", t, numbers)
-        points = read_array("nodes", nodes, numbers)
+        q = read_vector("q0", at.q0, program.names.coordinates, numbers)
+        h, t = read_number("h", at.h, numbers), read_number("t", at.t, numbers)
+        points = read_array("nodes", at.nodes, numbers)
         if points.shape != (d, n):
             raise InputError(
                 f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
                 "Pass the inner control points and q1, one row each."
             )
-        mu = None if multipliers is None else read_array("multipliers", multipliers, numbers)
+        mu = at.multipliers
+        mu = None if mu is None else read_array("multipliers", mu, numbers)
         if mu is not None and (mu.shape != (d, m) or not m):
             raise InputError(
                 f"multipliers has shape {mu.shape}, but {program.system} has {m} constraints and "
                 f"{program.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
                 "at X_0, ..., X_(d-1); none to a system without constraints."
             )
-        run = Run(program, program.values(given), h, h * 0, 0, 1)
+        run = Run(program, program.values(at.parameters), h, h * 0, 0, 1)
         run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
         if mu is not None:
             run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
-        return cls(program, run, q, h, t, read_driving(program, inputs, h, 1))
+        return cls(program, run, q, h, t, read_driving(program, at.inputs, h, 1))
 
     def evaluate(self, kernel: str, p: Reals) -> None:
         """Call a kernel for it, with a momentum at its start."""

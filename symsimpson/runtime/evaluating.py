@@ -43,7 +43,7 @@ def evaluate(
     header, numbers = program.header, program.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, program, kernel, block, count, t, q, p, inputs, before=before)
+        return evaluate_in(W, program, kernel, block, count, (t, q, p), inputs, before=before)
 
 
 def evaluate_members(
@@ -78,18 +78,16 @@ def evaluate_in(
     kernel: str,
     block: str,
     count: int,
-    t: Reals,
-    q: Reals,
-    p: Reals,
+    states: tuple[Reals, Reals, Reals],
     inputs: Reals = NO_INPUTS,
     *,
     before: str = "",
 ) -> Reals:
-    """Evaluate a kernel of the state in a workspace that holds parameters.
+    """Evaluate a kernel at states (t, q, p), in a workspace that holds parameters.
 
     Fast sines have no value for huge angles: there the library's are taken.
     """
-    numbers, kernels = program.numbers, program.kernels
+    numbers, kernels, (t, q, p) = program.numbers, program.kernels, states
     place = program.header.layout[block], count
 
     def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:

@@ -81,11 +81,14 @@ class Rows:
         self.nu = pick.normal(size=(self.d + 1, m))
         self.a = {str(name): value for name, value in system.parameters.items()}
 
+    def known(self, name):
+        return {"h": H, "t": TIME}.get(name) or self.a[name]
+
     def z(self):
         more = []
         for name in self.wrt:
             inputs = [str(u) for u in self.system.inputs]
-            more += list(self.u[inputs.index(name)]) if name in inputs else [self.a[name]]
+            more += list(self.u[inputs.index(name)]) if name in inputs else [self.known(name)]
         return [mp.mpf(float(x)) for x in (*self.X.ravel(), *self.mu.ravel(), *more)]
 
     def value(self, z):
@@ -93,14 +96,14 @@ class Rows:
         z = list(z)
         X = [[z.pop(0) for _ in range(n)] for _ in range(d + 1)]
         mu = [[z.pop(0) for _ in range(m)] for _ in range(d)]
-        u, a = [list(row) for row in self.u], dict(self.a)
+        u, a, step = [list(row) for row in self.u], dict(self.a), {"h": mp.mpf(H), "t": TIME}
         for name in self.wrt:
             inputs = [str(one) for one in self.system.inputs]
             if name in inputs:
                 u[inputs.index(name)] = [z.pop(0) for _ in range(s)]
             else:
-                a[name] = z.pop(0)
-        a, h, tiny = tuple(a.values()), mp.mpf(H), mp.mpf(STEP)
+                (step if name in step else a)[name] = z.pop(0)
+        a, h, start, tiny = tuple(a.values()), step["h"], step["t"], mp.mpf(STEP)
         weights = [[mp.mpf(float(x)) for x in row] for row in self.weights]
 
         def along(part):
@@ -110,7 +113,7 @@ class Rows:
                 for pair in zip(X, weights, strict=True)
             ]
             return sum(
-                h * b * self.L(TIME + c * h, *at(moved, A, B), [row[i] for row in u], a)
+                h * b * self.L(start + c * h, *at(moved, A, B), [row[i] for row in u], a)
                 for i, (b, (c, A, B)) in enumerate(zip(self.b, self.tables, strict=True))
             )
 
@@ -121,7 +124,7 @@ class Rows:
         total = (along(tiny) - along(-tiny)) / (2 * tiny)
         for i, (b, (c, A, B)) in enumerate(zip(self.b, self.tables, strict=True)):
             q, v = at(X, A, B)
-            force = self.f(TIME + c * h, q, v, [row[i] for row in u], a)
+            force = self.f(start + c * h, q, v, [row[i] for row in u], a)
             for k, share in enumerate(A):
                 total += h * b * share * mp.fdot(weights[k], force)
 
@@ -154,7 +157,7 @@ class Rows:
 
 
 CASES = [
-    (driven, "simpson", ("w", "m", "u")),
+    (driven, "simpson", ("w", "m", "h", "u", "t")),
     (ss.systems.cartesian_pendulum, "simpson", ("g",)),
     (ss.systems.double_pendulum, "gauss4", ("l1",)),
     (ss.systems.cart_pole, "lobatto6", ()),
@@ -162,6 +165,8 @@ CASES = [
     (ss.systems.van_der_pol, "gauss6", ("mu",)),
     (ss.systems.four_bar, "gauss4", ()),
     (driven, "midpoint", ("u",)),
+    (driven, "gauss4", ("h", "u", "t", "m")),
+    (ss.systems.cartesian_pendulum, "gauss4", ("h",)),
 ]
 
 

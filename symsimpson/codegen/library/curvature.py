@@ -2,8 +2,8 @@
 
 With weights lambda_k of D_k L_d, k = 0..d, and gamma of a running cost g, that is of
 
-    sum_i alpha_i.F_i + beta_i.P_i + gamma h b_i g_i,
-    alpha_i = h b_i sum_k A_ik lambda_k,    beta_i = b_i sum_k B_ik lambda_k,
+    sum_i h alpha_i.F_i + beta_i.P_i + h gamma_i g_i,
+    alpha_i = b_i sum_k A_ik lambda_k,    beta_i = b_i sum_k B_ik lambda_k,    gamma_i = b_i gamma,
 
 and with weights nu_k of phi(X_k), of sum_k nu_k.phi(X_k) - lambda_k.Phi(X_k)^T mu_k besides. The
 matrix HESSIAN is by the control points X_0..X_d, by mu_0..mu_(d-1), and by the values that what is
@@ -19,7 +19,7 @@ def clear_hessian_of_step(W, lane):
 
 
 @compiled
-def weigh_node_rows(W, h, node, lane):
+def weigh_node_rows(W, node, lane):
     """Find alpha, beta and the weight of the running cost at a node."""
     for s in range(DIMENSION):
         force = real(0)
@@ -28,9 +28,9 @@ def weigh_node_rows(W, h, node, lane):
             weight = WEIGHTS[node] * W[ROW_WEIGHT + k * DIMENSION + COORDINATE[s], lane]
             force += BASIS[node, k] * weight
             momentum += BASIS_SLOPE[node, k] * weight
-        W[NODE_WEIGHT + COORDINATE[s], lane] = h * force
+        W[NODE_WEIGHT + COORDINATE[s], lane] = force
         W[NODE_WEIGHT + DIMENSION + COORDINATE[s], lane] = momentum
-    W[NODE_WEIGHT + 2 * DIMENSION, lane] = h * WEIGHTS[node] * W[COST_WEIGHT, lane]
+    W[NODE_WEIGHT + 2 * DIMENSION, lane] = WEIGHTS[node] * W[COST_WEIGHT, lane]
 
 
 @compiled
@@ -41,13 +41,13 @@ def grow_weights(W, node, lane):
 
 
 @compiled
-def reach(h, node, variable, k):
-    """Return the derivative of a variable at a node, q or v, by the control point X_k."""
-    return BASIS[node, k] if variable < DIMENSION else BASIS_SLOPE[node, k] / h
+def reach(node, variable, k):
+    """Return the derivative of a variable at a node, q or h v, by the control point X_k."""
+    return BASIS[node, k] if variable < DIMENSION else BASIS_SLOPE[node, k]
 
 
 @compiled
-def add_curvature(W, h, node, lane):
+def add_curvature(W, node, lane):
     """Carry the second derivatives at a node to the control points."""
     for entry in range(len(CURVATURE_ROW)):
         i = CURVATURE_ROW[entry]
@@ -58,7 +58,7 @@ def add_curvature(W, h, node, lane):
                 for m in range(DEGREE + 1):
                     row = k * DIMENSION + i % DIMENSION
                     column = m * DIMENSION + j % DIMENSION
-                    term = reach(h, node, i, k) * (reach(h, node, j, m) * value)
+                    term = reach(node, i, k) * (reach(node, j, m) * value)
                     W[HESSIAN + row * HESSIAN_SIZE + column, lane] += term
                     if i != j:
                         W[HESSIAN + column * HESSIAN_SIZE + row, lane] += term
@@ -67,7 +67,7 @@ def add_curvature(W, h, node, lane):
             for m in range(DEGREE + 1):
                 if j < 2 * DIMENSION:
                     column = m * DIMENSION + j % DIMENSION
-                    term = reach(h, node, j, m) * value
+                    term = reach(node, j, m) * value
                     W[HESSIAN + row * HESSIAN_SIZE + column, lane] += term
                     W[HESSIAN + column * HESSIAN_SIZE + row, lane] += term
             if j >= 2 * DIMENSION:

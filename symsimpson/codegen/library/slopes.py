@@ -103,6 +103,22 @@ def assemble_step_drag(W, lane):
 
 
 @compiled
+def go_to_node(W, h, node, lane):
+    """Say how long the step is, where in it a node is, and that v there goes with 1/h."""
+    W[NODE_STEP, lane] = h
+    W[NODE_STEP + 1, lane] = PLACES[node]
+    W[NODE_STEP + 2, lane] = real(1)
+
+
+@compiled
+def go_to_state(W, h, place, lane):
+    """Say the same of a state, of which v is what it is."""
+    W[NODE_STEP, lane] = h
+    W[NODE_STEP + 1, lane] = real(place)
+    W[NODE_STEP + 2, lane] = real(0)
+
+
+@compiled
 def grow_slopes(W, node, lane):
     """Multiply derivatives by parameters at a node by what its weight has grown to."""
     for row in range(F_A_FROM[VARIED]):

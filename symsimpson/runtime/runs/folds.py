@@ -63,7 +63,7 @@ def look_at_folds(
         return trajectory
     header = program.header
     t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
-    pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), t, q, p)
+    pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), (t, q, p))
     independence = independence_of(pivots)
     singular = np.flatnonzero(independence < SINGULAR)
     who = f"{program.system}, {program.scheme}"
@@ -75,7 +75,7 @@ def look_at_folds(
             "multipliers",
             "CONSTRAINT_QQ",
             header.layout["HELD_SIZE"],
-            *(x[bad : bad + 1] for x in (t, q, p)),
+            (t[bad : bad + 1], q[bad : bad + 1], p[bad : bad + 1]),
         )[0]
         which = dependent(names, slopes_of(header, rows).astype(np.float64))
         message = (

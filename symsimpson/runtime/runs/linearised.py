@@ -33,7 +33,7 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
     """
     refuse_retimed(program, "linearisations")
     asked: Sequence[Any] = wrt if isinstance(wrt, (tuple, list)) else (wrt,)
-    program = varied_program(program, read_varied(program, asked))
+    program = varied_program(program, read_varied(program, asked, of_steps=True))
     spec = read_run(program, request)
     n, size = program.n, 2 * program.n
     header, numbers = program.header, program.numbers

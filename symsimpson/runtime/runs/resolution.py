@@ -162,10 +162,10 @@ def energies_at(
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
     states = t, q[places], p[places]
-    found = evaluate_in(run.W, program, "energy", "ENERGY", 2, *states)
+    found = evaluate_in(run.W, program, "energy", "ENERGY", 2, states)
     total, kinetic = np.asarray(found, dtype=np.float64).T
     if run.header.retimed:  # K = g (H - E0) is what does not drift
-        rate = np.asarray(evaluate_in(run.W, program, "energy", "RATE", 1, *states), float)[:, 0]
+        rate = np.asarray(evaluate_in(run.W, program, "energy", "RATE", 1, states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
     return Sampled(total, kinetic, places, *np.zeros((2, len(total))))
 

@@ -28,10 +28,16 @@ __all__ = [
 ]
 
 Reals = NDArray[Any]
+#: What a step has besides parameters and inputs.
+STEP = ("h", "t")
 
 
-def read_varied(program: Program, names: Any) -> tuple[str, ...]:
+def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tuple[str, ...]:
     """Read names of parameters and inputs, or their symbols; as the module names them.
+
+    "h" and "t" are the size of the steps and the time of their start, unless parameters are called
+    so. A run has one h for all steps, whose times it moves: where something depends on the time,
+    only single steps are differentiated by it, those ``of_steps``.
 
     Raises
     ------
@@ -54,6 +60,13 @@ def read_varied(program: Program, names: Any) -> tuple[str, ...]:
                 )
         elif driven is not None:
             found.append(header.inputs[driven])
+        elif key in STEP and not header.retimed:
+            if key == "h" and not (of_steps or header.autonomous):
+                raise InputError(
+                    f"{program.system} depends on time, and h moves the times of all steps of "
+                    "a run.\nDifferentiate single steps by h: stepper.tangent, stepper.linearise."
+                )
+            found.append(key)
         else:
             known = (*program.parameters, *program.inputs)
             raise InputError(

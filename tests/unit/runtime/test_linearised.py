@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.errors import InputError
@@ -94,3 +95,69 @@ def test_what_cannot_be_done_is_said(cart):
     retimed = ss.compile(ss.systems.kepler().retimed("encounters"))
     with pytest.raises(InputError, match="linearisations are not taken"):
         retimed.linearise([1.0, 0.0], v0=[0.0, 1.0], h=0.1, steps=2)
+
+
+SHAKEN = ss.MechanicalSystem(
+    "shaken_cart",
+    coordinates=(x, theta),
+    kinetic=CART.kinetic + x.diff() * x * sp.sin(ss.time),
+    potential=CART.potential + sp.cos(2 * ss.time) * x**3,
+    parameters={mass: 1.25},
+    inputs=(u,),
+    forces=CART.forces,
+)
+
+
+@pytest.mark.parametrize(
+    ("system", "scheme"),
+    sweep(
+        [
+            (SHAKEN, "simpson"),
+            (ss.systems.cartesian_pendulum(), "simpson"),
+            (ss.systems.damped_pendulum(), "gauss4"),
+            (SHAKEN, "midpoint"),
+        ],
+        2,
+    ),
+)
+def test_steps_are_differentiated_by_their_size_and_their_time(system, scheme):
+    stepper = ss.compile(system, scheme)
+    state = getattr(system, "reference_state", START)
+    start = {key: state[key] for key in ("q0", "v0", "p0") if key in state}
+    given = {"inputs": {"u": 0.4}} if system.inputs else {}
+    # from a state that constraints allow
+    run = stepper.integrate(**start, h=0.1, steps=1, **given)
+    q, p = run.q[-1], run.p[-1]
+
+    def end(h, t):
+        return np.concatenate(stepper.tangent(q, p=p, h=h, t=t, **given)[:2])
+
+    def slope(by_h, by_t):
+        step = 1e-3
+        ends = [end(0.1 + k * by_h * step, 0.5 + k * by_t * step) for k in (-2, -1, 1, 2)]
+        return (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * step)
+
+    *_, D = stepper.tangent(q, p=p, h=0.1, t=0.5, wrt=("h", "t"), **given)
+    found = stepper.linearise(q, p0=p, h=0.1, steps=1, t0=0.5, wrt=("h", "t"), **given)
+    for k, (name, way) in enumerate((("h", (1, 0)), ("t", (0, 1)))):
+        assert np.abs(D[:, k] - slope(*way)).max() < 1e-9
+        assert np.abs(found.by_parameter[name][0] - D[:, k]).max() < 1e-14
+
+
+def test_gradients_by_the_size_of_all_steps():
+    stepper = ss.compile(ss.systems.double_pendulum())
+    q1, q2 = ss.systems.double_pendulum().coordinates
+    asked = {"p0": [0, 0], "steps": 50, "running": q1.diff() ** 2 * sp.cos(q2), "cost": "q1**2"}
+
+    def gradient(h):
+        return stepper.gradient([0.8, 1.0], **asked, h=h, wrt=("h",))
+
+    difference = (gradient(0.02 + 1e-6).value - gradient(0.02 - 1e-6).value) / 2e-6
+    assert gradient(0.02).parts["h"] == pytest.approx(difference, rel=1e-6)
+
+
+def test_what_moves_the_times_of_a_run_is_refused():
+    with pytest.raises(InputError, match="h moves the times of all steps"):
+        ss.compile(SHAKEN).gradient(
+            [0.2, 0.4], p0=[0, 0], h=0.1, steps=3, cost="x", wrt="h", inputs={"u": 0.1}
+        )

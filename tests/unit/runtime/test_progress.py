@@ -118,7 +118,9 @@ def test_nothing_is_drawn_into_files_unless_it_is_asked_for(told, monkeypatch):
 
 
 def test_compile_takes_progress(told, monkeypatch):
-    monkeypatch.setattr(api, "derive", lambda *given: time.sleep(0.2) or derive(*given))
+    monkeypatch.setattr(
+        api, "derive", lambda *given, **how: time.sleep(0.2) or derive(*given, **how)
+    )
     system = ss.systems.pendulum()
     told.clear()  # a slow machine may have told of reading it
     ss.compile(system, "gauss6", progress=False)

@@ -19,9 +19,9 @@ def derived(monkeypatch, tmp_path):
     made = []
     original = api.derive
 
-    def derive(*given):
+    def derive(*given, **how):
         made.append(given)
-        return original(*given)
+        return original(*given, **how)
 
     monkeypatch.setattr(kept, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(texts, "BRIEF", 0.0)

@@ -1,0 +1,355 @@
+"""Blocks of the workspace: what stands in them, how many rows they have, who is told of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+
+from symsimpson.module.dimensions import Sizes
+
+__all__ = ["TABLE", "Block"]
+
+Size = Callable[[Sizes], int]
+
+
+def one(s: Sizes) -> int:
+    """Return the size of a block of one row."""
+    return 1
+
+
+def none(s: Sizes) -> int:
+    """Return the size of a block that has no row of its own."""
+    return 0
+
+
+coordinates, constraints = attrgetter("n"), attrgetter("m")
+unknowns, entries = attrgetter("unknowns"), attrgetter("entries")
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows of the workspace that belong together.
+
+    Attributes
+    ----------
+    name : str
+        The constant of a module that holds its first row.
+    doc : str
+    size : callable
+        Gives the number of rows.
+    told : bool
+        Whether the driver is told where it stands.
+    optional : bool
+        Whether a module has it only if it has rows in it.
+    scratch : bool
+        Whether no kernel reads what another one has left there.
+    """
+
+    name: str
+    doc: str
+    size: Size = one
+    told: bool = False
+    optional: bool = False
+    scratch: bool = False
+
+
+def part(
+    name: str, doc: str, size: Size = one, told: bool = False, *, scratch: bool = False
+) -> Block:
+    """Return a block of systems that need it: with constraints, inputs, stages, derivatives."""
+    return Block(name, doc, size, told, optional=True, scratch=scratch)
+
+
+#: All of them, in their order. Sizes that are spoken of are squared norms with the diagonal of
+#: M(q0) as weights.
+TABLE = (
+    Block("ACTIVE", "1: to be solved, 0: done, negative: failed, with a status", told=True),
+    Block("CORRECTION_SQUARED", "size of the last correction"),
+    Block("INCREMENT_SQUARED", "size of the increments", told=True),
+    Block(
+        "VELOCITY_JUMP_SQUARED",
+        "between the end of a path and the velocity there, times h",
+        told=True,
+    ),
+    Block(
+        "PREDICTION_ERROR_SQUARED", "size of what the increments differ by from the predicted ones"
+    ),
+    Block("CYCLIC_JUMP_SQUARED", "the velocity jump of cyclic coordinates alone"),
+    Block("CYCLIC_MASS_CHANGE", "relative change of M of cyclic coordinates over the step"),
+    Block("MASS_PIVOT", "below 0 if M is not positive definite", told=True),
+    Block("ENERGY", "the Hamiltonian", told=True),
+    Block("KINETIC", "its kinetic part"),
+    Block("STATUS", "0: going on, else why the lane stopped", told=True),
+    Block("RELATIVE", "correction relative to the increments, squared", told=True),
+    Block("CONTRACTION", "rate at which corrections shrink", told=True),
+    Block("LARGEST_SQUARED", "size of the largest increments so far", told=True),
+    Block(
+        "IN_DOUBT",
+        "0: accepted, 1: to be verified, 2: unresolved, 3: possibly unresolved",
+        told=True,
+    ),
+    Block("ITERATIONS", "since the last stored state", told=True),
+    Block("COUNT", "steps that an explicit kernel takes in one call", told=True),
+    Block("POSITION", "q", coordinates, told=True),
+    Block("POSITION_LOW", "what rounding has taken from q", coordinates),
+    Block("MOMENTUM", "p", coordinates, told=True),
+    Block("MOMENTUM_LOW", "what rounding has taken from p", coordinates),
+    Block("INCREMENT", "control points of the path less q0", unknowns, told=True),
+    Block("PREDICTED", "those that the iteration began with", unknowns),
+    Block(
+        "PREVIOUS",
+        "the state before the step, and the increments predicted then",
+        lambda s: 4 * s.n + s.unknowns,
+        told=True,
+    ),
+    Block("SOLVED", "the increments of the step", unknowns, told=True),
+    Block("VELOCITY", "v", coordinates, told=True),
+    Block("PARAMETER", "parameters", lambda s: s.parameters, told=True),
+    Block("INVARIANT", "quantities to watch", lambda s: s.invariants),
+    Block("HOISTED", "values that are computed once a run or a step", lambda s: s.hoisted),
+    Block("NODE_POSITION", "q at a node", coordinates, scratch=True),
+    Block("NODE_VELOCITY", "v at a node", coordinates, scratch=True),
+    Block("NODE_L_Q", "F at a node", coordinates, scratch=True),
+    Block("NODE_L_V", "P, or a, at a node", coordinates, scratch=True),
+    Block("NODE_L_QQ", "F_q at a node", entries, scratch=True),
+    Block("NODE_L_QV", "F_v at a node", entries, scratch=True),
+    Block("NODE_L_VV", "M at a node", entries),
+    Block("MASS", "a constant M", lambda s: s.constant_mass * s.entries),
+    Block("MASS_DIAGONAL", "diagonal of M(q0)", coordinates, told=True),
+    Block("COEFFICIENT", "factors of the terms of L", lambda s: s.coefficients),
+    part(
+        "NODE_F_V",
+        "derivatives of the forces by v at a node",
+        lambda s: s.dragged * s.entries,
+        scratch=True,
+    ),
+    part("NODE_TIME", "t at a node", lambda s: s.timed, scratch=True),
+    part(
+        "INPUT",
+        "inputs of the step, of each its values at all nodes",
+        lambda s: s.inputs * s.stride,
+        told=True,
+    ),
+    part("NODE_INPUT", "inputs at a node", lambda s: s.inputs, scratch=True),
+    part(
+        "GROWTH",
+        "by how much the weights of nodes have grown, and those of the end of the step",
+        lambda s: s.damped * (s.nodes + 1),
+    ),
+    part("POWER", "power of each force, then dL/dt, at a node or a state", lambda s: s.powers),
+    part("WORK", "integrals of these over steps", lambda s: s.powers),
+    part("STAGE_V", "h b_i v_i", lambda s: s.n * s.staged),
+    part("STAGE_F", "h b_i F_i", lambda s: s.n * s.staged),
+    part("STAGE_Q", "positions at the nodes, less q", lambda s: s.staged_by_loops * s.n * s.staged),
+    part("STAGE_P", "momenta at the nodes, less p", lambda s: s.staged_by_loops * s.n * s.staged),
+    part("STAGE_STEP", "h b_i", lambda s: s.staged),
+    part("STAGE_RATE", "1 / (h b_i)", lambda s: s.staged),
+    part("STAGE_PLACE", "c_i", lambda s: s.staged_times * s.staged),
+    part("STAGE_MU", "from STAGE_V to positions at the nodes", lambda s: s.nodes * s.staged),
+    part("STAGE_NU", "from STAGE_F to momenta at the nodes", lambda s: s.nodes * s.staged),
+    part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
+    part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
+    part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
+    part(
+        "STAGE_HELD",
+        "values between the two halves of an iteration",
+        lambda s: s.staged_values * s.staged,
+    ),
+    part(
+        "STAGE_ANGLE", "angles at the nodes, of an iteration before", lambda s: s.angles * s.staged
+    ),
+    part("STAGE_SINE", "their sines", lambda s: s.angles * s.staged),
+    part("STAGE_COSINE", "their cosines", lambda s: s.angles * s.staged),
+    part(
+        "STAGE_TURN",
+        "changes of the angles since then, squared and added up",
+        lambda s: min(1, s.angles) * s.staged,
+    ),
+    part(
+        "STAGE_TURNED",
+        "iterations after which sines and cosines are turned by these",
+        lambda s: min(1, s.angles),
+    ),
+    part("STAGE_EXPECTED", "iterations before convergence is checked", lambda s: min(1, s.staged)),
+    part("STAGE_COUNT", "iterations of the step", lambda s: min(1, s.staged)),
+    part("MULTIPLIER", "multipliers of constraints at a control point, or of a state", constraints),
+    part("CONSTRAINT", "phi at a point", constraints),
+    part("CONSTRAINT_FORCE", "Phi^T lambda there", lambda s: s.constrained * s.n),
+    part(
+        "CONSTRAINT_QQ",
+        "second derivatives of lambda.phi by q and lambda there",
+        lambda s: s.bordered,
+    ),
+    part("CONSTRAINT_WEIGHT", "how much of each constraint was added to M", constraints),
+    part("HELD", "M bordered by Phi, factorised", lambda s: s.bordered),
+    part(
+        "HELD_RIGHT",
+        "right side of its equations, or all rows in another order",
+        lambda s: s.constrained * (s.n + s.m) * s.degree,
+    ),
+    part("HELD_PIVOT", "what is left of each constraint in them", constraints),
+    part("HELD_CHANGE", "change of q that takes phi to zero", lambda s: s.constrained * s.n),
+    part(
+        "DRIFT_VELOCITY",
+        "velocity of a drift that constraints hold",
+        lambda s: s.constrained * s.drifting * s.n,
+    ),
+    part("CURVATURE", "Phi v, or Phi v', as constraints ask for it", constraints),
+    part(
+        "DEPENDENCE",
+        "how far constraints are from following from one another: 0 to 1",
+        lambda s: s.constrained,
+    ),
+    Block("RESIDUAL", "residual, then the correction", unknowns, scratch=True),
+    Block("JACOBIAN", "its derivatives", lambda s: s.jacobian, scratch=True),
+    part(
+        "NODE_F_A",
+        "derivatives of F by the parameters that are varied, at a node",
+        lambda s: s.f_slopes,
+    ),
+    part("NODE_P_A", "those of P", lambda s: s.p_slopes),
+    part(
+        "NODE_STEP",
+        "h, the place of a node in the step, and 1 if v there goes with 1/h",
+        lambda s: 3 * max(s.sized, s.second),
+    ),
+    part(
+        "CONSTRAINT_A",
+        "derivatives of phi by the parameters that are varied, at a control point",
+        lambda s: s.varied * s.m,
+    ),
+    part("CONSTRAINT_QA", "those of Phi^T lambda", lambda s: s.varied * s.constrained * s.n),
+    part(
+        "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns
+    ),
+    part(
+        "START_SLOPES",
+        "derivatives of the rows of a step by q0, increments held",
+        lambda s: s.differentiated * s.degree * s.entries,
+        scratch=True,
+    ),
+    part(
+        "END_SLOPES",
+        "those of p1 - p0 by q0, then by increments in the order of elimination",
+        lambda s: s.differentiated * (s.degree + 1) * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_QQ",
+        "F_q at all nodes",
+        lambda s: s.differentiated * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_QV",
+        "F_v at all nodes",
+        lambda s: s.differentiated * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_VV", "M at all nodes", lambda s: s.differentiated * s.nodes * s.entries, scratch=True
+    ),
+    part(
+        "STEP_F_V",
+        "derivatives of the forces by v at all nodes",
+        lambda s: s.differentiated * s.dragged * s.nodes * s.entries,
+        scratch=True,
+    ),
+    part(
+        "STEP_F_A",
+        "derivatives of F by parameters at all nodes",
+        lambda s: s.nodes * s.f_slopes,
+        scratch=True,
+    ),
+    part("STEP_P_A", "those of P", lambda s: s.nodes * s.p_slopes, scratch=True),
+    part(
+        "POINT_QQ",
+        "second derivatives of lambda.phi at all control points",
+        lambda s: s.differentiated * (s.degree + 1) * s.bordered,
+        scratch=True,
+    ),
+    part(
+        "POINT_A",
+        "derivatives of phi by parameters at these",
+        lambda s: (s.degree + 1) * s.varied * s.m,
+        scratch=True,
+    ),
+    part(
+        "POINT_QA",
+        "those of Phi^T lambda",
+        lambda s: (s.degree + 1) * s.varied * s.constrained * s.n,
+        scratch=True,
+    ),
+    part(
+        "DERIVATIVE",
+        "of the end of the step, column by column: by q, by p and by what is varied",
+        lambda s: s.by_columns * 2 * s.n * (2 * s.n + s.varied),
+        scratch=True,
+    ),
+    part(
+        "COLUMN_ROOM",
+        "right sides of the equations for these columns",
+        lambda s: s.by_columns * (s.unknowns + s.n) * (2 * s.n + s.varied),
+        scratch=True,
+    ),
+    part("ADJOINT", "derivatives of a cost by q and p", lambda s: 2 * s.differentiated * s.n),
+    part(
+        "ADJOINT_RIGHT",
+        "right side of the equations of a step for them, or their solution",
+        lambda s: s.differentiated * s.unknowns,
+    ),
+    part(
+        "ADJOINT_START",
+        "derivative of a cost by q at the start of a step, through forces and momenta",
+        lambda s: s.differentiated * s.n,
+    ),
+    part(
+        "COST",
+        "integral of a running cost, and what rounding has taken from it",
+        lambda s: 2 * s.costly,
+    ),
+    part(
+        "COST_END",
+        "derivatives of a cost by these parameters, through the end of a step",
+        lambda s: s.varied * s.constrained,
+    ),
+    part(
+        "COST_SLOPE",
+        "derivatives of a cost by the parameters that are varied, through each node",
+        lambda s: s.differentiated * max(1, s.varied * s.nodes),
+    ),
+    part(
+        "NODE_COST",
+        "a running cost at a node, its derivatives by q, by v and by these parameters",
+        lambda s: s.costly * (1 + 2 * s.n + s.varied),
+    ),
+    part(
+        "ROW_WEIGHT",
+        "weights of D_k L_d, k = 0..d, then of phi(X_k)",
+        lambda s: s.second * (s.degree + 1) * (s.n + s.m),
+    ),
+    part("COST_WEIGHT", "that of the running cost", lambda s: s.second),
+    part("NODE_WEIGHT", "what these are at a node", lambda s: s.second * (2 * s.n + 1)),
+    part("NODE_CURVATURE", "second derivatives at a node", lambda s: s.curvatures),
+    part("POINT_CURVATURE", "those at a control point", lambda s: s.point_curvatures),
+    part(
+        "HESSIAN",
+        "second derivatives of a step, by control points, multipliers and what is varied",
+        lambda s: s.second * ((s.degree + 1) * s.n + s.degree * s.m + s.varied * s.nodes) ** 2,
+    ),
+    part(
+        "TIME",
+        "t and what rounding has taken from it, then both before the step",
+        lambda s: 4 * s.retimed,
+    ),
+    part("TIME_END", "1 and the time at which the run ends, or 0", lambda s: 2 * s.retimed),
+    part("RATE", "dt/dtau at a node or a state", lambda s: s.retimed),
+    part("PASSED", "time that a step takes", lambda s: s.retimed),
+    part(
+        "TANGENTS",
+        "number of variations of the state that are carried along",
+        lambda s: s.differentiated,
+    ),
+    part("TANGENT", "these variations, or what else is kept behind each step", none, told=True),
+)
