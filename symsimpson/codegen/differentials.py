@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import sympy as sp
 
-from symsimpson.codegen.ir import Call, Function, Loop, Row, Statement, Store
+from symsimpson.codegen.ir import Call, Function, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
@@ -87,13 +87,6 @@ class Differentials:
         """Find derivatives by parameters at the start of a step, or at its end."""
         state = Call("go_to_state", ("W", "h", str(place), "lane"))
         return self.if_varied(*self.at(state), Call("parameter_slopes"))
-
-    def nodes(self, *body: Statement) -> Loop:
-        """Go over all nodes of the path, and keep their jets."""
-        grown = (Call("grow_node", _HERE),) if self.loops.damped else ()
-        drag = (Call("keep_drag", _HERE),) if self.loops.dragged else ()
-        kept = Call("keep_jet", _HERE)
-        return self.loops.nodes("range(NODES)", Call("jet"), *grown, kept, *drag, *body)
 
     def timed(self) -> Self:
         """Return the same with times at nodes, if the running cost asks for them."""

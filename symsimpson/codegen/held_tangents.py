@@ -23,10 +23,9 @@ class HeldDifferentials(Differentials):
         points = self.if_varied(Call("constraint_parameter_slopes"), _kept("keep_point_slopes"))
         constraint = Call("assemble_constraint", ("W", "h", "point", "lane"))
         return (
-            self.nodes(*self.parameter_slopes(), *more),
-            *self.if_held(Call("clear_matrix", ("W", "lane", str(self.loops.entries)))),
-            Call("assemble_step", ("W", "h", "lane")),
-            *((Call("assemble_step_drag"),) if self.loops.dragged else ()),
+            *self.loops.matrix(*self.parameter_slopes(), *more),
+            Call("assemble_slopes", ("W", "h", "lane")),
+            *((Call("assemble_slopes_of_drag"),) if self.loops.dragged else ()),
             *self.loops.points(
                 "range(DEGREE + 1)", "constrain", constraint, _kept("keep_point"), *points
             ),

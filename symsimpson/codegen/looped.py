@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import sympy as sp
@@ -58,10 +57,10 @@ class LoopKernels:
     constant_mass: bool
 
     @property
-    def entries(self) -> int:
-        """Rows of the matrix of all unknowns, and behind it of the one that nodes add to."""
-        own = self.storage.size(self.degree)
-        return own + (self.held.storage.size(self.degree) if self.held else 0)
+    def cleared(self) -> int:
+        """Rows of the matrix of all unknowns that sums or elimination begin with as zero."""
+        storage = self.held.storage if self.held else self.storage
+        return storage.size(self.degree) if self.held or storage.banded else 0
 
     @property
     def alike(self) -> bool:
@@ -110,25 +109,24 @@ class LoopKernels:
         doc = "Residual and Jacobian of the step, rows in the order of elimination."
         return Kernel("equations", doc, lanes(self.all_rows()))
 
-    def all_rows(
-        self, *more: Statement, at_points: Sequence[Statement] = ()
-    ) -> tuple[Statement, ...]:
-        """Assemble the equations.
-
-        ``more`` is done at each node, with its jet, and ``at_points`` with constraints at each
-        control point, behind them.
-        """
-        drag = (_call("assemble_drag", "W", "node", "lane"),) if self.dragged else ()
-        grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
+    def all_rows(self) -> tuple[Statement, ...]:
+        """Assemble the equations: residual and Jacobian."""
         return (
             _call("clear_residual"),
-            _call("clear_matrix", "W", "lane", str(self.entries)),
-            self.nodes(
-                "range(NODES)", _call("jet"), *grown, _call("assemble", *_NODE), *drag, *more
-            ),
-            *self.points(
-                "range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT), *at_points
-            ),
+            *self.matrix(_call("assemble_rows", *_NODE)),
+            *self.points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
+        )
+
+    def matrix(self, *at_nodes: Statement) -> tuple[Statement, ...]:
+        """Assemble what nodes contribute to the Jacobian; more is done at each, with its jet."""
+        grown = (_call("grow_node", "W", "node", "lane"),) if self.damped else ()
+        drag = (_call("keep_drag", "W", "node", "lane"),) if self.dragged else ()
+        kept = _call("keep_jet", "W", "node", "lane")
+        return (
+            self.nodes("range(NODES)", _call("jet"), *grown, *at_nodes, kept, *drag),
+            *((_call("clear_matrix", "W", "lane", str(self.cleared)),) if self.cleared else ()),
+            _call("assemble_matrix", "W", "h", "lane"),
+            *((_call("assemble_matrix_of_drag"),) if self.dragged else ()),
         )
 
     def points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:

@@ -44,6 +44,7 @@ def sizes(
         hoisted=len(low.hoisted),
         coefficients=len(low.coefficients),
         stride=node_stride(scheme),
+        assembled=bool(low.equations.rows),
         constant_mass=loops.constant_mass,
         dragged=plain.dragged,
         timed=not plain.autonomous or cost_of_time(low),

@@ -23,6 +23,8 @@ class Sizes:
         Values that are computed once a run or a step, factors of the terms of L.
     stride : int
         Rows of an input: one for each node, or more.
+    assembled : bool
+        Whether there are equations of a step, with a Jacobian.
     constant_mass, dragged, timed, damped, constrained, drifting, retimed : bool
         Whether M is constant, forces depend on v, there is a time at nodes, momenta are damped,
         there are constraints, steps are kicks and drifts, the time is not that of the steps.
@@ -56,6 +58,7 @@ class Sizes:
     hoisted: int = 0
     coefficients: int = 0
     stride: int = 0
+    assembled: bool = False
     constant_mass: bool = False
     dragged: bool = False
     timed: bool = False

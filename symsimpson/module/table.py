@@ -235,25 +235,13 @@ TABLE = (
         lambda s: s.differentiated * (s.degree + 1) * s.entries,
         scratch=True,
     ),
-    part(
-        "STEP_QQ",
-        "F_q at all nodes",
-        lambda s: s.differentiated * s.nodes * s.entries,
-        scratch=True,
-    ),
-    part(
-        "STEP_QV",
-        "F_v at all nodes",
-        lambda s: s.differentiated * s.nodes * s.entries,
-        scratch=True,
-    ),
-    part(
-        "STEP_VV", "M at all nodes", lambda s: s.differentiated * s.nodes * s.entries, scratch=True
-    ),
+    part("STEP_QQ", "F_q at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
+    part("STEP_QV", "F_v at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
+    part("STEP_VV", "M at all nodes", lambda s: s.assembled * s.nodes * s.entries, scratch=True),
     part(
         "STEP_F_V",
         "derivatives of the forces by v at all nodes",
-        lambda s: s.differentiated * s.dragged * s.nodes * s.entries,
+        lambda s: s.assembled * s.dragged * s.nodes * s.entries,
         scratch=True,
     ),
     part(

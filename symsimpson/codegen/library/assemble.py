@@ -15,11 +15,11 @@ def grow_node(W, node, lane):
 
 
 @compiled
-def assemble(W, h, node, lane):
-    """Add a node's part to D_k L_d and to D_k D_m L_d.
+def assemble_rows(W, h, node, lane):
+    """Add a node's part to D_k L_d.
 
-    In the residual rounded numbers are those of the path, and what belongs to q0 is made of the
-    same products: then the rows are derivatives of one L_d. In the Jacobian they need not be.
+    Rounded numbers are those of the path, and what belongs to q0 is made of the same products: then
+    the rows are derivatives of one L_d. In the Jacobian they need not be.
     """
     weight = h * WEIGHTS[node]
     rate = 1 / h
@@ -34,46 +34,74 @@ def assemble(W, h, node, lane):
                 part = BASIS[node, k] * force + BASIS_SLOPE[node, k] * momentum
                 start -= (1 - POINTS[k]) * part
             W[RESIDUAL + row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP, lane] += part
+
+
+@compiled
+def keep_jet(W, node, lane):
+    """Keep the derivatives of F and P by q and v at a node."""
+    size = NODE_L_QV - NODE_L_QQ
+    for entry in range(size):
+        W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
+        W[STEP_QV + node * size + entry, lane] = W[NODE_L_QV + entry, lane]
+        W[STEP_VV + node * size + entry, lane] = W[NODE_L_VV + entry, lane]
+
+
+@compiled
+def keep_drag(W, node, lane):
+    """Keep what forces at a node depend on v."""
+    size = NODE_L_QV - NODE_L_QQ
+    for entry in range(size):
+        W[STEP_F_V + node * size + entry, lane] = W[NODE_F_V + entry, lane]
+
+
+@compiled
+def assemble_matrix(W, h, lane):
+    """Add up what the nodes contribute to D_k D_m L_d: entry by entry, the nodes last."""
+    rate = 1 / h
+    size = NODE_L_QV - NODE_L_QQ
     for row in range(DEGREE):
         k = ROW_ORDER[row]
-        weight_q = h * WEIGHTS[node] * BASIS[node, k]
-        weight_v = WEIGHTS[node] * BASIS_SLOPE[node, k]
         for a in range(DIMENSION):
             i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
             for column in range(DEGREE):
                 m = COLUMN_ORDER[column]
-                weight_qq = weight_q * BASIS[node, m]
-                weight_qv = WEIGHTS[node] * BASIS[node, k] * BASIS_SLOPE[node, m]
-                weight_vq = weight_v * BASIS[node, m]
-                weight_vv = weight_v * BASIS_SLOPE[node, m] / h
-                entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
-                entry += column * EQUATION_ROW_STEP
+                first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
+                first += column * EQUATION_ROW_STEP
                 for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
                     ab = a * NODE_STRIDE + b + NODE_OFFSET
                     ba = b * NODE_STRIDE + a + NODE_OFFSET
-                    W[entry + b * EQUATION_PLACE_STEP, lane] += (
-                        weight_qq * W[NODE_L_QQ + ab, lane]
-                        + weight_qv * W[NODE_L_QV + ab, lane]
-                        + weight_vq * W[NODE_L_QV + ba, lane]
-                        + weight_vv * W[NODE_L_VV + ab, lane]
-                    )
+                    entry = real(0)
+                    for node in range(NODES):
+                        here = node * size
+                        weight = h * (WEIGHTS[node] * BASIS[node, k] * BASIS[node, m])
+                        entry += weight * W[STEP_QQ + here + ab, lane]
+                        weight = WEIGHTS[node] * BASIS[node, k] * BASIS_SLOPE[node, m]
+                        entry += weight * W[STEP_QV + here + ab, lane]
+                        weight = WEIGHTS[node] * BASIS_SLOPE[node, k] * BASIS[node, m]
+                        entry += weight * W[STEP_QV + here + ba, lane]
+                        weight = WEIGHTS[node] * BASIS_SLOPE[node, k] * BASIS_SLOPE[node, m]
+                        entry += rate * weight * W[STEP_VV + here + ab, lane]
+                    W[first + b * EQUATION_PLACE_STEP, lane] = entry
 
 
 @compiled
-def assemble_drag(W, node, lane):
-    """Add to D_k D_m L_d what forces that depend on v contribute: unlike L_qv, by columns alone."""
+def assemble_matrix_of_drag(W, lane):
+    """Add to it what forces contribute that depend on v: unlike L_qv, by columns alone."""
+    size = NODE_L_QV - NODE_L_QQ
     for row in range(DEGREE):
-        weight = WEIGHTS[node] * BASIS[node, ROW_ORDER[row]]
         for a in range(DIMENSION):
             i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
             for column in range(DEGREE):
-                slope = weight * BASIS_SLOPE[node, COLUMN_ORDER[column]]
-                entry = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
-                entry += column * EQUATION_ROW_STEP
+                first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
+                first += column * EQUATION_ROW_STEP
                 for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
-                    W[entry + b * EQUATION_PLACE_STEP, lane] += (
-                        slope * W[NODE_F_V + a * NODE_STRIDE + b + NODE_OFFSET, lane]
-                    )
+                    ab = a * NODE_STRIDE + b + NODE_OFFSET
+                    for node in range(NODES):
+                        weight = WEIGHTS[node] * BASIS[node, ROW_ORDER[row]]
+                        weight *= BASIS_SLOPE[node, COLUMN_ORDER[column]]
+                        W[first + b * EQUATION_PLACE_STEP, lane] += (
+                            weight * W[STEP_F_V + node * size + ab, lane]
+                        )
 
 
 @compiled

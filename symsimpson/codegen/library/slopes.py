@@ -12,30 +12,8 @@ parameters stay at the nodes, STEP_F_A and STEP_P_A, and those of constraints at
 
 
 @compiled
-def keep_jet(W, node, lane):
-    """Keep the derivatives of F and P by q and v at a node."""
-    size = NODE_L_QV - NODE_L_QQ
-    for entry in range(size):
-        W[STEP_QQ + node * size + entry, lane] = W[NODE_L_QQ + entry, lane]
-        W[STEP_QV + node * size + entry, lane] = W[NODE_L_QV + entry, lane]
-        W[STEP_VV + node * size + entry, lane] = W[NODE_L_VV + entry, lane]
-
-
-@compiled
-def keep_drag(W, node, lane):
-    """Keep what forces at a node depend on v."""
-    size = NODE_L_QV - NODE_L_QQ
-    for entry in range(size):
-        W[STEP_F_V + node * size + entry, lane] = W[NODE_F_V + entry, lane]
-
-
-@compiled
-def assemble_step(W, h, lane):
-    """Add up what the nodes contribute: S, R_q, and the derivatives of p1 - p0 = h sum_i b_i F_i.
-
-    Entry by entry, the nodes last: each sum is complete before the next one begins.
-    """
-    rate = 1 / h
+def assemble_slopes(W, h, lane):
+    """Add up what the nodes contribute to R_q, and to derivatives of p1 - p0 = h sum_i b_i F_i."""
     size = NODE_L_QV - NODE_L_QQ
     for a in range(DIMENSION):
         for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
@@ -63,43 +41,21 @@ def assemble_step(W, h, lane):
                     weight = WEIGHTS[node] * BASIS_SLOPE[node, k]
                     start += weight * W[STEP_QV + node * size + ba, lane]
                 W[START_SLOPES + row * size + ab, lane] = start
-                i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
-                first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET + b * EQUATION_PLACE_STEP
-                for column in range(DEGREE):
-                    m = COLUMN_ORDER[column]
-                    entry = real(0)
-                    for node in range(NODES):
-                        weight = h * (WEIGHTS[node] * BASIS[node, k] * BASIS[node, m])
-                        entry += weight * W[STEP_QQ + node * size + ab, lane]
-                        weight = WEIGHTS[node] * BASIS[node, k] * BASIS_SLOPE[node, m]
-                        entry += weight * W[STEP_QV + node * size + ab, lane]
-                        weight = WEIGHTS[node] * BASIS_SLOPE[node, k] * BASIS[node, m]
-                        entry += weight * W[STEP_QV + node * size + ba, lane]
-                        weight = rate * (
-                            WEIGHTS[node] * BASIS_SLOPE[node, k] * BASIS_SLOPE[node, m]
-                        )
-                        entry += weight * W[STEP_VV + node * size + ab, lane]
-                    W[first + column * EQUATION_ROW_STEP, lane] = entry
 
 
 @compiled
-def assemble_step_drag(W, lane):
-    """Add to S and to the derivatives of p1 - p0 what forces contribute that depend on v."""
+def assemble_slopes_of_drag(W, lane):
+    """Add to the derivatives of p1 - p0 what forces contribute that depend on v."""
     size = NODE_L_QV - NODE_L_QQ
     for a in range(DIMENSION):
         for b in range(max(0, a - BAND), min(DIMENSION, a + BAND + 1)):
             ab = a * NODE_STRIDE + b + NODE_OFFSET
             for column in range(DEGREE):
-                m = COLUMN_ORDER[column]
                 for node in range(NODES):
-                    slope = WEIGHTS[node] * BASIS_SLOPE[node, m]
-                    slope *= W[STEP_F_V + node * size + ab, lane]
-                    W[END_SLOPES + (column + 1) * size + ab, lane] += slope
-                    for row in range(DEGREE):
-                        i = row * EQUATION_ROW_STEP + a * EQUATION_PLACE_STEP
-                        first = JACOBIAN + i * EQUATION_STRIDE + EQUATION_OFFSET
-                        first += column * EQUATION_ROW_STEP + b * EQUATION_PLACE_STEP
-                        W[first, lane] += BASIS[node, ROW_ORDER[row]] * slope
+                    slope = WEIGHTS[node] * BASIS_SLOPE[node, COLUMN_ORDER[column]]
+                    W[END_SLOPES + (column + 1) * size + ab, lane] += (
+                        slope * W[STEP_F_V + node * size + ab, lane]
+                    )
 
 
 @compiled
