@@ -48,18 +48,26 @@ class Walker(Functions):
         self._values.wanted = lambda place: self._wanted(place, scratch)
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
-        for statement in self._text.functions[name].body:
+        body = self._text.functions[name].body
+        for k, statement in enumerate(body):
+            self._ahead.append(self._ahead_of(body, k))
             match statement:
                 case ast.Assign(targets=[ast.Name(id="W")]):
                     env["W"] = workspace
                 case ast.For(target=ast.Name(id="lane")) if vector:
                     self._width = lanes
                     env["lane"] = Along(0)
-                    self._block(statement.body, env)
+                    self._last(statement.body, env)
                     self._width = 0
                 case _:
                     self._statement(statement, env)
+            self._ahead.pop()
         self._frames.pop()
+
+    def _ahead_of(self, body: Sequence[ast.stmt], k: int) -> Ahead:
+        """Return what is named in a statement of a block, and in those behind it."""
+        after = frozenset[str]().union(*map(self._mentioned, body[k + 1 :]))
+        return Ahead(after, self._mentioned(body[k]))
 
     def _scratch(self, lanes: int) -> dict[int, str]:
         """Return the names of blocks that are scratch, by places in the workspace."""
@@ -101,8 +109,7 @@ class Walker(Functions):
     def _block(self, body: Sequence[ast.stmt], env: Env) -> bool:
         """Walk statements; returns whether the function was left."""
         for k, statement in enumerate(body):
-            after = frozenset[str]().union(*map(self._mentioned, body[k + 1 :]))
-            self._ahead.append(Ahead(after, self._mentioned(statement)))
+            self._ahead.append(self._ahead_of(body, k))
             left = self._statement(statement, env)
             self._ahead.pop()
             if left:
@@ -111,8 +118,6 @@ class Walker(Functions):
 
     def _last(self, body: Sequence[ast.stmt], env: Env) -> bool:
         """Walk the last statements of the present one: nothing of it is left behind them."""
-        if not self._ahead:
-            return self._block(body, env)
         here = self._ahead[-1]
         self._ahead[-1] = Ahead(here.after, frozenset())
         left = self._block(body, env)

@@ -286,3 +286,23 @@ def test_scratch_is_stored_where_it_is_asked_for_and_nowhere_else():
     assert (found[30:32] == wanted[30:32]).all()
     assert (found[10:14] == wanted[10:14]).all()  # it is named in what follows
     assert (found[14:18] == np.arange(14.0, 18)[:, None]).all()  # nobody asks for it
+
+
+CARRIED = """\
+def kernel(h, t, workspace):
+    W = carray(workspace, (ROWS, LANES))
+    for step in range(int(W[3, 0])):
+        for lane in range(LANES):
+            if W[0, lane] < 1:
+                W[30, lane] += W[NODE_POSITION, lane]
+                W[NODE_POSITION, lane] = W[1, lane] + 1.0
+"""
+
+
+def test_scratch_is_carried_from_turn_to_turn_of_a_loop():
+    text = HEAD + SCRATCH + CARRIED
+    start = np.arange(64.0)[:, None]
+    address = walked(text, ["kernel"], 1)["kernel"].address
+    call = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double, ctypes.c_void_p)(address)
+    call(0.5, 2.0, start.ctypes.data)
+    assert start[30, 0] == 30 + 10 + 2 * (1 + 1.0)
