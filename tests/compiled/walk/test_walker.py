@@ -293,9 +293,8 @@ def kernel(h, t, workspace):
     W = carray(workspace, (ROWS, LANES))
     for step in range(int(W[3, 0])):
         for lane in range(LANES):
-            if W[0, lane] < 1:
-                W[30, lane] += W[NODE_POSITION, lane]
-                W[NODE_POSITION, lane] = W[1, lane] + 1.0
+            W[30, lane] += W[NODE_POSITION, lane]
+            W[NODE_POSITION, lane] = W[1, lane] + 1.0
 """
 
 
