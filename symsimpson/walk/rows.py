@@ -47,11 +47,11 @@ class BlockBuilder(ir.IRBuilder):
 
 @dataclass(frozen=True)
 class _Row:
-    """The value of a row, or of as many rows as a vector has lanes; whether it is stored."""
+    """The value of a row, or of as many as a vector has lanes; what stores it, if that is due."""
 
     value: Any
     rows: int
-    stored: Callable[[], None] | None = None
+    due: Callable[[], None] | None = None
 
 
 class Rows(Arrays):
@@ -104,8 +104,8 @@ class Rows(Arrays):
             return
         value = float(value) if known(value) else self.real(value)
         for place, row in self._overlapping(first, rows):
-            if row.stored and not (first <= place and place + row.rows <= first + rows):
-                row.stored()
+            if row.due and not (first <= place and place + row.rows <= first + rows):
+                row.due()
             del self._rows[place]
         if rows > 1 or known(value) or value.type == DOUBLE:
             self._rows[first] = _Row(value, rows, lambda: store(array, places, value, width))
@@ -117,6 +117,7 @@ class Rows(Arrays):
         if not array.values or len(places) != len(array.strides):
             return None, 0
         if self.builder.block is not self._block:
+            assert not any(row.due for row in self._rows.values())
             self._rows.clear()
             self._block = self.builder.block
         number: Any = 0
@@ -142,6 +143,6 @@ class Rows(Arrays):
     def _settle(self, rows: list[tuple[int, _Row]] | None = None) -> None:
         """Store what is not stored yet, of all rows or of some."""
         for place, row in list(self._rows.items()) if rows is None else rows:
-            if row.stored:
-                row.stored()
+            if row.due:
+                row.due()
                 self._rows[place] = _Row(row.value, row.rows)
