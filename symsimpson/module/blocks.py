@@ -37,8 +37,11 @@ TOLD = {
 
 
 def scratch(first: Mapping[str, int]) -> dict[str, range]:
-    """Return the rows of each block that is scratch, by where the blocks of a module begin."""
-    known = sorted({first[name] for name in (*BLOCKS, "ROWS") if name in first})
+    """Return the rows of each block that is scratch, by where the blocks of a module begin.
+
+    Behind the last block are rows that the module knows nothing of, so it is none.
+    """
+    known = sorted({first[name] for name in BLOCKS if name in first})
     ends = dict(pairwise(known))
     return {
         block.name: range(first[block.name], ends.get(first[block.name], first[block.name]))

@@ -305,3 +305,9 @@ def test_scratch_is_carried_from_turn_to_turn_of_a_loop():
     call = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double, ctypes.c_void_p)(address)
     call(0.5, 2.0, start.ctypes.data)
     assert start[30, 0] == 30 + 10 + 2 * (1 + 1.0)
+
+
+def test_rows_behind_a_module_are_no_scratch():
+    # what expressions of users come to stands there, and ROWS is another number then
+    found, wanted = run("W[40, lane] = W[1, lane] + 1.0", "NODE_POSITION = 10\nJACOBIAN = 20\n")
+    assert found[40, 0] == wanted[40, 0] == 2
