@@ -24,8 +24,8 @@ __all__ = ["Walker"]
 
 #: As many turns are made to one vector.
 WIDTHS = (4, 8, 16)
-#: Kernels that are called for what they leave in scratch.
-RESULTS = ("equations",)
+#: Kernels whose scratch is looked at: the equations, and pivots where Newton's method fails.
+RESULTS = ("equations", "newton", "newton_pivoted")
 
 
 class Walker(Functions):
