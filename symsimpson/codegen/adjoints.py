@@ -5,6 +5,7 @@ They are the transpose of the tangent, and so the exact derivatives of the cost 
 
 from __future__ import annotations
 
+from symsimpson.codegen.differentials import GO_TO_NODE
 from symsimpson.codegen.held_tangents import HeldDifferentials
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.unrolled import lanes
@@ -35,8 +36,8 @@ def adjoint_kernels(differentials: HeldDifferentials) -> list[Kernel]:
 
 
 def _step(made: HeldDifferentials) -> tuple[Statement, ...]:
-    place = made.at(Call("go_to_node", ("W", "h", "node", "lane")))
-    cost = made.if_costly(*place, Call("cost_slopes"), Call("add_cost", _AT_NODE))
+    # what is differentiated by h is varied, and parameters have said where the node is
+    cost = made.if_costly(Call("cost_slopes"), Call("add_cost", _AT_NODE))
     nodes = Loop(
         "node", "range(NODES)", (Call("weigh_node", _AT_NODE), Call("pull_parameters", _HERE))
     )
@@ -68,7 +69,7 @@ def _cost_kernels(made: HeldDifferentials) -> list[Kernel]:
         *made.path_known(),
         made.loops.nodes(
             "range(NODES)",
-            *made.at(Call("go_to_node", ("W", "h", "node", "lane"))),
+            *made.at(GO_TO_NODE),
             Call("cost_slopes"),
             Call("integrate_cost", _AT_NODE),
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from symsimpson.codegen.differentials import Differentials, point_of_node
+from symsimpson.codegen.differentials import GO_TO_NODE, Differentials, point_of_node
 from symsimpson.codegen.ir import Call, Function, Kernel, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.unrolled import lanes
@@ -65,7 +65,7 @@ def curvature_kernel(made: Differentials) -> Kernel:
     grown = (Call("grow_weights", _AT_NODE),) if loops.damped else ()
     at_node: tuple[Statement, ...] = (
         Call("weigh_node_rows", _AT_NODE),
-        Call("go_to_node", ("W", "h", "node", "lane")),
+        GO_TO_NODE,
         *grown,
         Call("node_curvature"),
         Call("add_curvature", _AT_NODE),

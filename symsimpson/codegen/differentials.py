@@ -15,12 +15,14 @@ from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 
-__all__ = ["Differentials", "cost_of_time", "few_columns", "point_of_node", "sizes"]
+__all__ = ["GO_TO_NODE", "Differentials", "cost_of_time", "few_columns", "point_of_node", "sizes"]
 
 #: With more products than this, variations are solved for one by one.
 MOST_TERMS = 4000
 
 _HERE = ("W", "node", "lane")
+#: What says where in the step a node is.
+GO_TO_NODE = Call("go_to_node", ("W", "h", "node", "lane"))
 #: Derivatives by parameters, and where they stand.
 _BLOCKS = (("NODE_F_A", "F_a"), ("NODE_P_A", "P_a"))
 
@@ -73,7 +75,7 @@ class Differentials:
         """Find and keep the derivatives of F and P by parameters at a node, with its weight."""
         grown = (Call("grow_slopes", _HERE),) if self.loops.damped else ()
         return self.if_varied(
-            *self.at(Call("go_to_node", ("W", "h", "node", "lane"))),
+            *self.at(GO_TO_NODE),
             Call("parameter_slopes"),
             *grown,
             Call("keep_parameter_slopes", _HERE),

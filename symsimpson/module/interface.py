@@ -45,6 +45,8 @@ KERNEL_SETS = {
 #: What takes the place of Newton's method, or of another kernel, where a pivot was zero.
 WITH_PIVOTS = "_pivoted"
 PIVOTED = f"newton{WITH_PIVOTS}"
+#: Kernels whose scratch is looked at: the equations, and pivots where Newton's method fails.
+LOOKED_AT = ("equations", "newton", PIVOTED)
 #: All kernels that a module may have.
 KERNELS = (
     "prepare",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -53,7 +53,7 @@ def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, 
         If there are no equations, or arrays of other shapes.
     """
     header, numbers = program.header, program.numbers
-    _check_equations(program, "equations")
+    _check_equations(program)
     with numbers.working():
         p = read_vector("p0", p0, program.names.coordinates, numbers)
         step = _Step.read(program, at)
@@ -77,7 +77,7 @@ def evaluate_curvature(
     InputError
         If there are no equations, or arrays of other shapes.
     """
-    _check_equations(program, "equations")
+    _check_equations(program)
     names = read_varied(program, wrt, of_steps=True)
     program = varied_program(program, names, second=True)
     header, n, numbers = program.header, program.n, program.numbers
@@ -92,34 +92,25 @@ def evaluate_curvature(
         step.evaluate("curvature", numbers.zeros(n))
         size = header.layout["HESSIAN_SIZE"]
         matrix = numbers.result(step.run.rows("HESSIAN", size**2)).reshape(size, size)
-        # derivatives by a parameter go through all nodes
-        spread = [np.eye((d + 1) * n + d * m)]
-        for name in names:
-            nodes_of = np.ones((header.nodes, 1))
-            spread.append(np.eye(header.nodes) if name in header.inputs else nodes_of)
-        into = _diagonal(spread)
-        found = into.T @ matrix @ into
-        return np.asarray((found + found.T) / 2)  # sums over nodes have another order there
+        # derivatives by a parameter go through all nodes, those by an input through each
+        before = (d + 1) * n + d * m
+        groups = list(range(before))
+        for j, name in enumerate(names):
+            nodes = range(before + j * header.nodes, before + (j + 1) * header.nodes)
+            groups += nodes if name in header.inputs else nodes[:1]
+        for axis in (0, 1):
+            matrix = np.add.reduceat(matrix, groups, axis=axis)
+        return np.asarray((matrix + matrix.T) / 2)  # sums over nodes have another order there
 
 
-def _diagonal(blocks: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return a matrix with these blocks along its diagonal."""
-    found = np.zeros([sum(block.shape[axis] for block in blocks) for axis in (0, 1)], dtype=int)
-    row = column = 0
-    for block in blocks:
-        found[row : row + block.shape[0], column : column + block.shape[1]] = block
-        row, column = row + block.shape[0], column + block.shape[1]
-    return found
-
-
-def _check_equations(program: Program, kernel: str) -> None:
+def _check_equations(program: Program) -> None:
     """Refuse steps that are explicit.
 
     Raises
     ------
     InputError
     """
-    if kernel not in program.header.functions:
+    if "equations" not in program.header.functions:
         raise InputError(
             f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
             "Ask a stepper of another scheme, as 'simpson'."

@@ -37,7 +37,7 @@ class Product:
 
 @dataclass(frozen=True)
 class Ahead:
-    """Names in the statements behind one of a block, and in what is left of itself."""
+    """Scratch named in the statements behind one of a block, and in what is left of itself."""
 
     after: frozenset[str]
     here: frozenset[str]
@@ -86,6 +86,8 @@ class Expressions(ABC):
         #: The statements that are being walked, each in one of the one before.
         self._ahead: list[Ahead] = []
         self._names: dict[ast.AST, frozenset[str]] = {}
+        #: Of each block, by its first statement: the scratch that is named from each one on.
+        self._behind: dict[ast.AST, list[frozenset[str]]] = {}
 
     @abstractmethod
     def _called(self, name: str, arguments: list[Any]) -> Any:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from symsimpson.errors import GenerationError
+from symsimpson.module.interface import LOOKED_AT
 from symsimpson.walk.arrays import Array
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.called import Functions
@@ -24,8 +25,6 @@ __all__ = ["Walker"]
 
 #: As many turns are made to one vector.
 WIDTHS = (4, 8, 16)
-#: Kernels whose scratch is looked at: the equations, and pivots where Newton's method fails.
-RESULTS = ("equations", "newton", "newton_pivoted")
 
 
 class Walker(Functions):
@@ -42,10 +41,10 @@ class Walker(Functions):
             If lanes cannot be one vector.
         """
         lanes = workspace.shape[1]
-        scratch = self._scratch(lanes) if name not in RESULTS else {}
+        if name not in LOOKED_AT:
+            self._values.wanted = lambda place: self._wanted(place // lanes)
         if name in self._text.constants.get("STRAIGHT", ()):
             self._few = self._weight(self._text.functions[name].body)
-        self._values.wanted = lambda place: self._wanted(place, scratch)
         env: Env = {"h": h, "t": t, "LANES": lanes}
         self._frames.append(Frame(self._text.functions[name]))
         body = self._text.functions[name].body
@@ -65,33 +64,29 @@ class Walker(Functions):
         self._frames.pop()
 
     def _ahead_of(self, body: Sequence[ast.stmt], k: int) -> Ahead:
-        """Return what is named in a statement of a block, and in those behind it."""
-        after = frozenset[str]().union(*map(self._mentioned, body[k + 1 :]))
-        return Ahead(after, self._mentioned(body[k]))
+        """Return what scratch is named in a statement of a block, and in those behind it."""
+        if body[0] not in self._behind:
+            behind = [frozenset[str]()]
+            for statement in reversed(body):
+                behind.append(behind[-1] | self._mentioned(statement))
+            self._behind[body[0]] = behind[::-1]
+        return Ahead(self._behind[body[0]][k + 1], self._mentioned(body[k]))
 
-    def _scratch(self, lanes: int) -> dict[int, str]:
-        """Return the names of blocks that are scratch, by places in the workspace."""
-        return {
-            row * lanes + lane: name
-            for name, rows in self._text.scratch.items()
-            for row in rows
-            for lane in range(lanes)
-        }
-
-    def _wanted(self, place: int, scratch: dict[int, str]) -> bool:
-        """Return whether a place is no scratch, or statements that follow name its block."""
-        block = scratch.get(place)
+    def _wanted(self, row: int) -> bool:
+        """Return whether a row is no scratch, or statements that follow name its block."""
+        block = next((name for name, rows in self._text.scratch.items() if row in rows), None)
         return block is None or any(
             block in ahead.after or block in ahead.here for ahead in self._ahead
         )
 
     def _mentioned(self, node: ast.AST) -> frozenset[str]:
-        """Return the names in a statement, and in the functions that it calls."""
+        """Return the scratch that is named in a statement, and in the functions that it calls."""
         found = self._names.get(node)
         if found is None:
             own = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
             functions = [self._text.functions[name] for name in own if name in self._text.functions]
-            found = self._names[node] = frozenset(own).union(*map(self._mentioned, functions))
+            named = frozenset(own & self._text.scratch.keys())
+            found = self._names[node] = named.union(*map(self._mentioned, functions))
         return found
 
     def function(self, name: str, arguments: list[Any]) -> Any:

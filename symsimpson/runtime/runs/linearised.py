@@ -65,22 +65,16 @@ def _linearise(
     """Fill in the derivatives of the steps of a segment, row by row."""
     header, numbers = program.header, program.numbers
     size, W = 2 * program.n, workspace(header, numbers, spec.parameters)
-    begun = header.layout["ADJOINT"]
-    every = np.arange(slopes[0, 0].size)
+    begun, every = header.layout["ADJOINT"], np.arange(slopes[0, 0].size)
+    kernels = tuple(map(program.kernels.address, ("prepare", "adjoint")))
+    setting, places = (spec.h, spec.t0, W, header.told), (begun, header.layout["COST_SLOPE"])
+    carry_back, no_jumps = numbers.driver("carry_back"), numbers.zeros((0, 0))
     unit = numbers.read(np.eye(size))
+    totals, found = numbers.zeros((2, every.size)), numbers.zeros((1, every.size))
     for k in range(len(records) - 1):
+        given = records[k : k + 2], no_jumps, spec.inputs
         for row in range(size):
             W[begun : begun + size, 0] = unit[row]
-            found = numbers.zeros((1, every.size))
-            numbers.driver("carry_back")(
-                tuple(map(program.kernels.address, ("prepare", "adjoint"))),
-                (spec.h, spec.t0, W, header.told),
-                (begun, header.layout["COST_SLOPE"]),
-                first + k,
-                (records[k : k + 2], numbers.zeros((0, 0)), spec.inputs),
-                numbers.zeros((2, every.size)),
-                every,
-                found,
-            )
+            carry_back(kernels, setting, places, first + k, given, totals, every, found)
             rows[k, row] = W[begun : begun + size, 0]
             slopes[k, row] = found.reshape(slopes.shape[2:])

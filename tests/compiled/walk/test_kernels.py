@@ -16,12 +16,13 @@ from symsimpson.codegen.pipeline import derive, source
 from symsimpson.discrete.reductions import read_exploit
 from symsimpson.module.binding import bind
 from symsimpson.module.definitions import redefined
+from symsimpson.module.interface import LOOKED_AT
 from symsimpson.runtime.kernels import cache, compiled
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
 from symsimpson.walk.text import ARGUMENTS, read_text
 from symsimpson.walk.values import Refused
-from symsimpson.walk.walker import RESULTS, Walker
+from symsimpson.walk.walker import Walker
 
 SCHEMES = ("gauss8", "simpson", "midpoint", "lobatto6", "gauss16")
 SYSTEMS = ["double_pendulum", *sorted(set(EVERY) - {"double_pendulum"})]
@@ -83,7 +84,7 @@ def compare(text, lanes, made, wanted, system=None):
         wanted(name, right)
         wanted(name, near)  # what rounding becomes of
         # what is scratch is no result, but where a kernel is called for it, as it leaves it
-        left = np.isnan(found) & (right == W) if name in RESULTS else scratch
+        left = np.isnan(found) & (right == W) if name in LOOKED_AT else scratch
         for rows in (found, right, near):
             rows[left] = 0.5
         finite = np.isfinite(right)
