@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sympy as sp
-
 from symsimpson.codegen.coupled import (
     Closing,
     Explicit,
@@ -13,6 +11,7 @@ from symsimpson.codegen.coupled import (
     newton_correction,
     node_point,
 )
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.discrete.reductions import Affine
@@ -46,17 +45,17 @@ class AffineSolver(Explicit):
     def _at_rest(self, i: int) -> Point:
         """Return node i of a path that stays at q0."""
         low = self._low
-        t = low.time(low.equations.scheme.quadrature.nodes[i], str(i))
-        return Point(f"{i}_rest", low.q, (sp.S.Zero,) * low.n, t, low.inputs(i))
+        t = low.time(low.scheme.nodes[i], str(i))
+        return Point(f"{i}_rest", low.q, (low.graph.of(0),) * low.n, t, low.inputs(i))
 
     def _improved(self, path: Path | None, points: list[Point], name: str) -> Path:
         """Add Newton's correction to a path with these points at its nodes, or to none."""
         low, part, names = self._low, self._part, self._low.names.coordinates
         change = newton_correction(low, points, part.rows, self._solved, part.coordinates)
         degree = range(1, low.equations.scheme.degree + 1)
-        found: list[dict[int, sp.Expr]] = [{} for _ in degree]
+        found: list[dict[int, Expression]] = [{} for _ in degree]
         for (m, a), value in change.items():
-            old = path.increments[m - 1][a] if path else sp.S.Zero
+            old = path.increments[m - 1][a] if path else 0
             hint = f"{names[a]}_X{m}_{name}"
             found[m - 1][a] = low.graph.define(hint, old + value, "increments")
         return Path(found, f"_{name}")

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Index, Loop, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.graph.nodes import Exact
 
 __all__ = ["coefficient_loops"]
 
@@ -22,7 +22,7 @@ FEWEST = 8
 
 
 def coefficient_loops(
-    low: Lowering, values: Sequence[sp.Expr]
+    low: Lowering, values: Sequence[Expression]
 ) -> tuple[list[Statement], list[Store], dict[str, object]]:
     """Write what fills the rows of coefficients.
 
@@ -41,11 +41,11 @@ def coefficient_loops(
     tables : dict
         For each loop the row of a coefficient, then the rows of its parameters.
     """
-    kinds: dict[tuple[sp.Expr, int], list[tuple[int, ...]]] = defaultdict(list)
+    kinds: dict[tuple[Exact, int], list[tuple[int, ...]]] = defaultdict(list)
     stores = []
     for row, value in enumerate(values):
-        number, product = value.as_coeff_Mul()
-        places = _places(low, product)
+        places = _places(low, value)
+        number = value.coefficient
         if places:
             kinds[number, len(places)].append((row, *places))
         else:
@@ -62,28 +62,27 @@ def coefficient_loops(
     return loops, sorted(stores, key=lambda store: int(store.row.index)), tables
 
 
-def _places(low: Lowering, product: sp.Expr) -> tuple[int, ...]:
+def _places(low: Lowering, product: Expression) -> tuple[int, ...]:
     """List the rows of the parameters in a product of them; none if it is anything else."""
-    factors = sp.Mul.make_args(product)
+    factors = [Expression(low.graph, (e, n)) for n, e in low.graph.factors(product.node)]
     rows = [low.rows[factor] for factor in factors if factor in low.rows]
     return tuple(sorted(int(row.index) for row in rows)) if len(rows) == len(factors) else ()
 
 
-def _store(low: Lowering, row: int, value: sp.Expr) -> Store:
+def _store(low: Lowering, row: int, value: Expression) -> Store:
     return Store(Row("COEFFICIENT", row), low.graph.split(value, "constants")[0])
 
 
 def _loop(
-    low: Lowering, table: str, number: sp.Expr, members: Sequence[tuple[int, ...]]
+    low: Lowering, table: str, number: Exact, members: Sequence[tuple[int, ...]]
 ) -> Statement:
     """Write the loop over products of one kind."""
-    target, *indices = [low.names.fresh("row").name for _ in members[0]]
+    target, *indices = [low.names.fresh("row") for _ in members[0]]
     factors = []
     for index in indices:
-        factor = low.names.fresh("factor")
-        low.rows[factor] = Row("PARAMETER", index)
-        factors.append(low.graph.declare(factor, Level.RUN))
-    value = low.graph.split(number * sp.Mul(*factors), "constants")[0]
+        factors.append(low.graph.declare(low.names.fresh("factor"), Level.RUN))
+        low.rows[factors[-1]] = Row("PARAMETER", index)
+    value = low.graph.split(low.graph.product([number, *factors]), "constants")[0]
     read = [Index(name, f"{table}[term, {k}]") for k, name in enumerate((target, *indices))]
     body = low.statements([Store(Row("COEFFICIENT", target), value)], (Level.RUN,))
     inside = [part for section in body if isinstance(section, Section) for part in section.body]

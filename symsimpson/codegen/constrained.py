@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
-import sympy as sp
-
 from symsimpson.codegen.coupled import (
     Closing,
     Increment,
@@ -16,6 +14,7 @@ from symsimpson.codegen.coupled import (
     newton_rows,
     node_point,
 )
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.linear_solve import solve_symmetric, solve_unpivoted
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -56,13 +55,13 @@ class ConstrainedSolver:
             found[k] = Point(f"c{k}", tuple(q), multipliers=own)
         return found
 
-    def _entry(self, k: int, what: str, *index: int) -> sp.Expr:
+    def _entry(self, k: int, what: str, *index: int) -> Expression:
         return self._low.held.entry(self._points[k], f"control point {k}", what, *index)
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return what one Newton iteration adds to each increment and each multiplier."""
         low, part, group, held = self._low, self._part, self.coordinates, self._held
-        h, entry = low.equations.h, self._entry
+        h, entry, total = low.h, self._entry, low.graph.total
         stages = range(low.equations.scheme.stages)
         nodes = [node_point(low, i, group, moving=True) for i in stages]
         matrix, right = newton_rows(low, nodes, part.rows, self.increments, group)
@@ -70,31 +69,31 @@ class ConstrainedSolver:
         stiff = self._stiffness()
         for row, (k, a) in enumerate(places):
             pulls = [entry(k, "Phi", c, a) * low.impulses[k][c] for c in held]
-            right[row] += sp.Add(*pulls) / h
+            right[row] += total(pulls) / h
             pivot = part.columns[part.rows.index(k)]
             push = [stiff[k, c] * entry(k, "Phi", c, a) for c in held] if stiff else []
-            right[row] -= sp.Add(*(x * entry(pivot, "phi", c) for c, x in enumerate(push))) / h
+            right[row] -= total(x * entry(pivot, "phi", c) for c, x in enumerate(push)) / h
             for column, (m, b) in enumerate(self.increments):
                 if m == k:
                     matrix[row][column] -= entry(k, "pull", a, b) / h
                 if m == pivot:
                     more = (x * entry(m, "Phi", c, b) for c, x in enumerate(push))
-                    matrix[row][column] += sp.Add(*more) / h
+                    matrix[row][column] += total(more) / h
             for j, c in ((j, c) for j in part.rows for c in held):
-                matrix[row].append(-entry(k, "Phi", c, a) / h if j == k else sp.S.Zero)
+                matrix[row].append(-entry(k, "Phi", c, a) / h if j == k else total([]))
         for m in part.columns:
             for c in held:
                 slopes = [
-                    entry(m, "Phi", c, b) / h if j == m else sp.S.Zero for j, b in self.increments
+                    entry(m, "Phi", c, b) / h if j == m else total([]) for j, b in self.increments
                 ]
-                matrix.append(slopes + [sp.S.Zero] * len(self.multipliers))
+                matrix.append(slopes + [total([])] * len(self.multipliers))
                 right.append(-entry(m, "phi", c) / h)
         hints = correction_names(low, self.increments)
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]
         found = solve_unpivoted(low.graph, matrix, right, hints, "elimination")
         return dict(zip([*self.increments, *self.multipliers], found, strict=True))
 
-    def _stiffness(self) -> Mapping[tuple[int, int], sp.Expr]:
+    def _stiffness(self) -> Mapping[tuple[int, int], Expression]:
         """Return how much of phi = 0 is added to each row: pivots are regular where M is not.
 
         It is w Phi^T Phi in each block that elimination begins with, as large as M there.
@@ -102,7 +101,7 @@ class ConstrainedSolver:
         low, part, section = self._low, self._part, "stiffness"
         if not low.stiffened:
             return {}
-        start, S = low.start_point(), low.equations.scheme.stiffness
+        start, S = low.start_point(), low.scheme.stiffness
         weights = _weights(low, start, section, self.coordinates, "start")
         return {
             (k, c): low.graph.define(f"w_{k}_{c}", S[k][m] * weights[c], section)
@@ -123,7 +122,7 @@ class ConstrainedSolver:
                 for k in range(low.equations.scheme.degree)
                 for c in self._held
             ]
-            change[a] -= sp.Add(*pulls) / low.equations.h
+            change[a] -= low.graph.total(pulls) / low.h
         p = [
             define(f"p_{names[a]}_far", low.p[a] + (change[a] + low.p_low[a]), "projection")
             for a in group
@@ -133,18 +132,18 @@ class ConstrainedSolver:
             [low.held.entry(end, "projection", "Phi", c, a) for a in group] for c in self._held
         ]
         for a in group:
-            change[a] -= sp.Add(*(slopes[c][a] * taken[c] for c in self._held))
+            change[a] -= low.graph.total(slopes[c][a] * taken[c] for c in self._held)
         return Closing(dq, change)
 
 
 def held_velocities(
     low: Lowering,
     point: Point,
-    p: Sequence[sp.Expr],
+    p: Sequence[Expression],
     section: str,
     group: Sequence[int],
     suffix: str,
-) -> tuple[list[sp.Expr], list[sp.Expr], list[sp.Expr]]:
+) -> tuple[list[Expression], list[Expression], list[Expression]]:
     """Solve M v + Phi^T nu = p - a, Phi v = 0.
 
     Where M needs it, w Phi^T Phi is added, which such velocities do not see: it is positive
@@ -157,13 +156,14 @@ def held_velocities(
     """
     graph, entry, define = low.graph, low.template.entry, low.graph.define
     held, names = range(len(low.equations.plain.constraints)), low.names.coordinates
+    total = graph.total
     mass = [[entry(point, section, "M", a, b) for b in group] for a in group]
     slopes = [[low.held.entry(point, section, "Phi", c, a) for a in group] for c in held]
     if low.stiffened:
         weights = _weights(low, point, section, group, suffix)
         mass = [
             [
-                mass[a][b] + sp.Add(*(weights[c] * slopes[c][a] * slopes[c][b] for c in held))
+                mass[a][b] + total(weights[c] * slopes[c][a] * slopes[c][b] for c in held)
                 for b in group
             ]
             for a in group
@@ -188,33 +188,31 @@ def held_velocities(
         [
             define(
                 f"S_{c}_{e}_{suffix}",
-                sp.Add(
-                    *(x * y for x, y in zip(slopes[max(c, e)], columns[min(c, e)], strict=True))
-                ),
+                total(x * y for x, y in zip(slopes[max(c, e)], columns[min(c, e)], strict=True)),
                 section,
             )
             for e in held
         ]
         for c in held
     ]
-    rates = [sp.Add(*(x * u for x, u in zip(slopes[c], free, strict=True))) for c in held]
+    rates = [total(x * u for x, u in zip(slopes[c], free, strict=True)) for c in held]
     hints = [f"nu_{c}_{suffix}" for c in held]
     taken, _ = solve_symmetric(graph, matrix, rates, hints, section)
     v = []
     for i, a in enumerate(group):
-        lost = sp.Add(*(columns[c][i] * taken[c] for c in held))
+        lost = total(columns[c][i] * taken[c] for c in held)
         v.append(define(f"v_{names[a]}_{suffix}", free[i] - lost, section))
     return v, pivots, taken
 
 
 def _weights(
     low: Lowering, point: Point, section: str, group: Sequence[int], suffix: str
-) -> list[sp.Expr]:
+) -> list[Expression]:
     """Return the trace of M in units of each row of Phi, squared."""
-    trace = sp.Add(*(low.template.entry(point, section, "M", a, a) for a in group))
+    trace = low.graph.total(low.template.entry(point, section, "M", a, a) for a in group)
     whole = low.graph.define(f"trace_{suffix}", trace, section)
     found = []
     for c in range(len(low.equations.plain.constraints)):
-        square = sp.Add(*(low.held.entry(point, section, "Phi", c, a) ** 2 for a in group))
+        square = low.graph.total(low.held.entry(point, section, "Phi", c, a) ** 2 for a in group)
         found.append(low.graph.define(f"weight_{c}_{suffix}", whole / square, section))
     return found

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Function, Index, Row, Store
 from symsimpson.codegen.levels import Level
@@ -25,7 +24,7 @@ DOCS = {
     "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
 }
 #: What is evaluated is asked for by its name and indices.
-Entry = Callable[..., sp.Expr]
+Entry = Callable[..., Expression]
 #: The row for two coordinates or constraints: the latter are those behind the former.
 Pair = Callable[[int, int], Row]
 
@@ -37,7 +36,7 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
     """
     point = Point("c", low.node_q, low.node_v, low.node_t, low.node_u, low.multipliers)
 
-    def entry(what: str, *index: int) -> sp.Expr:
+    def entry(what: str, *index: int) -> Expression:
         return low.held.entry(point, "constraints", what, *index)
 
     def pair(i: int, j: int) -> Row:
@@ -98,11 +97,11 @@ def _family_stores(
 ) -> list[tuple[str, list[Store], list[Index]]]:
     """Return what a member stores in each function, and which places it looks up before."""
     n, c = len(writer.indices), writer.constraint
-    here = [low.names.fresh(f"s{i}").name for i in range(n + 1)]
+    here = [low.names.fresh(f"s{i}") for i in range(n + 1)]
     items = [*writer.indices, f"DIMENSION + {c}"]
     indices = [Index(s, f"HELD_PLACE[{item}]") for s, item in zip(here, items, strict=True)]
 
-    def entry(what: str, *index: int) -> sp.Expr:
+    def entry(what: str, *index: int) -> Expression:
         return writer.template.entry(writer.point, "constraints", what, *index)
 
     def pair(i: int, j: int) -> Row:

@@ -6,8 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
@@ -31,9 +30,6 @@ __all__ = [
     "newton_rows",
     "node_point",
 ]
-
-#: Stands where a point must not be asked for a coordinate of another part.
-NOTHING = sp.Symbol("nothing", real=True)
 
 
 @dataclass(frozen=True)
@@ -60,14 +56,14 @@ class Closing:
         p1 - p0 where it is not zero.
     checks : mapping
         Sizes by which a solution is accepted or not, by the block that holds the sum over parts.
-    passed : sympy.Expr, optional
+    passed : Expression, optional
         The user's time that the step takes, if that is another one.
     """
 
-    dq: Mapping[int, sp.Expr]
-    dp: Mapping[int, sp.Expr]
-    checks: Mapping[str, sp.Expr] = field(default_factory=dict)
-    passed: sp.Expr | None = None
+    dq: Mapping[int, Expression]
+    dp: Mapping[int, Expression]
+    checks: Mapping[str, Expression] = field(default_factory=dict)
+    passed: Expression | None = None
 
 
 class Solver(Protocol):
@@ -93,7 +89,7 @@ class Solver(Protocol):
         """The unknowns behind the control points that it changes, too."""
         ...
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return what one Newton iteration adds to each of these increments."""
         ...
 
@@ -109,26 +105,28 @@ class Explicit:
     increments: tuple[Increment, ...] = ()
     multipliers: tuple[Increment, ...] = ()
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return nothing to correct."""
         return {}
 
 
-def end_point(low: Lowering, dq: Mapping[int, sp.Expr]) -> Point:
+def end_point(low: Lowering, dq: Mapping[int, Expression]) -> Point:
     """Return the point q1, where coordinates move by ``dq``; others must not be asked for."""
-    return end_of(low, [low.moved_on(a, dq[a])[0] if a in dq else NOTHING for a in range(low.n)])
+    return end_of(
+        low, [low.moved_on(a, dq[a])[0] if a in dq else low.nothing for a in range(low.n)]
+    )
 
 
-def end_of(low: Lowering, q: Sequence[sp.Expr]) -> Point:
+def end_of(low: Lowering, q: Sequence[Expression]) -> Point:
     """Return the point q1, of its coordinates."""
     last = low.equations.scheme.stages - 1
-    return Point("end", tuple(q), t=low.time(sp.S.One, "end"), u=low.inputs(last))
+    return Point("end", tuple(q), t=low.time(1, "end"), u=low.inputs(last))
 
 
-def end_slope(low: Lowering, a: int) -> sp.Expr:
+def end_slope(low: Lowering, a: int) -> Expression:
     """Return the velocity at the end of a coordinate's path, times h."""
-    slope = low.equations.scheme.end_slope
-    return sp.Add(*(c * X[a] for c, X in zip(slope, low.increments, strict=True)))
+    slope = low.scheme.end_slope
+    return low.graph.total(c * X[a] for c, X in zip(slope, low.increments, strict=True))
 
 
 def correction_names(low: Lowering, increments: Iterable[Increment]) -> list[str]:
@@ -137,8 +135,8 @@ def correction_names(low: Lowering, increments: Iterable[Increment]) -> list[str
 
 
 def constant_mass_velocity(
-    low: Lowering, group: Sequence[int], momentum: Sequence[sp.Expr], hint: str, section: str
-) -> list[sp.Expr]:
+    low: Lowering, group: Sequence[int], momentum: Sequence[Expression], hint: str, section: str
+) -> list[Expression]:
     """Solve M v = p for coordinates whose M is constant; velocities are named after the hint."""
     start = low.start_point()
     mass = [[low.template.entry(start, "mass", "M", a, b) for b in group] for a in group]
@@ -159,16 +157,16 @@ def node_point(
 
     Velocities are there if it is ``moving``.
     """
-    scheme, define, h = low.equations.scheme, low.graph.define, low.equations.h
-    A, B, d = scheme.A[i], scheme.B[i], scheme.degree
+    scheme, define, h = low.scheme, low.graph.define, low.h
+    A, B, d = scheme.A[i], scheme.B[i], low.equations.scheme.degree
     section, names = f"node {i}", low.names.coordinates
     path = path or Path(low.increments)
     X, suffix = path.increments, f"{i}{path.suffix}"
 
-    def combined(row: tuple[sp.Expr, ...], a: int) -> sp.Expr:
-        return sp.Add(*(row[k] * bend(low, k, a, X) for k in range(1, d) if row[k] != 0))
+    def combined(row: tuple[Expression, ...], a: int) -> Expression:
+        return low.graph.total(row[k] * bend(low, k, a, X) for k in range(1, d) if row[k] != 0)
 
-    v = [NOTHING] * low.n
+    v = [low.nothing] * low.n
     if moving:
         for a in coordinates:
             slope = X[-1][a] + combined(B, a)
@@ -177,15 +175,13 @@ def node_point(
         return Point(suffix, low.q, tuple(v), low.start_point().t, low.inputs(i))
     if end is not None and A[d] == 1 and all(value == 0 for value in A[:d]):
         return Point(end.suffix, end.q, tuple(v), end.t, end.u)
-    q = [NOTHING] * low.n
+    q = [low.nothing] * low.n
     place = unit_row(A)
     for a in coordinates:
-        if place is None:
-            shift = scheme.quadrature.nodes[i] * X[-1][a] + combined(A, a)
-        else:
-            shift = X[place - 1][a]
+        bent = scheme.nodes[i] * X[-1][a] + combined(A, a)
+        shift = bent if place is None else X[place - 1][a]
         q[a] = define(f"{names[a]}_{suffix}", low.q[a] + shift, section)
-    t = low.time(scheme.quadrature.nodes[i], str(i))
+    t = low.time(scheme.nodes[i], str(i))
     return Point(suffix, tuple(q), tuple(v), t, low.inputs(i))
 
 
@@ -200,7 +196,7 @@ class CoupledSolver:
         self.coordinates = part.coordinates
         self.increments = [(m, a) for m in part.columns for a in part.coordinates]
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return what one Newton iteration adds to each increment."""
         low, part, eqs = self._low, self._part, self._low.equations
         group = part.coordinates
@@ -221,7 +217,7 @@ def newton_correction(
     rows: Sequence[int],
     increments: Sequence[Increment],
     group: Sequence[int],
-) -> dict[Increment, sp.Expr]:
+) -> dict[Increment, Expression]:
     """Return what Newton's method adds to increments, from the points of a path at its nodes."""
     matrix, right = newton_rows(low, points, rows, increments, group)
     hints = correction_names(low, increments)
@@ -235,15 +231,15 @@ def newton_rows(
     rows: Sequence[int],
     increments: Sequence[Increment],
     group: Sequence[int],
-) -> tuple[list[list[sp.Expr]], list[sp.Expr]]:
+) -> tuple[list[list[Expression]], list[Expression]]:
     """Return the matrix and the right-hand side of an iteration, a row for each of D_k L_d."""
     eqs, define, names = low.equations, low.graph.define, low.names.coordinates
 
-    def entry(i: int, what: str, *index: int) -> sp.Expr:
+    def entry(i: int, what: str, *index: int) -> Expression:
         return low.template.entry(points[i], f"node {i}", what, *index)
 
-    def grown(i: int, what: str, *index: int) -> sp.Expr:
-        return low.growth(eqs.scheme.quadrature.nodes[i]) * entry(i, what, *index)
+    def grown(i: int, what: str, *index: int) -> Expression:
+        return low.growth(low.scheme.nodes[i]) * entry(i, what, *index)
 
     weighted = WeightedRows(low, lambda i, a: entry(i, "F", a), lambda i, a: entry(i, "P", a))
     right = weighted_residual(low, weighted, rows, group)
@@ -251,7 +247,7 @@ def newton_rows(
         [
             define(
                 f"J_{k}_{names[a]}_{m}_{names[b]}",
-                eqs.second_derivative(k, a, m, b, grown),
+                low.graph.total(eqs.second_derivative(k, a, m, b, grown)),
                 "Jacobian D_m D_k L_d",
             )
             for m, b in increments
@@ -264,7 +260,7 @@ def newton_rows(
 
 def impulses(
     low: Lowering, coordinates: Sequence[int], end: Point, *, moving: bool, path: Path | None = None
-) -> Mapping[int, sp.Expr]:
+) -> Mapping[int, Expression]:
     """Return h sum_i b_i L_q at the nodes of the path that ends at ``end``."""
     points = [
         node_point(low, i, coordinates, moving=moving, end=end, path=path)

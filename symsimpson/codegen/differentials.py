@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any, Self
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Call, Function, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
@@ -198,7 +197,7 @@ def _cost(low: Lowering, places: tuple[int, ...]) -> Function:
     keys: list[tuple[str, *tuple[int | str, ...]]] = [("g",)]
     keys += [(what, a) for what in ("g_q", "g_v") for a in places]
     keys += [("g_a", name) for name in low.varied]
-    values: list[sp.Expr] = [low.cost.entry(point_of_node(low), "cost", *key) for key in keys]
+    values: list[Expression] = [low.cost.entry(point_of_node(low), "cost", *key) for key in keys]
     stores = [Store(Row("NODE_COST", k), value) for k, value in enumerate(values)]
     doc = "The running cost and its derivatives, at a node."
     return Function("cost_slopes", doc, low.statements(stores, (Level.ITERATION,)))

@@ -10,6 +10,7 @@ from itertools import groupby
 
 import sympy as sp
 
+from symsimpson.codegen.expression import Expressions
 from symsimpson.codegen.heading import banner, docstring, folded
 from symsimpson.codegen.ir import (
     Assign,
@@ -169,13 +170,13 @@ def _layout(module: Module) -> str:
 
 def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> str:
     scheme = equations.scheme
-    exact = Printer(exact=True)
+    exact, numbers = Printer(exact=True), Expressions()
 
     def number(value: sp.Expr) -> str:
         # all of one type, because compiled code takes them in loops
         if value.is_Rational and value.q > _LARGE:  # a decimal number, as it was published
             return f'real("{Context(prec=99).divide(Decimal(value.p), Decimal(value.q))}")'
-        return f"real({value})" if value.is_Integer else exact.doprint(value)
+        return f"real({value})" if value.is_Integer else exact.text(numbers.read(value))
 
     def row(values: Iterable[sp.Expr]) -> str:
         return _literal_tuple(number(value) for value in values)
@@ -247,7 +248,7 @@ def _table(value: object, number: Callable[[sp.Expr], str]) -> str:
 
 def _constants(module: Module, printer: Printer) -> str:
     exact = Printer(exact=True)
-    lines = [f"{name} = {exact.doprint(value)}" for name, value in module.constants.items()]
+    lines = [f"{symbol.name} = {exact.text(x)}" for symbol, x in module.constants.items()]
     lines = [*(f"{name} = {NAMED_CONSTANTS[name]!r}" for name in sorted(exact.constants)), *lines]
     printer.used |= exact.used
     return "\n".join(["# numbers that are not exact in binary", *lines, ""]) if lines else ""
@@ -317,24 +318,24 @@ def _load(loads: Sequence[Load], depth: int) -> str:
 
 def _statement(statement: Statement, printer: Printer, depth: int) -> list[str]:
     pad = "    " * depth
-    write = printer.doprint
+    write = printer.text
     match statement:
         case Load():
             return list(_loads([statement], depth))
         case Assign(target, value):
-            return folded(f"{pad}{target} = ", write(value), pad + "    ", parentheses=True)
+            return folded(f"{pad}{target.name} = ", write(value), pad + "    ", parentheses=True)
         case SinCos(sine, cosine, angle):
-            return [f"{pad}{sine}, {cosine} = sincos({write(angle)})"]
+            return [f"{pad}{sine.name}, {cosine.name} = sincos({write(angle)})"]
         case Turn(sine, cosine, old_sine, old_cosine, change):
-            return [f"{pad}{sine}, {cosine} = turned({old_sine}, {old_cosine}, {change})"]
-        case Store(row, value, None, add):
-            return folded(
-                f"{pad}{row} {'+=' if add else '='} ", write(value), pad + "    ", parentheses=True
-            )
-        case Store(row, value, keep, _):
-            return [f"{pad}{row} = {write(value)} if active != 0 else {keep}"]
+            named = ", ".join(x.name for x in (old_sine, old_cosine, change))
+            return [f"{pad}{sine.name}, {cosine.name} = turned({named})"]
+        case Store(row, value, keep, add):
+            if keep is not None:
+                return [f"{pad}{row} = {write(value)} if active != 0 else {keep.name}"]
+            head = f"{pad}{row} {'+=' if add else '='} "
+            return folded(head, write(value), pad + "    ", parentheses=True)
         case Call(function, arguments, result):
-            target = f"{result} = " if result is not None else ""
+            target = f"{result.name} = " if result is not None else ""
             return [f"{pad}{target}{function}({', '.join(arguments)})"]
         case Section(title, body):
             return [f"{pad}# {title}", *_statements(body, printer, depth)]

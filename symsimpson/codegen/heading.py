@@ -6,9 +6,8 @@ import re
 import textwrap
 from dataclasses import replace
 
-import sympy as sp
-
 from symsimpson.codegen.ir import Module
+from symsimpson.codegen.printer import formula
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.graph.read import tree_size
 
@@ -56,11 +55,10 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     system, scheme = equations.system, equations.scheme
     names = module.names
     plain = equations.plain
-    shown = dict(zip(plain.q, map(sp.Symbol, names.coordinates), strict=True))
-    shown |= {v: sp.Symbol(f"{q}'") for v, q in zip(plain.v, names.coordinates, strict=True)}
-    shown[plain.t] = sp.Symbol("t")
-    shown |= dict(zip(plain.u, map(sp.Symbol, names.inputs), strict=True))
-    shown |= dict(zip(plain.parameters, map(sp.Symbol, names.parameters), strict=True))
+    velocities = [f"{q}'" for q in names.coordinates]
+    symbols = (*plain.q, *plain.v, plain.t, *plain.u, *plain.parameters)
+    own = (*names.coordinates, *velocities, "t", *names.inputs, *names.parameters)
+    shown = {symbol.name: name for symbol, name in zip(symbols, own, strict=True)}
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
     forces = zip(names.coordinates, replace(plain, acting=None).f, strict=True)
@@ -83,11 +81,11 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         if tree_size(plain.graph, value) > _SHOWN:
             lines += [f"    {name} has {len(plain.graph.reached([value[1]]))} operations, below"]
         elif name != "a" or value[0]:
-            text = sp.sstr(plain.written(value).xreplace(shown))
+            text = formula(plain.graph, value, shown)
             lines += folded(f"    {name} = ", text, "        ")
     for name, value in zip(names.constraints, plain.constraints.values(), strict=True):
         if tree_size(plain.graph, value) <= _SHOWN:
-            text = sp.sstr(plain.written(value).xreplace(shown))
+            text = formula(plain.graph, value, shown)
             lines += folded(f"    {name}: 0 = ", text, "        ")
     lines += [
         "",

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.names import NameTable
 from symsimpson.module.blocks import BLOCKS
 
@@ -46,7 +45,7 @@ class Row:
 class Load:
     """``target = W[row, lane]``."""
 
-    target: sp.Symbol
+    target: Expression
     row: Row
 
 
@@ -58,8 +57,8 @@ class Store:
     """
 
     row: Row
-    value: sp.Expr
-    keep: sp.Symbol | None = None
+    value: Expression
+    keep: Expression | None = None
     add: bool = False
 
 
@@ -75,28 +74,28 @@ class Index:
 class Assign:
     """``target = value``."""
 
-    target: sp.Symbol
-    value: sp.Expr
+    target: Expression
+    value: Expression
 
 
 @dataclass(frozen=True)
 class SinCos:
     """``sin, cos = sincos(angle)``."""
 
-    sin: sp.Symbol
-    cos: sp.Symbol
-    angle: sp.Expr
+    sin: Expression
+    cos: Expression
+    angle: Expression
 
 
 @dataclass(frozen=True)
 class Turn:
     """``sin, cos = turned(old_sin, old_cos, change)`` of an angle."""
 
-    sin: sp.Symbol
-    cos: sp.Symbol
-    old_sin: sp.Symbol
-    old_cos: sp.Symbol
-    change: sp.Symbol
+    sin: Expression
+    cos: Expression
+    old_sin: Expression
+    old_cos: Expression
+    change: Expression
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ class Call:
 
     function: str
     arguments: tuple[str, ...] = ("W", "lane")
-    result: sp.Symbol | None = None
+    result: Expression | None = None
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ class Module:
     names: NameTable
     functions: tuple[Function, ...]
     kernels: tuple[Kernel, ...]
-    constants: Mapping[sp.Symbol, sp.Expr]
+    constants: Mapping[Expression, Expression]
     layout: Mapping[str, int]
     rows: int
     newton_unknowns: int

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
-import sympy as sp
-
 from symsimpson.codegen.coefficients import coefficient_loops
 from symsimpson.codegen.constraint_functions import (
     constraint_family_functions,
@@ -276,23 +274,21 @@ def _module(
     more, kernels = keeping_time(low, loops, kernels)
     functions = functions + more
     for_stages: tuple[Statement, ...] = ()
-    scheme = low.equations.scheme
     by_loops = any(function.name == "gradient" for function in functions)
     stages = _stages(low, loops, by_loops=by_loops) if unknowns else None
     if stages is not None:
         kernels = [*kernels, *stages.kernels]
         tables = {**tables, "STRIDE": stages.stride}
         for_stages = stages.constants
-    own = [value.xreplace(low.parameters) for value in low.coefficients]
     if low.equations.plain.powers:
         tables = {**tables, "NODE_POWERS": len(low.equations.plain.powers)}
     if low.names.inputs:
         stride = node_stride(low.equations.scheme)
         tables = {**tables, "INPUTS": len(low.names.inputs), "INPUT_STRIDE": stride}
-    coefficients, stores, products = coefficient_loops(low, own)
+    coefficients, stores, products = coefficient_loops(low, low.coefficients)
     tables = {**tables, **products}
     if loops.damped:
-        places = (*scheme.quadrature.nodes, sp.S.One)
+        places = (*low.scheme.nodes, low.graph.of(1))
         stores += [Store(Row("GROWTH", i), low.growth(c)) for i, c in enumerate(places)]
     low.statements(stores, (Level.RUN,))
     stores += [Store(row, symbol) for symbol, row in low.hoisted_at(Level.RUN)]

@@ -7,16 +7,24 @@ left node once a step.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 
-import sympy as sp
+import mpmath
 
+from symsimpson.codegen.expression import Expression, Expressions
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import LARGE
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import UNIT, Exact
+from symsimpson.graph.read import in_doubles, was_float
 
 __all__ = ["Definition", "Graph", "Level"]
+
+
+#: Numbers that agree in so many digits, computed with some more, are the same.
+DIGITS, GUARD = 50, 15
 
 
 class Level(IntEnum):
@@ -43,8 +51,8 @@ _PREFIX = {
 class Definition:
     """A value, or the sine and cosine of a value, with its level and the section it is in."""
 
-    targets: tuple[sp.Symbol, ...]
-    value: sp.Expr
+    targets: tuple[Expression, ...]
+    value: Expression
     level: Level
     section: str
 
@@ -54,119 +62,187 @@ class Definition:
         return len(self.targets) == 2
 
 
-class Graph:
+#: A value that is split, and when it is known.
+Part = tuple[Expression, Level]
+
+
+class Graph(Expressions):
     """Definitions in an order in which they can be computed, each made once."""
 
     def __init__(self, names: NameTable) -> None:
+        super().__init__()
         self.names = names
-        self.levels: dict[sp.Symbol, Level] = {}
-        self.definitions: dict[sp.Symbol, Definition] = {}
-        self.constants: dict[sp.Symbol, sp.Expr] = {}
-        self._known: dict[sp.Expr, sp.Symbol] = {}
-        self._constant_of: dict[sp.Expr, sp.Symbol] = {}
+        #: By the node of a symbol.
+        self.levels: dict[int, Level] = {}
+        self.definitions: dict[Expression, Definition] = {}
+        self.constants: dict[Expression, Expression] = {}
+        self._known: dict[Expression, Expression] = {}
+        self._constant_of: dict[Expression | str, Expression] = {}
+        self._angles: dict[Expression, tuple[Expression, Expression]] = {}
 
-    def declare(self, symbol: sp.Symbol, level: Level) -> sp.Symbol:
-        """Take in a symbol whose value comes from outside."""
-        self.levels[symbol] = level
+    def declare(self, name: str, level: Level) -> Expression:
+        """Return the symbol of a value that comes from outside."""
+        symbol = self.named(name)
+        self.levels[symbol.node] = level
         return symbol
 
-    def define(self, hint: str, expression: sp.Expr, section: str) -> sp.Expr:
+    def define(self, hint: str, expression: Expression, section: str) -> Expression:
         """Define an expression under a name; numbers and symbols stand for themselves."""
         value, _ = self.split(expression, section)
         if self._trivial(value):
             return value
         return self._name(value, hint, section)
 
-    def define_sincos(self, hint: str, angle: sp.Expr, section: str) -> tuple[sp.Symbol, sp.Symbol]:
+    def define_sincos(
+        self, hint: str, angle: Expression, section: str
+    ) -> tuple[Expression, Expression]:
         """Define the sine and the cosine of an angle."""
         value = self.define(hint if hint.startswith("angle") else f"angle_{hint}", angle, section)
-        key = sp.sin(value, evaluate=False)
-        if key not in self._known:
-            sine, cosine = self.names.fresh(f"sin_{hint}"), self.names.fresh(f"cos_{hint}")
-            definition = Definition((sine, cosine), value, self.level(value), section)
-            for target in (sine, cosine):
-                self.definitions[target] = definition
-                self.levels[target] = definition.level
-            self._known[key] = sine
-        return self.definitions[self._known[key]].targets
+        if value not in self._angles:
+            level = self.level(value)
+            sine, cosine = (
+                self.declare(self.names.fresh(f"{function}_{hint}"), level)
+                for function in ("sin", "cos")
+            )
+            definition = Definition((sine, cosine), value, level, section)
+            self.definitions |= {sine: definition, cosine: definition}
+            self._angles[value] = sine, cosine
+        return self._angles[value]
 
-    def level(self, expression: sp.Expr) -> Level:
+    def level(self, expression: Expression) -> Level:
         """Return when an expression is known."""
-        return max((self.levels[s] for s in expression.free_symbols), default=Level.CONSTANT)
+        symbols = self.nodes[expression.node].symbols
+        return max((self.levels[n] for n in symbols), default=Level.CONSTANT)
 
-    def split(self, expression: sp.Expr, section: str) -> tuple[sp.Expr, Level]:
+    def split(self, expression: Expression, section: str) -> Part:
         """Replace what is known earlier than the whole by definitions."""
-        if expression.is_Symbol:
-            return expression, self.levels[expression]
         if expression.is_number:
             return self._number(expression), Level.CONSTANT
-        numbers = [argument for argument in expression.args if argument.is_number]
-        arguments = list(expression.args)
-        if len(numbers) > 1 and (expression.is_Add or expression.is_Mul):
-            rest = [argument for argument in arguments if not argument.is_number]
-            arguments = [expression.func(*numbers), *rest]
-        parts = [self.split(argument, section) for argument in arguments]
-        level = max(part[1] for part in parts)
-        if not (expression.is_Add or expression.is_Mul):
-            return expression.func(*(part[0] for part in parts)), level
-        return self._regroup(expression.func, parts, level, section), level
+        kind, parts, _ = self.nodes[expression.node]
+        level, c = self.level(expression), expression.coefficient
+        if kind == "symbol":
+            return self._multiple(c, Expression(self, (1, expression.node))), level
+        if kind == "sum":
+            if c not in (1, -1):  # a number before what stands in parentheses
+                inner, _ = self.split(Expression(self, (1, expression.node)), section)
+                return self._multiple(c, inner), level
+            terms = self._numbers_joined(self.total, [(c * d, n) for d, n in parts])
+            return self._regroup(self.total, self._parts(terms, section), level, section), level
+        if kind == "product":
+            factors = [self.multiply([(1, n, e)]) for n, e in parts]
+            joined = self._numbers_joined(
+                self.product, [*([(c, UNIT)] if c != 1 else []), *factors]
+            )
+            found = [
+                self.split(one, section) if one.is_number else self._power(one, section)
+                for one in joined
+            ]
+            return self._regroup(self.product, found, level, section), level
+        name, *arguments = parts
+        found = self._parts([Expression(self, value) for value in arguments], section)
+        return self._multiple(c, self.applied(name, *(value for value, _ in found))), level
+
+    def _parts(self, values: Iterable[Expression], section: str) -> list[Part]:
+        return [self.split(value, section) for value in values]
+
+    def _power(self, one: Expression, section: str) -> Part:
+        """Split the base of a power."""
+        ((base, exponent),) = self.factors(one.node)
+        value, level = self.split(Expression(self, (1, base)), section)
+        return value**exponent, level
+
+    def _multiple(self, c: Exact, value: Expression) -> Expression:
+        """Return a value times a number, which has a name if it is not exact."""
+        one = Expression(self, (1, value.node))
+        return (
+            one
+            if c * value.coefficient == 1
+            else self._number(self.of(c * value.coefficient)) * one
+        )
+
+    def _numbers_joined(
+        self, join: Callable[[list[Expression]], Expression], values: list[tuple[Exact, int]]
+    ) -> list[Expression]:
+        """Return parts of a sum or product, those that are numbers as one."""
+        parts = [Expression(self, value) for value in values]
+        numbers = [part for part in parts if part.is_number]
+        if len(numbers) < 2:
+            return parts
+        return [join(numbers), *(part for part in parts if not part.is_number)]
 
     def _regroup(
         self,
-        func: Callable[..., sp.Expr],
-        parts: list[tuple[sp.Expr, Level]],
+        join: Callable[[list[Expression]], Expression],
+        parts: list[Part],
         level: Level,
         section: str,
-    ) -> sp.Expr:
-        """Gather the arguments of a sum or product that are known before the others."""
+    ) -> Expression:
+        """Gather the parts of a sum or product that are known before the others."""
         late = [value for value, at in parts if at == level]
         early = [(value, at) for value, at in parts if at < level]
-        sign = sp.S.One
-        if func is sp.Mul:  # -1 stays outside, so that x and -x share a definition
-            sign = sp.S.NegativeOne ** sum(value == -1 for value, _ in early)
-            early = [(value, at) for value, at in early if value != -1]
+        product, sign = join == self.product, 1
+        if product:  # signs stay outside, so that x and -x share a definition
+            signs = [-1 if value.coefficient < 0 else 1 for value, _ in early]
+            sign = -1 if signs.count(-1) % 2 else 1
+            early = [
+                (own, at)
+                for (value, at), minus in zip(early, signs, strict=True)
+                if (own := -value if minus < 0 else value) != 1
+            ]
             variable = [value for value, at in early if at > Level.CONSTANT]
-            if not variable and len(early) == 1 and early[0][0].is_Number:
-                return func(sign, early[0][0], *late)
+            if not variable and len(early) == 1 and early[0][0].node == UNIT:
+                return join([self.of(sign), early[0][0], *late])
         if not early:
-            return func(sign, *late) if func is sp.Mul else func(*late)
+            return join([self.of(sign), *late]) if product else join(late)
         known = max(at for _, at in early)
-        value = self._regroup(func, early, known, section)
+        value = self._regroup(join, early, known, section)
         if not self._trivial(value):
             value = self._name(value, _PREFIX[known], section)
-        return func(sign, value, *late) if func is sp.Mul else func(value, *late)
+        return join([self.of(sign), value, *late]) if product else join([value, *late])
 
-    def _name(self, value: sp.Expr, hint: str, section: str) -> sp.Expr:
-        """Return the symbol that stands for a value already split; signs are pulled out."""
-        if value.could_extract_minus_sign() and -value in self._known:
+    def _name(self, value: Expression, hint: str, section: str) -> Expression:
+        """Return the symbol that stands for a value already split, or for its opposite."""
+        if -value in self._known:
             return -self._known[-value]
         level = self.level(value)
         if level == Level.CONSTANT:
-            return self._number(value.xreplace(self.constants))
+            return self._number(self.replaced(value, self.constants))
         if value not in self._known:
-            symbol = self.names.fresh(hint)
+            symbol = self.declare(self.names.fresh(hint), level)
             self.definitions[symbol] = Definition((symbol,), value, level, section)
-            self.levels[symbol] = level
             self._known[value] = symbol
         return self._known[value]
 
-    def _number(self, number: sp.Expr) -> sp.Expr:
+    def _number(self, number: Expression) -> Expression:
         """Write small integers, their halves and floats in place; name every other constant."""
-        if number.is_Float:
-            return number
-        small = number.is_Rational and abs(number.p) < LARGE and number.q < LARGE
-        if small and number.q & (number.q - 1) == 0:
-            return number
-        if number.could_extract_minus_sign():
+        if number.node == UNIT:
+            number = self.of(in_doubles(number.coefficient))
+        c = number.coefficient
+        if number.node == UNIT:
+            small = abs(c.numerator) < LARGE and c.denominator < LARGE
+            if was_float(c) or (small and c.denominator & (c.denominator - 1) == 0):
+                return number
+        if c < 0:
             return -self._number(-number)
+        rational = number.node == UNIT
         if number not in self._constant_of:
-            hint = f"C_{number.p}_{number.q}" if number.is_Rational else "C"
-            symbol = self.names.fresh(hint)
+            own = number if rational else self._digits(number)
+            if own in self._constant_of:  # the same number, written in another way
+                self._constant_of[number] = self._constant_of[own]
+                return self._constant_of[number]
+            hint = f"C_{c.numerator}_{c.denominator}" if rational else "C"
+            symbol = self.declare(self.names.fresh(hint), Level.CONSTANT)
             self.constants[symbol] = number
-            self.levels[symbol] = Level.CONSTANT
-            self._constant_of[number] = symbol
+            self._constant_of[number] = self._constant_of[own] = symbol
         return self._constant_of[number]
 
+    def _digits(self, number: Expression) -> str:
+        """Return a number in digits."""
+        with mpmath.workdps(DIGITS + GUARD):
+            value = evaluated(self, [number.node], {}, mpmath.mp)[number.node]
+            c = number.coefficient
+            return str(mpmath.nstr(value * c.numerator / c.denominator, DIGITS))
+
     @staticmethod
-    def _trivial(value: sp.Expr) -> bool:
-        return bool(value.is_Symbol or value.is_Number or (-value).is_Symbol)
+    def _trivial(value: Expression) -> bool:
+        return value.node == UNIT or (value.coefficient in (1, -1) and value.kind == "symbol")

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Graph
 
 __all__ = ["solve_blocks", "solve_symmetric", "solve_unpivoted"]
 
-Matrix = Sequence[Sequence[sp.Expr]]
+Matrix = Sequence[Sequence[Expression]]
+Block = list[list[Expression]]
 
 
 #: Blocks up to this size are inverted in closed form.
@@ -20,11 +20,11 @@ CLOSED_FORM = 2
 def solve_blocks(
     graph: Graph,
     matrix: Matrix,
-    right: Sequence[sp.Expr],
+    right: Sequence[Expression],
     size: int,
     hints: Sequence[str],
     section: str,
-) -> list[sp.Expr]:
+) -> list[Expression]:
     """Solve by block elimination in the given order, blocks of ``size`` inverted by adjugates.
 
     One division a block instead of one a row: divisions wait for each other, so a step of the
@@ -36,60 +36,77 @@ def solve_blocks(
         return solve_unpivoted(graph, matrix, right, hints, section)
     count = len(right) // size
 
-    def block(i: int, j: int) -> sp.Matrix:
-        return sp.Matrix(size, size, lambda a, b: matrix[i * size + a][j * size + b])
+    def block(i: int, j: int) -> Block:
+        rows, columns = (range(k * size, (k + 1) * size) for k in (i, j))
+        return [[matrix[a][b] for b in columns] for a in rows]
 
-    def named(hint: str, value: sp.Matrix) -> sp.Matrix:
-        rows, columns = value.shape
-        return sp.Matrix(
-            rows, columns, lambda a, b: graph.define(f"{hint}_{a}_{b}", value[a, b], section)
-        )
+    def named(hint: str, value: Block) -> Block:
+        return [
+            [graph.define(f"{hint}_{a}_{b}", x, section) for b, x in enumerate(row)]
+            for a, row in enumerate(value)
+        ]
 
-    upper: dict[tuple[int, int], sp.Matrix] = {}
-    lower: dict[tuple[int, int], sp.Matrix] = {}
-    inverse: list[sp.Matrix] = []
-    forward: list[sp.Matrix] = []
+    def less(value: Block, products: Sequence[tuple[Block, Block]]) -> Block:
+        return [
+            [
+                _minus(x, [(left[a][k], right[k][b]) for left, right in products for k in each])
+                for b, x in enumerate(row)
+            ]
+            for a, row in enumerate(value)
+        ]
+
+    def times(left: Block, right: Block) -> Block:
+        return [
+            [graph.total(row[k] * right[k][b] for k in each) for b in range(len(right[0]))]
+            for row in left
+        ]
+
+    each = range(size)
+    upper: dict[tuple[int, int], Block] = {}
+    lower: dict[tuple[int, int], Block] = {}
+    inverse: list[Block] = []
+    forward: list[Block] = []
     for i in range(count):
         for j in range(count):
-            rest = block(i, j)
-            for k in range(min(i, j)):
-                rest -= lower[i, k] * upper[k, j]
+            rest = less(block(i, j), [(lower[i, k], upper[k, j]) for k in range(min(i, j))])
             if j < i:
-                lower[i, j] = named(f"L_{i}{j}", named(f"B_{i}{j}", rest) * inverse[j])
+                lower[i, j] = named(f"L_{i}{j}", times(named(f"B_{i}{j}", rest), inverse[j]))
             else:
                 upper[i, j] = named(f"U_{i}{j}", rest)
-        pivot = upper[i, i]
-        scale = graph.define(f"inv_det_{i}", 1 / pivot.det(method="berkowitz"), section)
-        inverse.append(named(f"inv_{i}", pivot.adjugate() * scale))
-        rest = sp.Matrix(right[i * size : (i + 1) * size])
-        for k in range(i):
-            rest -= lower[i, k] * forward[k]
-        forward.append(named(f"y_{i}", rest))
-    unknowns: dict[int, sp.Matrix] = {}
+        determinant, adjugate = _adjugate(upper[i, i])
+        scale = graph.define(f"inv_det_{i}", 1 / determinant, section)
+        inverse.append(named(f"inv_{i}", [[x * scale for x in row] for row in adjugate]))
+        own = [[x] for x in right[i * size : (i + 1) * size]]
+        forward.append(named(f"y_{i}", less(own, [(lower[i, k], forward[k]) for k in range(i)])))
+    unknowns: dict[int, Block] = {}
     for i in reversed(range(count)):
-        rest = forward[i]
-        for j in range(i + 1, count):
-            rest -= upper[i, j] * unknowns[j]
-        value = inverse[i] * named(f"z_{i}", rest)
-        unknowns[i] = sp.Matrix(
-            [graph.define(hints[i * size + a], value[a], section) for a in range(size)]
-        )
-    return [unknowns[i][a] for i in range(count) for a in range(size)]
+        rest = less(forward[i], [(upper[i, j], unknowns[j]) for j in range(i + 1, count)])
+        value = times(inverse[i], named(f"z_{i}", rest))
+        unknowns[i] = [[graph.define(hints[i * size + a], value[a][0], section)] for a in each]
+    return [unknowns[i][a][0] for i in range(count) for a in each]
+
+
+def _adjugate(block: Block) -> tuple[Expression, Block]:
+    """Return the determinant and the adjugate of a block of one or two rows."""
+    if len(block) == 1:
+        return block[0][0], [[block[0][0].graph.of(1)]]
+    (a, b), (c, d) = block
+    return a * d - b * c, [[d, -b], [-c, a]]
 
 
 def solve_unpivoted(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
-) -> list[sp.Expr]:
+    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+) -> list[Expression]:
     """Solve by LU factors (Doolittle) in the given order, without pivoting.
 
     Entries that are zero for all values stay out of the code, so the fill pattern is fixed here.
     Returns the unknowns, defined under ``hints``.
     """
     size = len(right)
-    upper: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
-    lower: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
-    inverse: list[sp.Expr] = []
-    forward: list[sp.Expr] = []
+    upper: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
+    lower: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
+    inverse: list[Expression] = []
+    forward: list[Expression] = []
     for i in range(size):
         for j in range(i):
             rest = _minus(matrix[i][j], [(lower[i][k], upper[k][j]) for k in range(j)])
@@ -104,8 +121,8 @@ def solve_unpivoted(
 
 
 def solve_symmetric(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
-) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+) -> tuple[list[Expression], list[Expression]]:
     """Solve with a symmetric positive definite matrix by L D L^T, without roots.
 
     Returns the unknowns and the pivots D, all positive if and only if the matrix is.
@@ -113,11 +130,11 @@ def solve_symmetric(
     size = len(right)
     if size == CLOSED_FORM:
         return _solve_two(graph, matrix, right, hints, section)
-    scaled: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
-    lower: list[list[sp.Expr]] = [[sp.S.Zero] * size for _ in range(size)]
-    pivots: list[sp.Expr] = []
-    inverse: list[sp.Expr] = []
-    forward: list[sp.Expr] = []
+    scaled: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
+    lower: list[list[Expression]] = [[graph.of(0)] * size for _ in range(size)]
+    pivots: list[Expression] = []
+    inverse: list[Expression] = []
+    forward: list[Expression] = []
     for i in range(size):
         for j in range(i):
             rest = _minus(matrix[i][j], [(lower[j][k], scaled[i][k]) for k in range(j)])
@@ -128,7 +145,7 @@ def solve_symmetric(
         inverse.append(graph.define(f"inv_d_{i}", 1 / pivots[i], section))
         rest = _minus(right[i], [(lower[i][k], forward[k]) for k in range(i)])
         forward.append(graph.define(f"z_{i}", rest, section))
-    unknowns: list[sp.Expr] = [sp.S.Zero] * size
+    unknowns: list[Expression] = [graph.of(0)] * size
     for i in reversed(range(size)):
         rest = _minus(
             forward[i] * inverse[i], [(lower[k][i], unknowns[k]) for k in range(i + 1, size)]
@@ -138,8 +155,8 @@ def solve_symmetric(
 
 
 def _solve_two(
-    graph: Graph, matrix: Matrix, right: Sequence[sp.Expr], hints: Sequence[str], section: str
-) -> tuple[list[sp.Expr], list[sp.Expr]]:
+    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+) -> tuple[list[Expression], list[Expression]]:
     """Solve a symmetric 2 x 2 system with one division; the pivots' signs are those of minors."""
     (a, b), (_, d) = matrix
     determinant = graph.define("det", a * d - b**2, section)
@@ -153,18 +170,18 @@ def _solve_two(
 def _back(
     graph: Graph,
     upper: Matrix,
-    forward: Sequence[sp.Expr],
-    inverse: Sequence[sp.Expr],
+    forward: Sequence[Expression],
+    inverse: Sequence[Expression],
     hints: Sequence[str],
     section: str,
-) -> list[sp.Expr]:
+) -> list[Expression]:
     size = len(forward)
-    unknowns: list[sp.Expr] = [sp.S.Zero] * size
+    unknowns: list[Expression] = [graph.of(0)] * size
     for i in reversed(range(size)):
         rest = _minus(forward[i], [(upper[i][j], unknowns[j]) for j in range(i + 1, size)])
         unknowns[i] = graph.define(hints[i], rest * inverse[i], section)
     return unknowns
 
 
-def _minus(value: sp.Expr, products: Sequence[tuple[sp.Expr, sp.Expr]]) -> sp.Expr:
-    return sp.Add(value, *(-a * b for a, b in products))
+def _minus(value: Expression, products: Sequence[tuple[Expression, Expression]]) -> Expression:
+    return value.graph.total([value, *(-a * b for a, b in products)])

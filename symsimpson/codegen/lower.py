@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression, Number
 from symsimpson.codegen.ir import Load, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Graph, Level
 from symsimpson.codegen.names import NameTable
+from symsimpson.codegen.scheme_numbers import SchemeNumbers
 from symsimpson.codegen.sections import sections
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import JetTemplate, Point
@@ -22,6 +22,8 @@ from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
 from symsimpson.discrete.reductions import Coupled
 from symsimpson.discrete.slopes import derive_cost, derive_slopes
+from symsimpson.graph.nodes import Graph as PlainGraph
+from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
@@ -38,12 +40,15 @@ class Lowering:
         self.equations = equations
         self.names = NameTable(equations.system)
         self.graph = Graph(self.names)
-        self.rows: dict[sp.Symbol, Row] = {}
-        self.hoisted: dict[sp.Symbol, Row] = {}
+        self.rows: dict[Expression, Row] = {}
+        self.hoisted: dict[Expression, Row] = {}
         coordinates = self.names.coordinates
-        self.h = self.graph.declare(equations.h, Level.RUN)
+        self.h = self.graph.declare("h", Level.RUN)
+        self.graph.know(equations.h, self.h)
         # nothing that depends on t is kept from step to step: rounded, t + h is not the next t
-        self.t = self.graph.declare(sp.Symbol("t", real=True), Level.ITERATION)
+        #: Stands where a point must not be asked for a coordinate of another part.
+        self.nothing = self.graph.named("nothing")
+        self.t = self.graph.declare("t", Level.ITERATION)
         self.q = self._base(coordinates, "POSITION", Level.STEP)
         self.q_low = self._base([f"{q}_low" for q in coordinates], "POSITION_LOW", Level.ITERATION)
         self.p = self._base([f"p_{q}" for q in coordinates], "MOMENTUM", Level.STEP)
@@ -103,13 +108,14 @@ class Lowering:
         )
         #: h, the place of the node at hand in the step, and whether v there goes with 1/h.
         self.step = self._base(["h_i", "c_i", "moving"], "NODE_STEP", Level.ITERATION)
-        self._inputs: dict[int, tuple[sp.Symbol, ...]] = {}
+        self._inputs: dict[int, tuple[Expression, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
-        own = [sp.Symbol(name, real=True) for name in self.names.parameters]
-        self.parameters = dict(zip(equations.plain.parameters, own, strict=True))
-        for i, symbol in enumerate(own):
-            self.rows[self.graph.declare(symbol, Level.RUN)] = Row("PARAMETER", i)
-        self.coefficients: tuple[sp.Expr, ...] = ()
+        own = [self.graph.declare(name, Level.RUN) for name in self.names.parameters]
+        #: By the names of plain symbols.
+        self.parameters = {a.name: x for a, x in zip(equations.plain.parameters, own, strict=True)}
+        self.rows |= {symbol: Row("PARAMETER", i) for i, symbol in enumerate(own)}
+        self.coefficients: tuple[Expression, ...] = ()
+        self.scheme = SchemeNumbers(equations.scheme, self.graph)
 
     @cached_property
     def template(self) -> JetTemplate:
@@ -149,7 +155,7 @@ class Lowering:
         return self.equations.plain.step[0] in (self.equations.varied or ())
 
     @property
-    def _by_name(self) -> dict[str, sp.Symbol]:
+    def _by_name(self) -> dict[str, Any]:
         return dict(zip(self.varied, self.equations.varied or (), strict=True))
 
     @cached_property
@@ -180,29 +186,35 @@ class Lowering:
 
     def _base(
         self, hints: Sequence[str], block: str, level: Level, first: int = 0
-    ) -> tuple[sp.Symbol, ...]:
+    ) -> tuple[Expression, ...]:
         symbols = []
         for i, hint in enumerate(hints):
             known = block in ("POSITION", "ACTIVE")  # these names are already given out
-            symbol = sp.Symbol(hint, real=True) if known else self.names.fresh(hint)
+            symbol = self.graph.declare(hint if known else self.names.fresh(hint), level)
             self.rows[symbol] = Row(block, first + i)
-            symbols.append(self.graph.declare(symbol, level))
+            symbols.append(symbol)
         return tuple(symbols)
+
+    def known(self, value: Value, graph: PlainGraph | None = None) -> Expression:
+        """Return a value that is made of parameters."""
+        graph = graph or self.equations.plain.graph
+        known = {graph.symbol(name)[1]: own for name, own in self.parameters.items()}
+        return self.graph.taken(graph, value, known)
 
     def start_point(self) -> Point:
         """Return the point q0; its suffix is that of a node standing there."""
         scheme = self.equations.scheme
         at_start = [i for i in range(scheme.stages) if self.equations.at_start(i)]
         suffix = str(at_start[0]) if at_start else "start"
-        return Point(suffix, self.q, t=self.time(sp.S.Zero, suffix), u=self.inputs(0))
+        return Point(suffix, self.q, t=self.time(0, suffix), u=self.inputs(0))
 
-    def time(self, part: sp.Expr, suffix: str) -> sp.Expr | None:
+    def time(self, part: Number, suffix: str) -> Expression | None:
         """Return the time after a part of the step; None if nothing depends on it."""
         if self.equations.plain.autonomous:
             return None
         return self.graph.define(f"t_{suffix}", self.t + part * self.h, "times")
 
-    def inputs(self, node: int) -> tuple[sp.Symbol, ...]:
+    def inputs(self, node: int) -> tuple[Expression, ...]:
         """Return the inputs at a node; the first of them stands for the start of the step, too."""
         if node not in self._inputs:
             stride, names = node_stride(self.equations.scheme), self.names.inputs
@@ -212,15 +224,15 @@ class Lowering:
             )
         return self._inputs[node]
 
-    def growth(self, part: sp.Expr) -> sp.Expr:
+    def growth(self, part: Number) -> Expression:
         """Return by how much what is weighted has grown after a part of the step; 1 for most."""
         rate = self.equations.plain.rate
         if rate is None:
-            return sp.S.One
-        gamma = self.equations.plain.written(rate).xreplace(self.parameters)
-        return self.graph.define("growth", sp.exp(2 * gamma * part * self.h), "constants")
+            return self.graph.of(1)
+        grown = self.graph.applied("exp", 2 * self.known(rate) * part * self.h)
+        return self.graph.define("growth", grown, "constants")
 
-    def decayed(self, momentum: sp.Expr, impulse: sp.Expr) -> sp.Expr:
+    def decayed(self, momentum: Expression, impulse: Expression) -> Expression:
         """Return p1 - p0 from what p0 is at the start and the weighted impulse of the step.
 
         p1 = exp(-2 gamma h) (p0 + impulse); the difference from p0 is taken without cancellation.
@@ -228,13 +240,14 @@ class Lowering:
         rate = self.equations.plain.rate
         if rate is None:
             return impulse
-        gamma = self.equations.plain.written(rate).xreplace(self.parameters)
-        return self.lost(2 * gamma * self.h) * momentum + self.growth(sp.S.NegativeOne) * impulse
+        lost = self.lost(2 * self.known(rate) * self.h)
+        return lost * momentum + self.growth(-1) * impulse
 
-    def lost(self, exponent: sp.Expr) -> sp.Expr:
+    def lost(self, exponent: Expression) -> Expression:
         """Return exp(-x) - 1, to the last digit for small x too."""
-        half = self.graph.define("half", sp.exp(-exponent / 2), "constants")
-        return self.graph.define("lost", -2 * half * sp.sinh(exponent / 2), "constants")
+        applied, define = self.graph.applied, self.graph.define
+        half = define("half", applied("exp", -exponent / 2), "constants")
+        return define("lost", -2 * half * applied("sinh", exponent / 2), "constants")
 
     def statements(
         self, stores: Iterable[Store], computed: Iterable[Level], title: str | None = None
@@ -258,7 +271,7 @@ class Lowering:
             *((Section("results", stores),) if stores else ()),
         )
 
-    def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[sp.Symbol]:
+    def keep(self, stores: Iterable[Store], computed: Iterable[Level]) -> list[Expression]:
         """Give rows to the values that stores need and that are known before these levels."""
         levels = set(computed)
         needed = self._needed(stores, levels)
@@ -268,13 +281,13 @@ class Lowering:
             if s in needed and definition.level not in levels and s not in self.rows
         ]
         for symbol in kept:
-            assert self.graph.levels[symbol] in (Level.RUN, Level.STEP)
+            assert self.graph.level(symbol) in (Level.RUN, Level.STEP)
             self.hoisted.setdefault(symbol, Row("HOISTED", len(self.hoisted)))
         return kept
 
-    def _needed(self, stores: Iterable[Store], levels: set[Level]) -> set[sp.Symbol]:
+    def _needed(self, stores: Iterable[Store], levels: set[Level]) -> set[Expression]:
         """Collect what stores need, through definitions of these levels."""
-        needed: set[sp.Symbol] = set()
+        needed: set[Expression] = set()
         work = [s for store in stores for s in self._symbols(store)]
         while work:
             symbol = work.pop()
@@ -283,15 +296,15 @@ class Lowering:
             needed.add(symbol)
             definition = self.graph.definitions.get(symbol)
             if definition is not None and definition.level in levels:
-                work.extend(definition.value.free_symbols)
+                work.extend(definition.value.symbols)
         return needed
 
-    def reached(self, stores: Iterable[Store]) -> list[sp.Symbol]:
+    def reached(self, stores: Iterable[Store]) -> list[Expression]:
         """List all that is defined for stores, whatever its level."""
         needed = self._needed(stores, set(Level))
         return [symbol for symbol in self.graph.definitions if symbol in needed]
 
-    def needed_before(self, stores: Iterable[Store], level: Level) -> list[sp.Symbol]:
+    def needed_before(self, stores: Iterable[Store], level: Level) -> list[Expression]:
         """List what definitions of a level need of the levels of an iteration before it."""
         needed = self._needed(stores, {level})
         return [
@@ -300,46 +313,46 @@ class Lowering:
             if symbol in needed and Level.RUN < definition.level < level
         ]
 
-    def hoisted_at(self, level: Level) -> list[tuple[sp.Symbol, Row]]:
+    def hoisted_at(self, level: Level) -> list[tuple[Expression, Row]]:
         """List the hoisted values of a level with their rows."""
         return [
             (symbol, row)
             for symbol, row in self.hoisted.items()
-            if self.graph.levels[symbol] == level
+            if self.graph.level(symbol) == level
         ]
 
-    def moved(self, symbol: sp.Symbol, to: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
+    def moved(self, symbol: Expression, to: dict[Expression, Expression]) -> Expression:
         """Return the value that a step-level symbol takes when q and p move on as in ``to``.
 
         What it is made of is added to ``to``, so that shared definitions are followed once.
         """
-        levels, section, work = self.graph.levels, "the next left node", [symbol]
+        level, section, work = self.graph.level, "the next left node", [symbol]
         while work:
             last = work[-1]
-            if last in to or levels[last] != Level.STEP:
+            if last in to or level(last) != Level.STEP:
                 work.pop()
                 continue
             definition = self.graph.definitions[last]
-            before = sorted(definition.value.free_symbols, key=str)  # the order of the lines
-            if later := [s for s in before if s not in to and levels[s] == Level.STEP]:
+            before = definition.value.symbols  # in the order of the lines
+            if later := [s for s in before if s not in to and level(s) == Level.STEP]:
                 work += reversed(later)
                 continue
-            value = definition.value.xreplace({s: to.get(s, s) for s in before})
+            value = self.graph.replaced(definition.value, {s: to[s] for s in before if s in to})
             if definition.is_sincos:
-                hint = value.name if value.is_Symbol else f"angle_{last.name}_next"
+                hint = value.name if value.is_symbol else f"angle_{last.name}_next"
                 pair = self.graph.define_sincos(hint, value, section)
                 to[last] = pair[definition.targets.index(last)]
             else:
                 to[last] = self.graph.define(f"{last.name}_next", value, section)
         return to.get(symbol, symbol)
 
-    def moved_on(self, a: int, change: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
+    def moved_on(self, a: int, change: Expression) -> tuple[Expression, Expression]:
         """Add to a coordinate, and to what rounding took from it."""
         return self.compensated(self.names.coordinates[a], self.q[a], self.q_low[a], change)
 
     def compensated(
-        self, name: str, old: sp.Symbol, low: sp.Symbol, increment: sp.Expr
-    ) -> tuple[sp.Expr, sp.Expr]:
+        self, name: str, old: Expression, low: Expression, increment: Expression
+    ) -> tuple[Expression, Expression]:
         """Add an increment to a value with its low part: exact sum of two numbers (Knuth)."""
         section = "compensated sums"
         define = self.graph.define
@@ -351,8 +364,8 @@ class Lowering:
         lost_new = define(f"{name}_lost", total - taken, section)
         return new, define(f"{name}_low_next", lost_old + lost_new, section)
 
-    def _symbols(self, store: Store) -> Iterable[sp.Symbol]:
-        yield from store.value.free_symbols
+    def _symbols(self, store: Store) -> Iterable[Expression]:
+        yield from store.value.symbols
         if store.keep is not None:
             yield store.keep
             yield self.active

@@ -227,13 +227,13 @@ class NameTable:
             plain += "_"
         if re.fullmatch(r"[A-Z][A-Z_0-9]*_[A-Z_0-9]*", plain):
             plain = substitute
-        return self.fresh(plain).name
+        return self.fresh(plain)
 
-    def fresh(self, hint: str) -> sp.Symbol:
-        """Return a symbol with the name that is hinted at, or that and a number."""
+    def fresh(self, hint: str) -> str:
+        """Return the name that is hinted at, or that and a number."""
         name, count = hint, 1
         while name in self._taken or name in RESERVED or name in library_names():
             count += 1
             name = f"{hint}_{count}"
         self._taken.add(name)
-        return sp.Symbol(name, real=True)
+        return name

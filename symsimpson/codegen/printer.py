@@ -1,150 +1,207 @@
-"""SymPy expressions as Python text, from an allow-list of node types."""
+"""Expressions as Python text."""
 
 from __future__ import annotations
 
-import sys
-from typing import Any
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
 
-import sympy as sp
-from sympy.printing.precedence import PRECEDENCE
-from sympy.printing.str import StrPrinter
+from symsimpson.codegen.expression import Expression, Expressions
+from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, exact, magnitude
+from symsimpson.graph.read import in_doubles, was_float
 
-from symsimpson.errors import GenerationError
+__all__ = ["LARGE", "NAMED_CONSTANTS", "Printer", "count_operations", "formula"]
 
-__all__ = ["FUNCTIONS", "LARGE", "NAMED_CONSTANTS", "Printer", "count_operations"]
-
-#: SymPy functions and their names in :mod:`math`; every binding supplies these names.
-FUNCTIONS = {
-    sp.sin: "sin",
-    sp.cos: "cos",
-    sp.tan: "tan",
-    sp.asin: "asin",
-    sp.acos: "acos",
-    sp.atan: "atan",
-    sp.atan2: "atan2",
-    sp.sinh: "sinh",
-    sp.cosh: "cosh",
-    sp.tanh: "tanh",
-    sp.asinh: "asinh",
-    sp.acosh: "acosh",
-    sp.atanh: "atanh",
-    sp.exp: "exp",
-    sp.log: "log",
-    sp.erf: "erf",
-    sp.erfc: "erfc",
-}
 #: Numbers without a formula: their names in a module, where they stand as doubles, and their
 #: values; a binding of more digits has its own.
-NAMED_CONSTANTS = {
-    "EULER_GAMMA": float(sp.EulerGamma.evalf(20)),
-    "CATALAN": float(sp.Catalan.evalf(20)),
-}
-
-
+NAMED_CONSTANTS = {"EULER_GAMMA": 0.5772156649015329, "CATALAN": 0.915965594177219}
+_CONSTANT = {"pi": "pi", "EulerGamma": "EULER_GAMMA", "Catalan": "CATALAN"}
 #: Integers from here on are no exact doubles, and soon none that fit into 64 bits.
 LARGE = 2**53
+#: How strongly the parts of a text hold together.
+SUM, PRODUCT, POWER, ATOM = range(4)
+#: Operations that a root takes.
+_ROOTS = {0: 0, Fraction(1, 2): 1, Fraction(1, 4): 2, Fraction(3, 4): 3}
+#: A text and how strongly its parts hold together.
+Text = tuple[str, int]
 
 
-class Printer(StrPrinter):
-    """Prints arithmetic, powers and the functions of :data:`FUNCTIONS`, and refuses the rest.
+class Printer:
+    """Writes arithmetic, powers, roots and functions, which every binding has under these names.
 
     ``used`` collects the functions met, ``constants`` the named numbers. With ``exact`` set,
     integers in quotients become ``real(...)``, so that a constant has the precision of the binding.
     """
 
     def __init__(self, *, exact: bool = False) -> None:
-        super().__init__({"order": "none"})
         self.used: set[str] = set()
         self.constants: set[str] = set()
         self._exact = exact
 
-    def _print_Integer(self, expr: sp.Integer) -> str:
-        large = self._exact and abs(expr.p) >= LARGE
-        return f"real({_within(expr, expr.p)})" if large else str(expr.p)
+    def text(self, expression: Expression) -> str:
+        """Write an expression.
 
-    def _print_Rational(self, expr: sp.Rational) -> str:
-        p, q = _within(expr, expr.p), _within(expr, expr.q)
-        return f"real({p})/{q}" if self._exact else f"{p}/{q}"
+        Raises
+        ------
+        GenerationError
+            If a number in it is larger than doubles can be.
+        """
+        return self._value(expression.graph, expression.coefficient, expression.node)[0]
 
-    def _print_Float(self, expr: sp.Float) -> str:
-        return repr(float(_within(expr, expr)))
+    def _value(self, graph: Graph, c: Exact, n: int) -> Text:
+        kind, parts, _ = graph.nodes[n]
+        if n == UNIT:
+            return self._number(c)
+        if kind == "sum" and c in (1, -1):
+            return self._sum(graph, [(c * d, m) for d, m in parts])
+        if kind == "product" or c != 1:
+            return self._product(graph, c, parts if kind == "product" else [(n, 1)])
+        return self._named(graph, n)
 
-    def _print_Pi(self, expr: sp.Expr) -> str:
-        self.used.add("pi")
-        return "pi"
+    def _sum(self, graph: Graph, terms: Sequence[tuple[Exact, int]]) -> Text:
+        """Write a sum, with a term first that has no minus if there is one."""
+        first = next((k for k, (c, _) in enumerate(terms) if c > 0), 0)
+        terms = [terms[first], *terms[:first], *terms[first + 1 :]]
+        if len(terms) == 1:
+            return self._value(graph, *terms[0])
+        text = self._within(self._value(graph, *terms[0]), SUM)
+        for c, n in terms[1:]:
+            text += " - " if c < 0 else " + "
+            text += self._within(self._value(graph, magnitude(c), n), PRODUCT)
+        return text, SUM
 
-    def _print_EulerGamma(self, expr: sp.Expr) -> str:
-        return self._named("EULER_GAMMA")
+    def _product(self, graph: Graph, c: Exact, factors: Sequence[tuple[int, Exact]]) -> Text:
+        c = in_doubles(c)
+        factors = sorted(factors, key=lambda factor: _place(graph, factor[0]))
+        above = [self._power(graph, n, e) for n, e in factors if e > 0]
+        below = [self._power(graph, n, -e) for n, e in factors if e < 0]
+        if self._exact or was_float(c):
+            if abs(c) != 1:
+                above.insert(0, self._number(magnitude(c)))
+        else:
+            p, q = abs(c.numerator), c.denominator
+            above = [self._number(p), *above] if p != 1 else above
+            below = [self._number(q), *below] if q != 1 else below
+        sign = "-" if c < 0 else ""
+        if len(above) == 1 and not below:
+            text, strength = above[0]
+            return (f"-{self._within(above[0], PRODUCT)}", SUM) if sign else (text, strength)
+        numerator = "*".join(self._within(x, PRODUCT) for x in above) or "1"
+        text = f"{sign}{numerator}"
+        if len(below) == 1:
+            text += f"/{self._within(below[0], POWER)}"
+        elif below:
+            text += f"/({'*'.join(self._within(x, PRODUCT) for x in below)})"
+        return text, SUM if sign else PRODUCT
 
-    def _print_Catalan(self, expr: sp.Expr) -> str:
-        return self._named("CATALAN")
+    def _power(self, graph: Graph, n: int, exponent: Exact) -> Text:
+        """Write a positive power: whole ones, and roots as square roots where that is possible.
 
-    def _named(self, name: str) -> str:
-        self.constants.add(name)
-        return name
-
-    def _print_GoldenRatio(self, expr: sp.Expr) -> str:
-        return f"({self._print(expr.expand(func=True))})"
-
-    _print_TribonacciConstant = _print_GoldenRatio
-
-    def _print_Exp1(self, expr: sp.Expr) -> str:
-        self.used.add("exp")
-        return "exp(real(1))"
-
-    def _print_Pow(self, expr: sp.Pow, rational: bool = False) -> str:
-        base, exponent = expr.as_base_exp()
-        if exponent.is_Rational and exponent.q in (2, 4):
-            # compilers write loops over square roots as vector code, not those over powers
+        Compilers write loops over square roots as vector code, not those over powers.
+        """
+        base = self._value(graph, 1, n)
+        if graph.nodes[n].kind == "sum" and len(graph.nodes[n].parts) == 1:
+            ((c, m),) = graph.nodes[n].parts
+            base = self._value(graph, c, m)
+        if exponent == 1:
+            return base
+        whole, rest = divmod(exponent, 1)
+        if rest and rest.denominator not in (2, 4):
+            power = self._number(exact(Fraction(exponent)))[0]
+            return f"{self._within(base, ATOM)}**({power})", POWER
+        roots = []
+        if rest:
             self.used.add("sqrt")
-            argument = self._print(base)
-            whole, rest = divmod(abs(exponent), 1)
-            root = f"sqrt(real({argument}))" if base.is_Integer else f"sqrt({argument})"
+            plain = n == UNIT or not base[0].strip("0123456789")
+            root = f"sqrt(real({base[0]}))" if plain else f"sqrt({base[0]})"
             roots = {2: [root], 1: [f"sqrt({root})"], 3: [root, f"sqrt({root})"]}[int(4 * rest)]
-            factor = self.parenthesize(base**whole, PRECEDENCE["Mul"])
-            power = "*".join([*([factor] if whole else []), *roots])
-            single = not whole and len(roots) == 1
-            if exponent > 0:
-                return power if single else f"({power})"
-            return f"1/{power}" if single else f"1/({power})"
-        if exponent.is_Integer and exponent < 0:
-            return f"1/{self.parenthesize(base**-exponent, PRECEDENCE['Pow'])}"
-        left = self.parenthesize(base, PRECEDENCE["Pow"], strict=False)
-        return f"{left}**{self.parenthesize(exponent, PRECEDENCE['Pow'], strict=False)}"
+        factor = self._within(base, PRODUCT if whole == 1 else ATOM)
+        factor = factor if whole == 1 else f"{factor}**{whole}"
+        if not roots:
+            return factor, POWER
+        if not whole and len(roots) == 1:
+            return roots[0], ATOM
+        return "*".join([*([factor] if whole else []), *roots]), PRODUCT
 
-    def _print_Function(self, expr: sp.Expr) -> str:
-        name = FUNCTIONS.get(expr.func)
-        if name is None:
-            return self.emptyPrinter(expr)
-        self.used.add(name)
-        return f"{name}({', '.join(self._print(a) for a in expr.args)})"
+    def _number(self, c: Exact) -> Text:
+        """Write a number."""
+        c = in_doubles(c)
+        p, q = c.numerator, c.denominator
+        if was_float(c):
+            return repr(float(c)), SUM if c < 0 else ATOM
+        if q == 1:
+            large = self._exact and abs(p) >= LARGE
+            return f"real({p})" if large else str(p), SUM if c < 0 else ATOM
+        return (f"real({p})/{q}" if self._exact else f"{p}/{q}"), SUM if c < 0 else PRODUCT
 
-    _print_sin = _print_cos = _print_exp = _print_log = _print_Function
+    def _named(self, graph: Graph, n: int) -> Text:
+        """Write a symbol, a constant or a function."""
+        kind, parts, _ = graph.nodes[n]
+        name = str(parts[0])
+        if kind == "symbol":
+            return name, ATOM
+        if kind == "constant":
+            name = _CONSTANT[name]
+            (self.used if name == "pi" else self.constants).add(name)
+            return name, ATOM
+        arguments = [self._value(graph, *value) for value in parts[1:]]
+        if name == "pow":
+            base, exponent = arguments
+            return f"{self._within(base, ATOM)}**{self._within(exponent, ATOM)}", POWER
+        if name != "abs":
+            self.used.add(name)
+        if name == "exp" and parts[1] == (1, UNIT):
+            return "exp(real(1))", ATOM
+        return f"{name}({', '.join(text for text, _ in arguments)})", ATOM
 
-    def _print_Abs(self, expr: sp.Expr) -> str:
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_ExpBase(self, expr: sp.Expr) -> str:
-        return self._print_Function(expr)
-
-    def emptyPrinter(self, expr: Any) -> str:
-        """Refuse what no binding can evaluate."""
-        raise GenerationError(
-            f"cannot write {type(expr).__name__} {expr} as code.\n"
-            "Use elementary functions, powers and numbers in T and V."
-        )
+    @staticmethod
+    def _within(text: Text, least: int) -> str:
+        """Put parentheses around what does not hold together so strongly."""
+        return text[0] if text[1] >= least else f"({text[0]})"
 
 
-def _within(number: sp.Expr, part: Any) -> Any:
-    """Return a part of a number that has a value in doubles; others are refused."""
-    if abs(part) <= sys.float_info.max:
-        return part
-    raise GenerationError(
-        f"cannot write the number {sp.N(number, 3)} as code: it, its numerator or its denominator "
-        "is larger than doubles can be.\nChoose other units, or write it as a sympy.Float."
-    )
+def _place(graph: Graph, n: int) -> tuple[bool, str, int]:
+    """Return by what factors are ordered: symbols by their names, then all others."""
+    kind, parts, _ = graph.nodes[n]
+    return kind != "symbol", str(parts[0]) if kind == "symbol" else "", n
 
 
-def count_operations(expression: sp.Expr) -> int:
-    """Count additions, multiplications, divisions, powers and function calls."""
-    return int(sp.count_ops(expression))
+def count_operations(expression: Expression) -> int:
+    """Count additions, multiplications, divisions, roots and function calls."""
+    graph, total = expression.graph, 0
+    open_ = [expression.value]
+    while open_:
+        c, n = open_.pop()
+        kind, parts, _ = graph.nodes[n]
+        if kind == "sum" and c in (1, -1):
+            total += len(parts) - 1
+            open_ += parts
+            continue
+        factors = parts if kind == "product" else [(n, 1)]
+        total += _operations(c, [e for _, e in factors]) if n != UNIT else 0
+        if kind == "product" or c != 1:
+            open_ += [(1, m) for m, _ in factors]
+        elif kind == "function":
+            total += 1
+            open_ += parts[1:]
+    return total
+
+
+def _operations(c: Exact, exponents: Sequence[Exact]) -> int:
+    """Count the operations of a product with a number."""
+    single = was_float(c)
+    above = sum(e > 0 for e in exponents) + (single or c.numerator not in (1, -1))
+    below = sum(e < 0 for e in exponents) + (not single and c.denominator != 1)
+    powers = 0
+    for exponent in map(magnitude, exponents):
+        whole, rest = divmod(exponent, 1)
+        powers += whole.bit_length() + whole.bit_count() - 2 if whole else 0
+        powers += _ROOTS.get(rest, 1) + (1 if whole and rest else 0)
+    return powers + max(above - 1, 0) + max(below - 1, 0) + (below > 0)
+
+
+def formula(graph: Graph, value: Value, names: Mapping[str, str]) -> str:
+    """Write a value of a graph for people to read, with other names for its symbols."""
+    shown = Expressions()
+    symbols = {n: graph.nodes[n].parts[0] for n in graph.nodes[value[1]].symbols}
+    known = {n: shown.named(names.get(name, name)) for n, name in symbols.items()}
+    return Printer().text(shown.taken(graph, value, known))

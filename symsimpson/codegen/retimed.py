@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Call, Function, Kernel, Row, Statement, Store, When
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.looped import LoopKernels
@@ -48,19 +47,19 @@ class _Retimed:
         *_, self._first = low.names.parameters
         self._places = [list(low.equations.system.parameters).index(symbol) for symbol in OWN]
 
-    def _at(self, point: Point, energy: sp.Expr | None = None) -> sp.Expr:
+    def _at(self, point: Point, energy: Expression | None = None) -> Expression:
         """Return g at a point, as the user gave it, for an energy of its own."""
         low = self._low
         parameters = dict(low.parameters)
         if energy is not None:
-            parameters[low.equations.plain.parameters[self._places[0]]] = energy
+            parameters[low.equations.plain.parameters[self._places[0]].name] = energy
         names, graph = low.names.coordinates, low.graph
         template = JetTemplate(self._rate, graph, names, parameters, momenta=low.p)
         return template.entry(point, "rate", "rate")
 
-    def _divided(self, rate: sp.Expr) -> sp.Expr:
+    def _divided(self, rate: Expression) -> Expression:
         first = self._low.equations.plain.parameters[self._places[1]]
-        return rate / self._low.parameters[first]
+        return rate / self._low.parameters[first.name]
 
     def rate_function(self) -> Function:
         """dt/dtau at a node."""
@@ -84,7 +83,7 @@ class _Retimed:
     def energy_in_tau(self) -> Kernel:
         """K = g (H - E0), which steps keep, and g times the kinetic part of H."""
         low = self._low
-        given = low.parameters[low.equations.plain.parameters[self._places[0]]]
+        given = low.parameters[low.equations.plain.parameters[self._places[0]].name]
         total, kinetic, *_ = energy_stores(self._users)
         rate = self._divided(self._at(Point("state", low.q)))
         stores = [

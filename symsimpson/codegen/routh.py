@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-
-import sympy as sp
+from math import prod
 
 from symsimpson.codegen.coupled import (
-    NOTHING,
     Closing,
     Increment,
     correction_names,
@@ -16,16 +14,18 @@ from symsimpson.codegen.coupled import (
     end_slope,
     node_point,
 )
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear_solve import solve_blocks, solve_symmetric
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, weighted_residual
 from symsimpson.discrete.reductions import Routh
+from symsimpson.discrete.rows import simplified
 
 __all__ = ["RouthSolver"]
 
-Vector = list[sp.Expr]
+Vector = list[Expression]
 
 #: Stand for the ends of the path among the numbers of nodes.
 START, END = -2, -1
@@ -59,16 +59,16 @@ class RouthSolver:
         self.coordinates, self.cyclic = part.coordinates, part.cyclic
         self.increments = [(m, a) for m in part.columns for a in part.coordinates]
         self._size = range(len(part.cyclic))
-        self._weights = low.equations.scheme.quadrature.weights
+        self._weights, self._total = low.scheme.weights, low.graph.total
         self._multipliers = [(r, c) for r in range(len(part.annihilator)) for c in self._size]
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return what one Newton iteration adds to each increment."""
-        low, part, eqs = self._low, self._part, self._low.equations
+        low, part, eqs, total = self._low, self._part, self._low.equations, self._total
         define, names = low.graph.define, low.names.coordinates
         nodes = self._solved_nodes(None)
 
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
+        def entry(i: int, what: str, *index: int) -> Expression:
             point, section = nodes[i].point, f"node {i}, all velocities known"
             return low.template.entry(point, section, what, *index)
 
@@ -80,7 +80,7 @@ class RouthSolver:
             for a in part.coordinates:
                 row = []
                 for m, b in self.increments:
-                    fixed = eqs.second_derivative(k, a, m, b, entry)
+                    fixed = total(eqs.second_derivative(k, a, m, b, entry))
                     name = f"J_{k}_{names[a]}_{m}_{names[b]}"
                     value = fixed + tangent.along((k, a), (m, b))
                     row.append(define(name, value, "Jacobian at constant momenta"))
@@ -91,22 +91,22 @@ class RouthSolver:
 
     def close(self) -> Closing:
         """Return q1 - q0, of cyclic coordinates h sum_i b_i v_y(q_i), and p1 - p0 of the others."""
-        low, h = self._low, self._low.equations.h
+        low, h = self._low, self._low.h
         dq = {a: low.increments[-1][a] for a in self.coordinates}
         end = end_point(low, dq)
         nodes = self._solved_nodes(end)
 
-        def entry(i: int, what: str, *index: int) -> sp.Expr:
+        def entry(i: int, what: str, *index: int) -> Expression:
             section = f"node {i}, all velocities known"
             return low.template.entry(nodes[i].point, section, what, *index)
 
         weighted = WeightedRows(low, lambda i, a: entry(i, "F", a))
         dp = {a: weighted.impulse(a) for a in self.coordinates}
         for a in self.cyclic:
-            dq[a] = sp.Add(*(h * self._weights[n.number] * _velocity(n, a) for n in nodes))
+            dq[a] = self._total(h * self._weights[n.number] * _velocity(n, a) for n in nodes)
         return Closing(dq, dp, self._checks(nodes, end))
 
-    def _checks(self, nodes: list[_Node], end: Point) -> Mapping[str, sp.Expr]:
+    def _checks(self, nodes: list[_Node], end: Point) -> Mapping[str, Expression]:
         """Return h^2 d^T M_yy^-1 d, d being what L_vy at the end of the path differs from p_y by.
 
         Where M_yy changes much within a step, near a pole of spherical angles, the velocities of
@@ -114,7 +114,7 @@ class RouthSolver:
         how much D changes: the sum over its entries of sum_i D_i sum_i 1/D_i less what it is for a
         constant.
         """
-        low, last, define = self._low, nodes[-1], self._low.graph.define
+        low, last, define, total = self._low, nodes[-1], self._low.graph.define, self._total
         seen = list(nodes)
         if last.point.q == end.q:
             D_inverse, x = last.D_inverse, last.added
@@ -123,13 +123,13 @@ class RouthSolver:
             D_inverse, x = closing.D_inverse, self._left(closing, nodes)
             seen += [closing, self._factors(low.start_point(), START)]
         terms = [D_inverse[k] * x[k] ** 2 for k in self._size]
-        value = define("cyclic_jump_squared", low.equations.h**2 * sp.Add(*terms), "predictor")
+        value = define("cyclic_jump_squared", low.h**2 * total(terms), "predictor")
         products = [
-            sp.Mul(sp.Add(*(n.D[k] for n in seen)), sp.Add(*(n.D_inverse[k] for n in seen)))
+            total(n.D[k] for n in seen) * total(n.D_inverse[k] for n in seen)
             for k in self._size
             if low.graph.level(seen[0].D[k]) > Level.RUN
         ]
-        spread = sp.Add(*products) - len(seen) ** 2 * len(products)
+        spread = total(products) - len(seen) ** 2 * len(products)
         change = define("cyclic_mass_change", spread / len(seen) ** 2, "predictor")
         return {"CYCLIC_JUMP_SQUARED": value, "CYCLIC_MASS_CHANGE": change}
 
@@ -140,14 +140,14 @@ class RouthSolver:
         used = range(scheme.stages - scheme.degree, scheme.stages)
         c = scheme.quadrature.nodes
         weights = [
-            sp.radsimp(sp.Mul(*((1 - c[j]) / (c[i] - c[j]) for j in used if j != i))) for i in used
+            simplified(prod((1 - c[j]) / (c[i] - c[j]) for j in used if j != i)) for i in used
         ]
-        v = list(end.point.v or [NOTHING] * low.n)
+        v = list(end.point.v or [low.nothing] * low.n)
         for a in part.coordinates:
-            v[a] = end_slope(low, a) / low.equations.h
+            v[a] = end_slope(low, a) / low.h
         for a in part.cyclic:
-            velocity = sp.Add(
-                *(w * _velocity(nodes[i], a) for w, i in zip(weights, used, strict=True))
+            velocity = self._total(
+                _velocity(nodes[i], a) * w for w, i in zip(weights, used, strict=True)
             )
             v[a] = low.graph.define(f"v_{names[a]}_path", velocity, section)
         point = replace(end.point, suffix=f"{end.point.suffix}_path", v=tuple(v))
@@ -156,18 +156,17 @@ class RouthSolver:
 
     def solve(self, nodes: list[_Node], right: Vector, hint: str) -> Vector:
         """Solve for multipliers: sum_i C_ri C_si / b_i T^T D^-1 T."""
-        C, b, S = self._part.annihilator, self._weights, self._multipliers
+        C, S = self._part.annihilator, self._multipliers
+        b = self._low.equations.scheme.quadrature.weights
 
-        def entry(r: int, c: int, s: int, e: int) -> sp.Expr:
-            return sp.Add(
-                *(
-                    sp.radsimp(C[r][n.number] * C[s][n.number] / b[n.number])
-                    * n.T[k][c]
-                    * n.D_inverse[k]
-                    * n.T[k][e]
-                    for n in nodes
-                    for k in self._size
-                )
+        def entry(r: int, c: int, s: int, e: int) -> Expression:
+            return self._total(
+                n.T[k][c]
+                * n.D_inverse[k]
+                * n.T[k][e]
+                * simplified(C[r][n.number] * C[s][n.number] / b[n.number])
+                for n in nodes
+                for k in self._size
             )
 
         define = self._low.graph.define
@@ -184,12 +183,10 @@ class RouthSolver:
         return [
             define(
                 f"{hint}_{r}_{c}",
-                sp.Add(
-                    *(
-                        C[r][n.number] * n.T[k][c] * n.D_inverse[k] * vectors[n.number][k]
-                        for n in nodes
-                        for k in self._size
-                    )
+                self._total(
+                    n.T[k][c] * n.D_inverse[k] * vectors[n.number][k] * C[r][n.number]
+                    for n in nodes
+                    for k in self._size
                 ),
                 "multipliers",
             )
@@ -200,11 +197,12 @@ class RouthSolver:
         """Solve L x = vector."""
         found: Vector = []
         for r in self._size:
-            rest = sp.Add(vector[r], *(sp.expand(-node.L[r][c] * found[c]) for c in range(r)))
+            taken = [-term * found[c] for c in range(r) for term in node.L[r][c].terms]
+            rest = self._total([vector[r], *taken])
             found.append(self._define(f"{hint}{r}", rest, node.number))
         return found
 
-    def _define(self, hint: str, value: sp.Expr, i: int) -> sp.Expr:
+    def _define(self, hint: str, value: Expression, i: int) -> Expression:
         where = {START: "start", END: "end"}.get(i, str(i))
         section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
         return self._low.graph.define(f"{hint}_{where}", value, section)
@@ -221,27 +219,27 @@ class RouthSolver:
         return [self._moving(node, found, closing=closing) for node in nodes]
 
     def _moving(
-        self, node: _Node, found: Mapping[tuple[int, int], sp.Expr], *, closing: bool
+        self, node: _Node, found: Mapping[tuple[int, int], Expression], *, closing: bool
     ) -> _Node:
         """Complete a node.
 
         L_vy = p + sum_r C_ri / b_i lambda_r and v_y = L^-T D^-1 L^-1 (L_vy - beta).
         """
         low, C, i = self._low, self._part.annihilator, node.number
+        b = low.equations.scheme.quadrature.weights[i]
         section = f"node {i}, all velocities known"
         momentum, added = [], []
         for k in self._size:
             terms = [
-                sp.radsimp(C[r][i] / self._weights[i]) * node.T[k][c] * found[r, c]
-                for r, c in self._multipliers
+                node.T[k][c] * found[r, c] * simplified(C[r][i] / b) for r, c in self._multipliers
             ]
-            added.append(sp.Add(*terms))
-            value = sp.Add(node.momentum[k], *terms)
+            added.append(self._total(terms))
+            value = self._total([node.momentum[k], *terms])
             momentum.append(low.graph.define(f"mu{k}_{i}", value, section))
         v = list(node.point.v or ())
         for k in reversed(self._size):
             terms = [-node.L[m][k] * v[self._part.cyclic[m]] for m in self._size if m > k]
-            value = sp.Add(node.D_inverse[k] * momentum[k], *terms)
+            value = self._total([node.D_inverse[k] * momentum[k], *terms])
             a = self._part.cyclic[k]
             v[a] = low.graph.define(f"v_{low.names.coordinates[a]}_{i}", value, section)
         # while a step is closed, velocities differ from those of the iteration under the same names
@@ -259,7 +257,7 @@ class RouthSolver:
         low = self._low
         section = f"node {i}: cyclic mass L D L^T" if i >= 0 else "predictor"
 
-        def factor(what: str, *index: int) -> sp.Expr:
+        def factor(what: str, *index: int) -> Expression:
             return low.template.entry(point, section, what, *index)
 
         cyclic, names = self._part.cyclic, low.names.coordinates
@@ -271,12 +269,12 @@ class RouthSolver:
             [
                 factor("L0", cyclic[r], cyclic[c]) + factor("L", cyclic[r], cyclic[c])
                 if c < r
-                else sp.Integer(r == c)
+                else low.graph.of(int(r == c))
                 for c in self._size
             ]
             for r in self._size
         ]
-        one = [[sp.Integer(r == c) for c in self._size] for r in self._size]
+        one = [[low.graph.of(int(r == c)) for c in self._size] for r in self._size]
         return _Node(i, point, D, D_inverse, L, one)
 
     def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
@@ -291,19 +289,19 @@ class RouthSolver:
             beta += [
                 low.template.entry(node.point, section, "M", a, x) * v[x] for x in part.coordinates
             ]
-            free.append(low.p[a] - sp.Add(*beta))
+            free.append(low.p[a] - self._total(beta))
         momentum = self.forward(node, free, "free")
         T = [list(row) for row in node.T]
         if node is not middle:
             for c in self._size:
                 for r in range(c + 1, len(self._size)):
                     terms = [-node.L[r][k] * T[k][c] for k in range(c + 1, r)]
-                    value = sp.Add(middle.L[r][c], -node.L[r][c], *terms)
+                    value = self._total([middle.L[r][c], -node.L[r][c], *terms])
                     T[r][c] = self._define(f"T{r}{c}", value, i)
         return replace(node, T=T, momentum=momentum)
 
 
-def _velocity(node: _Node, a: int) -> sp.Expr:
+def _velocity(node: _Node, a: int) -> Expression:
     assert node.point.v is not None
     return node.point.v[a]
 
@@ -323,10 +321,10 @@ class _Tangent:
         self._projected: dict[tuple[int, int], Vector] = {}
         self._answers: dict[tuple[int, int], Vector] = {}
 
-    def along(self, k: tuple[int, int], m: tuple[int, int]) -> sp.Expr:
+    def along(self, k: tuple[int, int], m: tuple[int, int]) -> Expression:
         """Return the entry for control points and coordinates k and m."""
         low, size = self._low, range(len(self._part.cyclic))
-        h, b = low.equations.h, low.equations.scheme.quadrature.weights
+        h, b = low.h, low.scheme.weights
         terms = []
         for node in self._nodes:
             left, right = self._slope(node, *k), self._slope(node, *m)
@@ -335,13 +333,13 @@ class _Tangent:
         if self._part.annihilator:
             answer = self._answer(m)
             terms += [h * x * y for x, y in zip(self._project(k), answer, strict=True)]
-        return sp.Add(*terms)
+        return low.graph.total(terms)
 
     def _slope(self, node: _Node, m: int, b: int) -> Vector:
         """Return H for a control point and a coordinate."""
-        i, scheme, h = node.number, self._low.equations.scheme, self._low.equations.h
+        i, scheme, h = node.number, self._low.scheme, self._low.h
         A, B = scheme.A[i][m], scheme.B[i][m]
-        zero = [sp.S.Zero] * len(self._part.cyclic)
+        zero = [self._low.graph.of(0)] * len(self._part.cyclic)
         position = self._parts(node, b)[0] if A != 0 else zero
         velocity = self._parts(node, b)[1] if B != 0 else zero
         return [A * x + B * y / h for x, y in zip(position, velocity, strict=True)]

@@ -18,7 +18,7 @@ def _by_section(definitions: Sequence[Definition]) -> list[Definition]:
     Each stands behind what it is made of. Sections begin in the order of their first definitions.
     """
     maker = {target: n for n, d in enumerate(definitions) for target in d.targets}
-    needs = [{maker[s] for s in d.value.free_symbols if s in maker} for d in definitions]
+    needs = [{maker[s] for s in d.value.symbols if s in maker} for d in definitions]
     users: dict[int, list[int]] = {}
     for n, made_of in enumerate(needs):
         for m in made_of:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import sympy as sp
-
 from symsimpson.codegen.coupled import (
     Closing,
     Increment,
@@ -15,12 +13,13 @@ from symsimpson.codegen.coupled import (
     impulses,
     node_point,
 )
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.linear_solve import solve_blocks
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.weighted import WeightedRows, bend
 from symsimpson.discrete.reductions import Separable
-from symsimpson.discrete.rows import force_factor, inertia_factor
+from symsimpson.discrete.rows import force_factor, inertia_factor, simplified
 
 __all__ = ["SeparableSolver"]
 
@@ -44,28 +43,28 @@ class SeparableSolver:
         self._carried = [(end, a) for a in part.coordinates] if follows else []
         self.increments = [*self._unknowns, *self._carried]
 
-    def corrections(self) -> Mapping[Increment, sp.Expr]:
+    def corrections(self) -> Mapping[Increment, Expression]:
         """Return what one Newton iteration adds to each increment."""
         if not self._unknowns:
             return {}
-        low, part, h = self._low, self._part, self._low.equations.h
+        low, part, h = self._low, self._part, self._low.h
         define, names, group = low.graph.define, low.names.coordinates, part.coordinates
-        scheme, points = low.equations.scheme, self._points()
+        scheme, points, total = low.equations.scheme, self._points(), low.graph.total
         right, matrix = [], []
         for number, test in enumerate(part.tests):
             for a in group:
-                terms = [c * self._row(k, a) for k, c in enumerate(test) if c != 0]
-                right.append(-define(f"R_{number}_{names[a]}", sp.Add(*terms), "residual"))
+                terms = [self._row(k, a) * c for k, c in enumerate(test) if c != 0]
+                right.append(-define(f"R_{number}_{names[a]}", total(terms), "residual"))
                 row = []
                 for m, b in self._unknowns:
-                    terms = [inertia_factor(test, scheme, m) * self._mass(a, b)]
+                    terms = [self._mass(a, b) * inertia_factor(test, scheme, m)]
                     for i, point in points.items():
-                        factor = sp.radsimp(force_factor(test, scheme, i) * scheme.A[i][m])
+                        factor = simplified(force_factor(test, scheme, i) * scheme.A[i][m])
                         if factor != 0:
                             slope = low.template.entry(point, f"node {i}", "F_q", a, b)
-                            terms.append(h**2 * factor * slope)
+                            terms.append(h**2 * slope * factor)
                     name = f"J_{number}_{names[a]}_{m}_{names[b]}"
-                    row.append(define(name, sp.Add(*terms), "Jacobian"))
+                    row.append(define(name, total(terms), "Jacobian"))
                 matrix.append(row)
         hints = correction_names(low, self._unknowns)
         found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
@@ -83,9 +82,9 @@ class SeparableSolver:
             if any(force_factor(test, scheme, i) != 0 for test in tests)
         }
 
-    def _row(self, k: int, a: int) -> sp.Expr:
+    def _row(self, k: int, a: int) -> Expression:
         """Return a row by itself, h times D_k L_d."""
-        low, h, points = self._low, self._low.equations.h, self._points()
+        low, h, points = self._low, self._low.h, self._points()
         define, name = low.graph.define, f"R_{k}_{low.names.coordinates[a]}_alone"
         weighted = self._weighted(points)
         if k > 0:
@@ -101,35 +100,31 @@ class SeparableSolver:
         At the end of the path the force is in no row: what it adds to p1 it takes from D_0.
         """
 
-        def force(i: int, a: int) -> sp.Expr:
+        def force(i: int, a: int) -> Expression:
             if i not in points:
-                return sp.S.Zero
+                return self._low.graph.of(0)
             return self._low.template.entry(points[i], f"node {i}", "F", a)
 
         return WeightedRows(self._low, force)
 
-    def _moved(self, x: Sequence[sp.Expr], a: int, hint: str) -> sp.Expr:
+    def _moved(self, x: Sequence[Expression], a: int, hint: str) -> Expression:
         """Return M x, component a."""
         terms = [self._mass(a, b) * x[b] for b in self.coordinates]
         name = f"M_{self._low.names.coordinates[a]}_{hint}"
-        return self._low.graph.define(name, sp.Add(*terms), "residual")
+        return self._low.graph.define(name, self._low.graph.total(terms), "residual")
 
-    def _inertia(self, k: int, a: int) -> sp.Expr:
+    def _inertia(self, k: int, a: int) -> Expression:
         """Return sum_m S_km M Y_m, 0 < k, m < d: straight paths are in none of these rows."""
         low, d = self._low, self._low.equations.scheme.degree
         terms = []
         for m in range(1, d):
             bends = {b: bend(low, m, b) for b in self.coordinates}
-            x = [bends.get(b, sp.S.Zero) for b in range(low.n)]
-            terms.append(self._stiffness[k][m] * self._moved(x, a, f"Y{m}"))
+            x = [bends.get(b, low.graph.of(0)) for b in range(low.n)]
+            terms.append(low.scheme.stiffness[k][m] * self._moved(x, a, f"Y{m}"))
         name = f"inertia_{k}_{low.names.coordinates[a]}"
-        return low.graph.define(name, sp.Add(*terms), "residual")
+        return low.graph.define(name, low.graph.total(terms), "residual")
 
-    @property
-    def _stiffness(self) -> tuple[tuple[sp.Expr, ...], ...]:
-        return self._low.equations.scheme.stiffness
-
-    def _end_of_path(self, changes: Mapping[Increment, sp.Expr]) -> dict[Increment, sp.Expr]:
+    def _end_of_path(self, changes: Mapping[Increment, Expression]) -> dict[Increment, Expression]:
         """Return the correction of X_d where it is no unknown, from its row, linearised.
 
         So it takes the values that it would have as an unknown, and the force at the solution need
@@ -137,7 +132,8 @@ class SeparableSolver:
         """
         low, last, d = self._low, self._part.last, self._low.equations.scheme.degree
         assert last is not None
-        h, scheme, section = low.equations.h, low.equations.scheme, "end of the path"
+        h, scheme, section = low.h, low.equations.scheme, "end of the path"
+        total, stiffness = low.graph.total, scheme.stiffness
         names, group = low.names.coordinates, self.coordinates
         test = self._part.last_test(d)
         impulses = []
@@ -148,22 +144,21 @@ class SeparableSolver:
                 if factor == 0:
                     continue
                 slopes = [
-                    scheme.A[i][m]
+                    low.scheme.A[i][m]
                     * low.template.entry(point, f"node {i}", "F_q", a, b)
                     * changes[m, b]
                     for m, b in self._unknowns
                 ]
-                terms.append(h**2 * factor * sp.Add(*slopes))
-            impulses.append(low.graph.define(f"impulse_{names[a]}", sp.Add(*terms), section))
+                terms.append(h**2 * total(slopes) * factor)
+            impulses.append(low.graph.define(f"impulse_{names[a]}", total(terms), section))
         moved = constant_mass_velocity(low, group, impulses, "dv", section)
-        scale = sp.radsimp(-1 / self._stiffness[last][d])
-        found: dict[Increment, sp.Expr] = {}
+        scale = simplified(-1 / stiffness[last][d])
+        found: dict[Increment, Expression] = {}
         for number, a in enumerate(group):
             terms = [
-                sp.radsimp(scale * self._stiffness[last][m]) * changes[m, a]
-                for m in self._part.columns
+                changes[m, a] * simplified(scale * stiffness[last][m]) for m in self._part.columns
             ]
-            change = sp.Add(scale * moved[number], *terms)
+            change = total([moved[number] * scale, *terms])
             found[d, a] = low.graph.define(f"d_{names[a]}_X{d}", change, section)
         return found
 
@@ -172,7 +167,7 @@ class SeparableSolver:
         dq, low = self._moves(), self._low
         return Closing(dq, impulses(low, self.coordinates, end_point(low, dq), moving=False))
 
-    def _moves(self) -> dict[int, sp.Expr]:
+    def _moves(self) -> dict[int, Expression]:
         """Return q1 - q0 at the solution."""
         low = self._low
         if self._part.last is None or self._carried:
@@ -181,7 +176,7 @@ class SeparableSolver:
         weighted = self._weighted(self._points())
         momenta = [weighted.start(a) for a in self.coordinates]
         v = constant_mass_velocity(low, self.coordinates, momenta, "dv", "end of the path")
-        return {a: low.equations.h * x for a, x in zip(self.coordinates, v, strict=True)}
+        return {a: low.h * x for a, x in zip(self.coordinates, v, strict=True)}
 
-    def _mass(self, a: int, b: int) -> sp.Expr:
+    def _mass(self, a: int, b: int) -> Expression:
         return self._low.template.entry(self._low.start_point(), "mass", "M", a, b)

@@ -13,11 +13,11 @@ treated alike, so they are lanes, and one trajectory fills a vector register.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import prod
 from typing import Any
 
-import sympy as sp
-
 from symsimpson.codegen.coupled import end_of
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import (
     Call,
     Either,
@@ -33,6 +33,7 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
+from symsimpson.codegen.scheme_numbers import rounded
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
@@ -69,12 +70,12 @@ class StageKernels:
 
         def row(
             name: str, block: str, place: int | str, level: Level = Level.ITERATION
-        ) -> sp.Symbol:
+        ) -> Expression:
             symbol = declare(fresh(name), level)
             low.rows[symbol] = Row(block, place)
             return symbol
 
-        def of_nodes(hint: str, block: str, a: int, level: Level) -> list[sp.Symbol]:
+        def of_nodes(hint: str, block: str, a: int, level: Level) -> list[Expression]:
             return [
                 row(f"{hint}{names[a]}_{j}", block, a * self.stride + j, level)
                 for j in range(self._nodes)
@@ -123,13 +124,14 @@ class StageKernels:
         return f"{a * self.stride} + node" if a else "node"
 
     def _combined(
-        self, factors: Sequence[sp.Symbol], values: Sequence[sp.Symbol], hint: str, section: str
-    ) -> sp.Expr:
+        self, factors: Sequence[Expression], values: Sequence[Expression], hint: str, section: str
+    ) -> Expression:
         """Return a sum of products in two halves that do not wait for each other."""
-        define, half = self._low.graph.define, len(values) // 2
+        define, total = self._low.graph.define, self._low.graph.total
+        half = len(values) // 2
         terms = [x * y for x, y in zip(factors, values, strict=True)]
-        first = define(f"{hint}_first", sp.Add(*terms[:half]), section)
-        second = define(f"{hint}_second", sp.Add(*terms[half:]), section)
+        first = define(f"{hint}_first", total(terms[:half]), section)
+        second = define(f"{hint}_second", total(terms[half:]), section)
         return define(hint, first + second, section)
 
     def _over_nodes(
@@ -156,7 +158,7 @@ class StageKernels:
 
     def _iterate(self) -> tuple[Kernel, int]:
         """One iteration: positions, forces; momenta, velocities."""
-        low, n = self._low, self._low.n
+        low, n, total = self._low, self._low.n, self._low.graph.total
         define, names, entry = low.graph.define, low.names.coordinates, low.template.entry
         q = [
             define(
@@ -182,8 +184,8 @@ class StageKernels:
         found, _ = velocity(low, point, p, "velocities", suffix="new")
         masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
         new = [define(f"dq_{names[a]}_new", self._share * found[a], "velocities") for a in range(n)]
-        correction = sp.Add(*(masses[a] * (new[a] - self._own[a]) ** 2 for a in range(n)))
-        size = sp.Add(*(masses[a] * new[a] ** 2 for a in range(n)))
+        correction = total(masses[a] * (new[a] - self._own[a]) ** 2 for a in range(n))
+        size = total(masses[a] * new[a] ** 2 for a in range(n))
         closing = [
             Store(Row("STAGE_CORRECTION", "node"), define("correction", correction, "velocities")),
             Store(Row("STAGE_SIZE", "node"), define("size", size, "velocities")),
@@ -228,7 +230,7 @@ class StageKernels:
     def _held(self, k: int) -> Row:
         return Row("STAGE_HELD", f"{k * self.stride} + node" if k else "node")
 
-    def _velocity(self, a: int) -> sp.Expr:
+    def _velocity(self, a: int) -> Expression:
         """Return a node's velocity: what gives its share of q1 - q0 to the last digit.
 
         With a rounded 1/(h b_j) alone, forces would belong to another velocity than momenta.
@@ -238,7 +240,7 @@ class StageKernels:
         lost = define(f"dq_{name}_j_lost", self._own[a] - self._share * first, "path")
         return define(f"v_{name}_j", first + self._rate * lost, "path")
 
-    def _time(self) -> sp.Expr | None:
+    def _time(self) -> Expression | None:
         """Return the time at a node; None if nothing depends on it."""
         low = self._low
         if low.equations.plain.autonomous:
@@ -247,7 +249,7 @@ class StageKernels:
         low.rows[place] = Row("STAGE_PLACE", "node")
         return low.graph.define("t_j", low.t + place * low.h, "path")
 
-    def _inputs(self) -> tuple[sp.Symbol, ...]:
+    def _inputs(self) -> tuple[Expression, ...]:
         """Return the inputs at a node."""
         low, names = self._low, self._low.names
         own = [names.fresh(f"{u}_j") for u in names.inputs]
@@ -265,7 +267,8 @@ class StageKernels:
                 Store(Row("MASS_DIAGONAL", a), low.template.entry(point, "velocity", "M", a, a))
             )
         stores.append(Store(Row("MASS_PIVOT", 0), deficit))
-        stores += [Store(Row(f"STAGE_{name}", 0), sp.S.Zero) for name in ("EXPECTED", "COUNT")]
+        zero = low.graph.of(0)
+        stores += [Store(Row(f"STAGE_{name}", 0), zero) for name in ("EXPECTED", "COUNT")]
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
             same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
@@ -282,11 +285,11 @@ class StageKernels:
             Store(Row("PREVIOUS", i), old)
             for i, old in enumerate((*low.q, *low.q_low, *low.p, *low.p_low))
         ]
-        q: list[sp.Expr] = []
-        p: list[sp.Expr] = list(low.p)
+        q: list[Expression] = []
+        p: list[Expression] = list(low.p)
 
-        def total(values: Sequence[sp.Expr], hint: str) -> sp.Expr:
-            parts = [define(f"{hint}_{k}", sp.Add(*values[k::4]), "sums") for k in range(4)]
+        def total(values: Sequence[Expression], hint: str) -> Expression:
+            parts = [define(f"{hint}_{k}", low.graph.total(values[k::4]), "sums") for k in range(4)]
             return define(f"{hint}_all", (parts[0] + parts[1]) + (parts[2] + parts[3]), "sums")
 
         for a, name in enumerate(names):
@@ -318,8 +321,8 @@ class StageKernels:
         return Kernel("advance_stages", doc, lanes(body))
 
     def _cyclic_jump(
-        self, q: Sequence[sp.Expr], p: Sequence[sp.Expr], cyclic: Sequence[int]
-    ) -> sp.Expr:
+        self, q: Sequence[Expression], p: Sequence[Expression], cyclic: Sequence[int]
+    ) -> Expression:
         """Return how far velocities of cyclic coordinates at q1 are from those of the path."""
         low, c = self._low, self._low.equations.scheme.quadrature.nodes
         define, section = low.graph.define, "velocity at q1"
@@ -329,13 +332,13 @@ class StageKernels:
         terms = []
         for a in cyclic:
             weights = [
-                sp.N(sp.Mul(*((1 - y) / (x - y) for y in c if y != x)) / b[i])
+                rounded(prod((1 - y) / (x - y) for y in c if y != x) / b[i])
                 for i, x in enumerate(c)
             ]
-            path = sp.Add(*(w * x for w, x in zip(weights, self._moves[a], strict=True)))
-            gap = define(f"gap_{low.names.coordinates[a]}", low.equations.h * v[a] - path, section)
+            path = low.graph.total(x * w for w, x in zip(weights, self._moves[a], strict=True))
+            gap = define(f"gap_{low.names.coordinates[a]}", low.h * v[a] - path, section)
             terms.append(low.template.entry(end, section, "M", a, a) * gap**2)
-        return define("cyclic_jump_squared", sp.Add(*terms), section)
+        return define("cyclic_jump_squared", low.graph.total(terms), section)
 
     def _ahead(self) -> list[Store]:
         """Extrapolate velocities to the nodes of the next step; forces follow from them."""

@@ -6,13 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.levels import Graph, Level
 from symsimpson.discrete.jet import Jet, Key
 from symsimpson.graph.nodes import UNIT, Value
 from symsimpson.graph.program import Line, Program
-from symsimpson.graph.read import line_written, number
 
 __all__ = ["JetTemplate", "Point"]
 
@@ -27,13 +25,13 @@ class Point:
     """
 
     suffix: str
-    q: tuple[sp.Symbol, ...]
-    v: tuple[sp.Expr, ...] | None = None
-    t: sp.Expr | None = None
-    u: tuple[sp.Expr, ...] = ()
-    multipliers: tuple[sp.Expr, ...] = ()
-    weights: tuple[sp.Expr, ...] = ()
-    step: tuple[sp.Expr, ...] = ()
+    q: tuple[Expression, ...]
+    v: tuple[Expression, ...] | None = None
+    t: Expression | None = None
+    u: tuple[Expression, ...] = ()
+    multipliers: tuple[Expression, ...] = ()
+    weights: tuple[Expression, ...] = ()
+    step: tuple[Expression, ...] = ()
 
 
 class JetTemplate:
@@ -49,7 +47,7 @@ class JetTemplate:
         Where definitions are made.
     names : sequence of str
         Of the coordinates, in names of entries.
-    parameters : mapping from plain symbol to symbol of the module
+    parameters : mapping from name of a plain symbol to Expression
     momenta : sequence of symbols
     """
 
@@ -58,14 +56,14 @@ class JetTemplate:
         jet: Jet,
         graph: Graph,
         names: Sequence[str],
-        parameters: Mapping[sp.Symbol, sp.Symbol],
-        momenta: Sequence[sp.Symbol],
+        parameters: Mapping[str, Expression],
+        momenta: Sequence[Expression],
     ) -> None:
         self._jet, self._graph, self._names = jet, graph, names
         self._program: Program = jet.program
-        self._parameters = {a.name: own for a, own in parameters.items()}
+        self._parameters = parameters
         self._momenta = momenta
-        self._made: dict[tuple[str, int], sp.Expr] = {}
+        self._made: dict[tuple[str, int], Expression] = {}
         self._users = self._program.users()
         self._angles: dict[Value, int] = {}
         for n in self._program.order():
@@ -89,7 +87,7 @@ class JetTemplate:
         """Return whether an entry is zero at all points."""
         return not self._jet[what, *index][0]
 
-    def entry(self, point: Point, section: str, what: str, *index: int | str) -> sp.Expr:
+    def entry(self, point: Point, section: str, what: str, *index: int | str) -> Expression:
         """Return one entry of the jet at a point, making the definitions it needs."""
         key: Key = (what, *index)
         value = self._value(self._jet[key], point, section)
@@ -102,20 +100,15 @@ class JetTemplate:
         """Return an index as names of entries have it: a coordinate by its name."""
         return str(self._names[i] if isinstance(i, int) and i < len(self._names) else i)
 
-    def _value(self, value: Value, point: Point, section: str) -> sp.Expr:
-        """Write a multiple of a line; of a sum, only under a name."""
+    def _value(self, value: Value, point: Point, section: str) -> Expression:
+        """Write a multiple of a line."""
         coefficient, n = value
-        if n == UNIT:
-            return number(coefficient)
-        written = self._line(n, point, section)
-        if coefficient not in (1, -1) and written.is_Add:
-            written = self._named(n, written, point, section)
-        return number(coefficient) * written
+        return coefficient * self._line(n, point, section)
 
-    def _line(self, n: int, point: Point, section: str) -> sp.Expr:
+    def _line(self, n: int, point: Point, section: str) -> Expression:
         """Return what stands for a line at a point."""
         if n == UNIT:
-            return sp.S.One
+            return self._graph.of(1)
         line = self._program.lines[n]
         if line.kind == "symbol":
             return self._symbol(line.parts[0], point)
@@ -124,38 +117,31 @@ class JetTemplate:
             return self._made[key]
         if _is_angle(line):
             return self._angle(n, line, point, section)
-        done = {
-            m: self._line(m, point, section)
-            for m in self._program.arguments(n)
-            if line.kind != "sum" or m == UNIT
-        }
-        if line.kind == "sum":
-            written = sp.Add(*(self._value(value, point, section) for value in line.parts))
-        elif line.kind == "product":
-            written = line_written(line.kind, self._factors(line, done, point, section), done)
-        else:
-            written = line_written(line.kind, line.parts, done)
-        if self._users[n] > 1 and not written.is_Number:
+        written = self._written(line, point, section)
+        if self._users[n] > 1 and written.node != UNIT:
             return self._named(n, written, point, section)
         return written
 
-    def _factors(
-        self, line: Line, done: dict[int, sp.Expr], point: Point, section: str
-    ) -> list[tuple[int, object]]:
-        """Return the factors of a product; of two, a number and a sum, the sum has a name."""
-        numbers = [m for m, _ in line.parts if done[m].is_Number]
-        for m, _ in line.parts if numbers else ():
-            if done[m].is_Add:
-                done[m] = self._named(m, done[m], point, section)
-        return line.parts
+    def _written(self, line: Line, point: Point, section: str) -> Expression:
+        """Write a line, made of others."""
+        graph, parts = self._graph, line.parts
+        match line.kind:
+            case "sum":
+                return graph.total(self._value(value, point, section) for value in parts)
+            case "product":
+                return graph.product(self._line(m, point, section) ** e for m, e in parts)
+            case "constant":
+                return Expression(graph, graph.constant(*parts))
+        name, *values = parts
+        return graph.applied(name, *(self._value(value, point, section) for value in values))
 
-    def _named(self, n: int, written: sp.Expr, point: Point, section: str) -> sp.Expr:
+    def _named(self, n: int, written: Expression, point: Point, section: str) -> Expression:
         graph = self._graph
         hint = "c" if graph.level(written) <= Level.RUN else f"x_{point.suffix}"
         self._made[point.suffix, n] = graph.define(hint, written, section)
         return self._made[point.suffix, n]
 
-    def _symbol(self, name: str, point: Point) -> sp.Expr:
+    def _symbol(self, name: str, point: Point) -> Expression:
         if name in self._parameters:
             return self._parameters[name]
         kind, place = name[0], int(name[2:])
@@ -177,11 +163,11 @@ class JetTemplate:
         assert point.v is not None
         return point.v[place]
 
-    def _angle(self, n: int, line: Line, point: Point, section: str) -> sp.Expr:
+    def _angle(self, n: int, line: Line, point: Point, section: str) -> Expression:
         """Return the sine or the cosine of an angle, of which both are made at once."""
         angle = self._value(line.parts[1], point, section)
         number = self._angles[line.parts[1]]
-        hint = angle.name if angle.is_Symbol else f"angle{number}_{point.suffix}"
+        hint = angle.name if angle.is_symbol else f"angle{number}_{point.suffix}"
         sine, cosine = self._graph.define_sincos(hint, angle, section)
         self._made[point.suffix, n] = sine if line.parts[0] == "sin" else cosine
         return self._made[point.suffix, n]

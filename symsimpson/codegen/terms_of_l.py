@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from functools import cache
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Call, Function, Index, Load, Loop, Row, Section, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.printer import formula
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.discrete.families import Family
 from symsimpson.discrete.jet import Jet, derive_jet
@@ -147,36 +147,36 @@ class FamilyWriter:
         plain = family.plain
         names = low.names
         size = range(len(plain.q))
-        self.indices = [names.fresh(f"i{s}").name for s in size]
-        self.constraint = names.fresh("c").name if family.constraints else ""
-        self._kinds = [names.fresh(f"k{s}").name for s in range(family.slots)]
+        self.indices = [names.fresh(f"i{s}") for s in size]
+        self.constraint = names.fresh("c") if family.constraints else ""
+        self._kinds = [names.fresh(f"k{s}") for s in range(family.slots)]
 
-        def base(hint: str, block: str, index: str) -> sp.Symbol:
-            symbol = names.fresh(hint)
+        def base(hint: str, block: str, index: str) -> Expression:
+            symbol = low.graph.declare(names.fresh(hint), Level.ITERATION)
             low.rows[symbol] = Row(block, index)
-            return low.graph.declare(symbol, Level.ITERATION)
+            return symbol
 
         q = tuple(base(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
         v = tuple(base(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
         held = [base("l", "MULTIPLIER", self.constraint)] if family.constraints else []
         own = [base(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._kinds)]
-        parameters = [*own, *(low.parameters[a] for a in plain.parameters[family.slots :])]
+        parameters = [*own, *(low.parameters[a.name] for a in plain.parameters[family.slots :])]
         self.point = Point(table.lower(), q, v, multipliers=tuple(held))
         self.template = JetTemplate(
             jet,
             low.graph,
             [f"{s}" for s in size],
-            dict(zip(plain.parameters, parameters, strict=True)),
+            {a.name: x for a, x in zip(plain.parameters, parameters, strict=True)},
             momenta=(),
         )
 
     def members(self, places: Sequence[int]) -> Table:
         """Return the table; coefficients that are new get rows of their own."""
         family, rows = self._family, {x: i for i, x in enumerate(self._low.coefficients)}
-        written = cache(self._low.equations.plain.written)
+        known = cache(self._low.known)
         table = []
         for k, member in enumerate(family.coordinates):
-            own = [rows.setdefault(written(x), len(rows)) for x in family.coefficients[k]]
+            own = [rows.setdefault(known(x), len(rows)) for x in family.coefficients[k]]
             table.append((*(places[i] for i in member), *family.constraints[k : k + 1], *own))
         self._low.coefficients = tuple(rows)
         return tuple(table)
@@ -201,10 +201,10 @@ class FamilyWriter:
         (term,) = plain.constraints.values() or [plain.L]
         if tree_size(plain.graph, term) > _SHOWN:
             return "of one kind"
-        slots = plain.parameters[: self._family.slots]
-        shown = {s: sp.Symbol(f"c_{k}") for k, s in enumerate(slots)}
-        shown |= {a: self._low.parameters[a] for a in plain.parameters[self._family.slots :]}
-        return sp.sstr(plain.written(term).xreplace(shown))[:60]
+        slots = self._family.slots
+        shown = {s.name: f"c_{k}" for k, s in enumerate(plain.parameters[:slots])}
+        shown |= {a.name: self._low.parameters[a.name].name for a in plain.parameters[slots:]}
+        return formula(plain.graph, term, shown)[:60]
 
 
 def _family_stores(writer: FamilyWriter, parts: Iterable[str]) -> list[Store]:

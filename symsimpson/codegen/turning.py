@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-import sympy as sp
-
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store, Turn
 from symsimpson.codegen.lower import Lowering
 
@@ -57,14 +56,14 @@ class Turning:
 
     def turned(self, body: Iterable[Statement]) -> list[Statement]:
         """Return statements that turn those that were kept, and tell how far."""
-        changes: list[sp.Symbol] = []
+        changes: list[Expression] = []
         found = list(self._turning(body, changes))
         if changes:
-            squares = sp.Add(*(change**2 for change in changes))
+            squares = self._low.graph.total(change**2 for change in changes)
             found.append(Store(Row("STAGE_TURN", "node"), squares))
         return found
 
-    def _turning(self, body: Iterable[Statement], changes: list[sp.Symbol]) -> Iterator[Statement]:
+    def _turning(self, body: Iterable[Statement], changes: list[Expression]) -> Iterator[Statement]:
         for statement in body:
             if isinstance(statement, Section):
                 yield replace(statement, body=tuple(self._turning(statement.body, changes)))
@@ -72,8 +71,9 @@ class Turning:
             if not isinstance(statement, SinCos):
                 yield statement
                 continue
+            graph = self._low.graph
             hints = ("angle_before", "sine_before", "cosine_before", "turn")
-            angle, sine, cosine, change = (self._low.names.fresh(x) for x in hints)
+            angle, sine, cosine, change = (graph.named(self._low.names.fresh(x)) for x in hints)
             for block, symbol in zip(_BLOCKS, (angle, sine, cosine), strict=True):
                 yield Load(symbol, self._row(block, len(changes)))
             yield Assign(change, statement.angle - angle)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-import sympy as sp
-
 from symsimpson.codegen.affine import AffineSolver
 from symsimpson.codegen.composed import ComposedSolver
 from symsimpson.codegen.constrained import ConstrainedSolver, held_velocities
 from symsimpson.codegen.coupled import CoupledSolver, Increment, Solver, end_of, end_slope
+from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Call, Kernel, Loop, Row, Statement, Store
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.linear import LinearSolver
@@ -27,6 +26,7 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
+from symsimpson.graph.nodes import UNIT
 
 __all__ = [
     "SOLVERS",
@@ -84,34 +84,34 @@ def lanes(body: Iterable[Statement]) -> tuple[Statement, ...]:
 
 
 def velocity(
-    low: Lowering, point: Point, p: Sequence[sp.Expr], section: str, suffix: str | None = None
-) -> tuple[list[sp.Expr], sp.Expr]:
+    low: Lowering, point: Point, p: Sequence[Expression], section: str, suffix: str | None = None
+) -> tuple[list[Expression], Expression]:
     """Solve M v = p - a; the second value is negative if M is not positive definite.
 
     Velocities have the point's suffix unless another one is given.
     """
-    found: dict[int, sp.Expr] = {}
-    deficits: list[sp.Expr] = []
+    found: dict[int, Expression] = {}
+    deficits: list[Expression] = []
     for part in low.equations.parts:
         v, pivots = _velocities(low, point, p, section, part.coupled_by_mass, suffix)
         found |= v
         deficits += [
-            low.graph.define("deficit", d - sp.Abs(d, evaluate=False), section)
+            low.graph.define("deficit", d - low.graph.applied("abs", d), section)
             for d in pivots
-            if not d.is_positive or d.free_symbols  # of others only a run can tell
+            if d.node != UNIT or d.coefficient <= 0  # of others only a run can tell
         ]
-    deficit = low.graph.define("deficit", sp.Add(*deficits), section)
+    deficit = low.graph.define("deficit", low.graph.total(deficits), section)
     return [found[a] for a in range(low.n)], deficit
 
 
 def _velocities(
     low: Lowering,
     point: Point,
-    p: Sequence[sp.Expr],
+    p: Sequence[Expression],
     section: str,
     group: Sequence[int],
     suffix: str | None = None,
-) -> tuple[dict[int, sp.Expr], list[sp.Expr]]:
+) -> tuple[dict[int, Expression], list[Expression]]:
     """Solve M v = p - a for a group of coordinates; returns the pivots of L D L^T too."""
     if low.equations.plain.constraints:
         v, pivots, _ = held_velocities(low, point, p, section, group, suffix or point.suffix)
@@ -126,7 +126,7 @@ def _velocities(
 
 def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     """One Newton iteration for the increments of the control points."""
-    changes: dict[Increment, sp.Expr] = {}
+    changes: dict[Increment, Expression] = {}
     for solver in solvers:
         changes |= solver.corrections()
     define, names = low.graph.define, low.names.coordinates
@@ -145,7 +145,7 @@ def _newton(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         squares.append(low.mass_diagonal[a] * change**2)
         sizes.append(low.mass_diagonal[a] * new**2)
     for block, terms in (("CORRECTION_SQUARED", squares), ("INCREMENT_SQUARED", sizes)):
-        value = define(block.lower(), sp.Add(*terms), "update")
+        value = define(block.lower(), low.graph.total(terms), "update")
         stores.append(Store(Row(block, 0), value))
     doc = "One Newton iteration for the increments X_k of the control points."
     lines = low.statements(stores, (Level.ITERATION,))
@@ -167,8 +167,8 @@ def acceptance(held: bool) -> tuple[Call, ...]:
 def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
     """Close a step and predict the next one."""
     names, iterated = low.names.coordinates, bool(increments(solvers))
-    q: dict[int, tuple[sp.Expr, sp.Expr]] = {}
-    p: dict[int, tuple[sp.Expr, sp.Expr]] = {}
+    q: dict[int, tuple[Expression, Expression]] = {}
+    p: dict[int, tuple[Expression, Expression]] = {}
     closings = [solver.close() for solver in solvers]
     for closing in closings:
         for a, change in closing.dq.items():
@@ -183,12 +183,12 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
         for closing in closings
         if closing.passed is not None
     ]
-    checks: dict[str, list[sp.Expr]] = {}
+    checks: dict[str, list[Expression]] = {}
     for closing in closings if iterated else ():
         for block, size in closing.checks.items():
             checks.setdefault(block, []).append(size)
     for block, sizes in checks.items():
-        value = low.graph.define(block.lower(), sp.Add(*sizes), "predictor")
+        value = low.graph.define(block.lower(), low.graph.total(sizes), "predictor")
         stores.append(Store(Row(block, 0), value))
     for block, old, values in (
         ("POSITION", low.q, {a: new for a, (new, _) in q.items()}),
@@ -214,15 +214,16 @@ def _advance(low: Lowering, solvers: Sequence[Solver]) -> Kernel:
 
 
 def _predicted(
-    low: Lowering, solvers: Sequence[Solver], end: Point, momentum: tuple[sp.Expr, ...]
-) -> tuple[list[Store], dict[int, sp.Expr]]:
+    low: Lowering, solvers: Sequence[Solver], end: Point, momentum: tuple[Expression, ...]
+) -> tuple[list[Store], dict[int, Expression]]:
     """Predict the next increments, and compare those of this step with theirs."""
     eqs, define, section = low.equations, low.graph.define, "predictor"
-    scheme, names, d = eqs.scheme, low.names.coordinates, eqs.scheme.degree
+    scheme, names, d = low.scheme, low.names.coordinates, eqs.scheme.degree
+    total = low.graph.total
     every = sorted(increments(solvers))
-    masses: dict[int, sp.Expr] = {}
-    jump: list[sp.Expr] = []
-    following: dict[Increment, sp.Expr] = {}
+    masses: dict[int, Expression] = {}
+    jump: list[Expression] = []
+    following: dict[Increment, Expression] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
         v = _velocities(low, end, momentum, "velocity at q1", part.coupled_by_mass)[0]
         if not solver.increments:
@@ -231,11 +232,11 @@ def _predicted(
             masses[a] = low.template.entry(end, "velocity at q1", "M", a, a)
         for a in solver.coordinates:
             path = [X[a] for X in low.increments]
-            bend = define(f"bend_{names[a]}", eqs.h * v[a] - end_slope(low, a), section)
+            bend = define(f"bend_{names[a]}", low.h * v[a] - end_slope(low, a), section)
             jump.append(masses[a] * bend**2)
             for k in sorted(m for m, b in every if b == a):
                 terms = [scheme.extrapolation[k - 1][j] * path[j] for j in range(d)]
-                value = sp.Add(scheme.correction[k - 1] * bend, *terms)
+                value = total([scheme.correction[k - 1] * bend, *terms])
                 following[k, a] = define(f"{names[a]}_X{k}_next", value, section)
     error = [
         low.mass_diagonal[a] * (low.increments[m - 1][a] - low.predicted[m - 1][a]) ** 2
@@ -252,12 +253,12 @@ def _predicted(
     stores += [Store(Row("MASS_DIAGONAL", a), masses[a], keep=low.mass_diagonal[a]) for a in masses]
     measured = {"velocity_jump_squared": jump, "prediction_error_squared": error}
     for name, terms in measured.items():
-        stores.append(Store(Row(name.upper(), 0), define(name, sp.Add(*terms), section)))
+        stores.append(Store(Row(name.upper(), 0), define(name, total(terms), section)))
     return stores, masses
 
 
 def _start(
-    low: Lowering, solvers: Sequence[Solver], kept: Sequence[tuple[sp.Symbol, Row]]
+    low: Lowering, solvers: Sequence[Solver], kept: Sequence[tuple[Expression, Row]]
 ) -> Kernel:
     """From q and p to the first increments, and to what is ``kept`` from step to step."""
     eqs, define = low.equations, low.graph.define
@@ -273,7 +274,7 @@ def _start(
             stores.append(Store(Row("MASS_DIAGONAL", a), mass))
         for k in range(1, eqs.scheme.degree + 1):
             if (k, a) in every:
-                increment = eqs.scheme.points[k] * eqs.h * v[a]
+                increment = low.scheme.points[k] * low.h * v[a]
                 value = define(f"{name}_X{k}_first", increment, section)
                 for block in ("INCREMENT", "PREDICTED"):
                     stores.append(Store(Row(block, eqs.unknowns.place(k, a)), value))
@@ -282,7 +283,7 @@ def _start(
         stores += [Store(Row("MULTIPLIER", c), nu) for c, nu in enumerate(taken)]
     for k, a in (one for solver in solvers for one in solver.multipliers):
         for block in ("INCREMENT", "PREDICTED"):  # they enter linearly: any start will do
-            stores.append(Store(Row(block, eqs.unknowns.place(k, a)), sp.S.Zero))
+            stores.append(Store(Row(block, eqs.unknowns.place(k, a)), low.graph.of(0)))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))
     more = ", and increments of constant velocity" if every else ""
     doc = f"Begin at (q, p): what depends on q alone{more}."
@@ -296,8 +297,8 @@ def energy_stores(low: Lowering) -> tuple[Store, ...]:
     terms = [
         v[i] * (low.p[i] - low.template.entry(point, section, "a", i)) / 2 for i in range(low.n)
     ]
-    kinetic = low.graph.define("kinetic_value", sp.Add(*terms), section)
-    value = sp.Add(low.template.entry(point, section, "V"), kinetic)
+    kinetic = low.graph.define("kinetic_value", low.graph.total(terms), section)
+    value = low.template.entry(point, section, "V") + kinetic
     return (
         Store(Row("ENERGY", 0), low.graph.define("energy_value", value, section)),
         Store(Row("KINETIC", 0), kinetic),

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from typing import Any
 
 import sympy as sp
 
@@ -49,7 +50,7 @@ from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.scheme import Scheme
 
 #: Gives an entry of the jet at a node: ``entry(i, "F_q", a, b)``.
-Entry = Callable[..., sp.Expr]
+Entry = Callable[..., Any]
 
 #: Up to here symmetric compositions for kicks without friction keep their order with it.
 LOW_ORDER = 4
@@ -140,23 +141,22 @@ class DiscreteEquations:
             "P_q": b * B[k] * A[m],
             "M": b * B[k] * B[m] / self.h,
         }
-        return sp.radsimp(factors[what])
+        return factors[what]
 
-    def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> sp.Expr:
-        """Return D_m D_k L_d, components a and b."""
-        return self._sum(("F_q", "F_v", "P_q", "M"), (a, b), entry, k, m)
+    def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> list[Any]:
+        """List the terms of D_m D_k L_d, components a and b."""
+        return self._terms(("F_q", "F_v", "P_q", "M"), (a, b), entry, k, m)
 
-    def _sum(
+    def _terms(
         self, parts: Sequence[str], index: tuple[int, ...], entry: Entry, *points: int
-    ) -> sp.Expr:
-        """Add up factor times entry over the nodes; none is asked for whose factor is zero."""
-        terms = []
-        for i in range(self.scheme.stages):
-            for what in parts:
-                value = self.coefficient(what, i, *points)
-                if value != 0:
-                    terms.append(value * entry(i, what, *index))
-        return sp.Add(*terms)
+    ) -> list[Any]:
+        """List entry times factor at the nodes; none is asked for whose factor is zero."""
+        factors = [
+            (i, what, self.coefficient(what, i, *points))
+            for i in range(self.scheme.stages)
+            for what in parts
+        ]
+        return [entry(i, what, *index) * factor for i, what, factor in factors if factor != 0]
 
     def at_start(self, i: int) -> bool:
         """Return whether node i lies at q0, so that its position is known before the step."""

@@ -16,6 +16,7 @@ __all__ = [
     "force_factor",
     "inertia_factor",
     "shear_factors",
+    "simplified",
 ]
 
 Table = tuple[tuple[sp.Expr, ...], ...]
@@ -44,6 +45,11 @@ def inertia_factor(test: Sequence[sp.Expr], scheme: Scheme, m: int) -> sp.Expr:
     """Return sum_k test_k S_km: how much of M X_m is in a combined row."""
     terms = (c * scheme.stiffness[k][m] for k, c in enumerate(test))
     return sp.radsimp(sp.expand(sp.Add(*terms)))
+
+
+def simplified(number: sp.Expr | int) -> sp.Expr:
+    """Return a number of a scheme without roots in its denominator."""
+    return sp.radsimp(sp.sympify(number))
 
 
 def annihilating(scheme: Scheme) -> Table:

@@ -97,5 +97,7 @@ def _constant(context: Any, parts: Sequence[str]) -> Any:
 def _function(context: Any, name: str) -> Callable[..., Any]:
     if name == "pow":
         return lambda x, y: x**y
+    if name == "abs":
+        return abs
     function: Callable[..., Any] = getattr(context, name, None) or getattr(math, name)
     return function

@@ -12,7 +12,16 @@ import sympy as sp
 from symsimpson.errors import GenerationError
 from symsimpson.graph.nodes import Graph, Value, exact, magnitude
 
-__all__ = ["Reader", "fraction", "line_written", "number", "tree_size", "was_float", "written"]
+__all__ = [
+    "Reader",
+    "fraction",
+    "in_doubles",
+    "line_written",
+    "number",
+    "tree_size",
+    "was_float",
+    "written",
+]
 
 #: SymPy's functions by their names in a graph.
 FUNCTIONS: dict[Any, str] = {
@@ -135,18 +144,29 @@ def was_float(value: int | Fraction) -> bool:
     return q > FLOAT and q & (q - 1) == 0
 
 
-def number(value: int | Fraction) -> sp.Number:
-    """Return a fraction as a SymPy number; what was a float is one again."""
-    q = value.denominator
+def in_doubles(value: int | Fraction) -> int | Fraction:
+    """Return a number, rounded where its numerator or denominator is far too large for a double.
+
+    Raises
+    ------
+    GenerationError
+        If the number itself is.
+    """
     if magnitude(value) > sys.float_info.max:
         raise GenerationError(
             "a number that stands in the equations is larger than doubles can be.\n"
             "Choose other units, or do not raise such sums to high powers."
         )
-    huge = max(abs(value.numerator), q).bit_length() > 1000
-    if huge or (was_float(value) and Fraction(float(value)) == value):
+    huge = max(abs(value.numerator), value.denominator).bit_length() > 1000
+    return exact(Fraction(float(value))) if huge else value
+
+
+def number(value: int | Fraction) -> sp.Number:
+    """Return a fraction as a SymPy number; what was a float is one again."""
+    value = in_doubles(value)
+    if was_float(value) and Fraction(float(value)) == value:
         return sp.Float(float(value))
-    return sp.Rational(value.numerator, q)
+    return sp.Rational(value.numerator, value.denominator)
 
 
 def written(graph: Graph, value: Value, names: Mapping[int, sp.Expr]) -> sp.Expr:

@@ -158,7 +158,7 @@ def printed():
     class PrintedRows(WeightedRows):
         def start(self, a):
             extra = self._force(0, a) - self._force(2, a)
-            return super().start(a) + self._low.equations.h * extra / 12
+            return super().start(a) + self._low.h * extra / 12
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(coupled, "WeightedRows", PrintedRows)
@@ -170,7 +170,7 @@ class Flipped(DiscreteEquations):
 
     def second_derivative(self, k, a, m, b, entry):
         right = super().second_derivative(k, a, m, b, entry)
-        return right - 2 * self._sum(("P_q",), (a, b), entry, k, m)
+        return [*right, *(-2 * x for x in self._terms(("P_q",), (a, b), entry, k, m))]
 
 
 def built(kind, scheme=ss.SIMPSON):

@@ -1,13 +1,14 @@
 """How emitted lines look."""
 
-import sympy as sp
-
 from symsimpson.codegen.emit import WIDTH, _loads
+from symsimpson.codegen.expression import Expressions
 from symsimpson.codegen.ir import Load, Row
+
+NAMES = Expressions()
 
 
 def load(name, block, index):
-    return Load(sp.Symbol(name), Row(block, index))
+    return Load(NAMES.named(name), Row(block, index))
 
 
 def test_loads_of_one_block_share_lines():

@@ -23,8 +23,8 @@ def test_values_move_to_the_next_step_in_the_order_of_their_names():
     low = Lowering(discretise(ss.systems.pendulum(), ss.SIMPSON))
     (q,) = low.q
     parts = [low.graph.define(f"part_{k}", q ** (k + 2), "some") for k in range(8)]
-    total = low.graph.define("total", sp.Add(*parts), "some")
-    following = low.graph.declare(sp.Symbol("q_next", real=True), Level.STEP)
+    total = low.graph.define("total", low.graph.total(parts), "some")
+    following = low.graph.declare("q_next", Level.STEP)
     before = len(low.graph.definitions)
     low.moved(total, {q: following})
     names = [symbol.name for symbol in list(low.graph.definitions)[before:]]
@@ -39,7 +39,7 @@ def test_values_that_share_much_move_in_as_many_visits_as_there_are(monkeypatch)
         left = low.graph.define(f"left_{k}", top**2 + k, "some")
         right = low.graph.define(f"right_{k}", top**3 + k, "some")
         top = low.graph.define(f"top_{k}", left * right, "some")
-    following = low.graph.declare(sp.Symbol("q_next", real=True), Level.STEP)
+    following = low.graph.declare("q_next", Level.STEP)
     made, define = [], low.graph.define
     monkeypatch.setattr(low.graph, "define", lambda *given: made.append(given) or define(*given))
     assert low.moved(top, {low.q[0]: following}).name == "top_199_next"

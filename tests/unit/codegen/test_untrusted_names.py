@@ -156,7 +156,7 @@ def test_rows_of_the_workspace_are_no_names():
     names = NameTable(system)
     assert len(set(names.parameters)) == len(BLOCKS)
     assert not set(names.parameters) & set(BLOCKS)
-    assert not {names.fresh(row).name for row in BLOCKS} & set(BLOCKS)
+    assert not {names.fresh(row) for row in BLOCKS} & set(BLOCKS)
 
 
 @pytest.mark.slow

@@ -1,0 +1,60 @@
+"""The numbers of a scheme as expressions of a module."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Any
+
+import sympy as sp
+
+from symsimpson.codegen.expression import Expression, Expressions
+from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["SchemeNumbers", "rounded"]
+
+#: What a module takes of a scheme, and of its quadrature.
+_OF_SCHEME = ("A", "B", "points", "stiffness", "end_slope", "extrapolation", "correction")
+_OF_QUADRATURE = ("nodes", "weights")
+
+
+class SchemeNumbers:
+    """Tables of a scheme and of its quadrature, under their own names.
+
+    Attributes
+    ----------
+    A, B, stiffness, extrapolation : tuples of tuples of Expression
+    nodes, weights, points, end_slope, correction : tuples of Expression
+    """
+
+    A: tuple[tuple[Expression, ...], ...]
+    B: tuple[tuple[Expression, ...], ...]
+    stiffness: tuple[tuple[Expression, ...], ...]
+    extrapolation: tuple[tuple[Expression, ...], ...]
+    nodes: tuple[Expression, ...]
+    weights: tuple[Expression, ...]
+    points: tuple[Expression, ...]
+    end_slope: tuple[Expression, ...]
+    correction: tuple[Expression, ...]
+
+    def __init__(self, scheme: Scheme, graph: Expressions) -> None:
+        self._scheme, self._graph = scheme, graph
+
+    def __getattr__(self, name: str) -> Any:
+        if name in _OF_SCHEME:
+            table = getattr(self._scheme, name)
+        elif name in _OF_QUADRATURE:
+            table = getattr(self._scheme.quadrature, name)
+        else:
+            raise AttributeError(name)
+        self.__dict__[name] = self._read(table)
+        return self.__dict__[name]
+
+    def _read(self, table: Any) -> Any:
+        if isinstance(table, tuple):
+            return tuple(map(self._read, table))
+        return self._graph.read(table)
+
+
+def rounded(number: sp.Expr) -> Fraction:
+    """Return a number of a scheme as the double next to it."""
+    return Fraction(float(number))
