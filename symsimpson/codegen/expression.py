@@ -186,6 +186,10 @@ class Expressions(Graph):
         """Return a function of some expressions."""
         return Expression(self, self.function(function, *(self.of(x).value for x in arguments)))
 
+    def known_at(self, node: int) -> int:
+        """Return when a node is known: early ones come first in a sum."""
+        return 0
+
     def replaced(self, expression: Expression, by: Mapping[Expression, Expression]) -> Expression:
         """Return an expression with others in place of symbols."""
         numbers = {symbol.node: one.value for symbol, one in by.items()}

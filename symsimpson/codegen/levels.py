@@ -111,8 +111,11 @@ class Graph(Expressions):
 
     def level(self, expression: Expression) -> Level:
         """Return when an expression is known."""
-        symbols = self.nodes[expression.node].symbols
-        return max((self.levels[n] for n in symbols), default=Level.CONSTANT)
+        return Level(self.known_at(expression.node))
+
+    def known_at(self, node: int) -> int:
+        """Return when a node is known: early ones come first in a sum."""
+        return max((self.levels.get(n, 0) for n in self.nodes[node].symbols), default=0)
 
     def split(self, expression: Expression, section: str) -> Part:
         """Replace what is known earlier than the whole by definitions."""

@@ -47,7 +47,7 @@ class Printer:
         """
         return self._value(expression.graph, expression.coefficient, expression.node)[0]
 
-    def _value(self, graph: Graph, c: Exact, n: int) -> Text:
+    def _value(self, graph: Expressions, c: Exact, n: int) -> Text:
         kind, parts, _ = graph.nodes[n]
         if n == UNIT:
             return self._number(c)
@@ -57,10 +57,12 @@ class Printer:
             return self._product(graph, c, parts if kind == "product" else [(n, 1)])
         return self._named(graph, n)
 
-    def _sum(self, graph: Graph, terms: Sequence[tuple[Exact, int]]) -> Text:
-        """Write a sum, with a term first that has no minus if there is one."""
-        first = next((k for k, (c, _) in enumerate(terms) if c > 0), 0)
-        terms = [terms[first], *terms[:first], *terms[first + 1 :]]
+    def _sum(self, graph: Expressions, terms: Sequence[tuple[Exact, int]]) -> Text:
+        """Write a sum.
+
+        What is no product stands before products, each of which is fused with what is before it.
+        """
+        terms = sorted(terms, key=lambda term: (not _alone(graph, *term), graph.known_at(term[1])))
         if len(terms) == 1:
             return self._value(graph, *terms[0])
         text = self._within(self._value(graph, *terms[0]), SUM)
@@ -69,7 +71,7 @@ class Printer:
             text += self._within(self._value(graph, magnitude(c), n), PRODUCT)
         return text, SUM
 
-    def _product(self, graph: Graph, c: Exact, factors: Sequence[tuple[int, Exact]]) -> Text:
+    def _product(self, graph: Expressions, c: Exact, factors: Sequence[tuple[int, Exact]]) -> Text:
         c = in_doubles(c)
         factors = sorted(factors, key=lambda factor: _place(graph, factor[0]))
         above = [self._power(graph, n, e) for n, e in factors if e > 0]
@@ -93,7 +95,7 @@ class Printer:
             text += f"/({'*'.join(self._within(x, PRODUCT) for x in below)})"
         return text, SUM if sign else PRODUCT
 
-    def _power(self, graph: Graph, n: int, exponent: Exact) -> Text:
+    def _power(self, graph: Expressions, n: int, exponent: Exact) -> Text:
         """Write a positive power: whole ones, and roots as square roots where that is possible.
 
         Compilers write loops over square roots as vector code, not those over powers.
@@ -133,7 +135,7 @@ class Printer:
             return f"real({p})" if large else str(p), SUM if c < 0 else ATOM
         return (f"real({p})/{q}" if self._exact else f"{p}/{q}"), SUM if c < 0 else PRODUCT
 
-    def _named(self, graph: Graph, n: int) -> Text:
+    def _named(self, graph: Expressions, n: int) -> Text:
         """Write a symbol, a constant or a function."""
         kind, parts, _ = graph.nodes[n]
         name = str(parts[0])
@@ -159,7 +161,12 @@ class Printer:
         return text[0] if text[1] >= least else f"({text[0]})"
 
 
-def _place(graph: Graph, n: int) -> tuple[bool, str, int]:
+def _alone(graph: Expressions, c: Exact, n: int) -> bool:
+    """Return whether a term is no product."""
+    return n == UNIT or (c in (1, -1) and graph.nodes[n].kind != "product")
+
+
+def _place(graph: Expressions, n: int) -> tuple[bool, str, int]:
     """Return by what factors are ordered: symbols by their names, then all others."""
     kind, parts, _ = graph.nodes[n]
     return kind != "symbol", str(parts[0]) if kind == "symbol" else "", n
