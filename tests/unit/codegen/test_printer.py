@@ -37,7 +37,7 @@ WRITTEN = {
     sp.Pow(x, y): "x**y",
     sp.exp(-x) + sp.pi: "pi + exp(-x)",
     sp.Float(0.1) * x: "0.1*x",
-    1 / x - 1: "1/x - 1",
+    1 / x - 1: "-1 + 1/x",
 }
 
 
