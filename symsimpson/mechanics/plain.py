@@ -236,15 +236,15 @@ class Symbols:
         self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
         self.t = TIME
         self.graph = Graph()
-        for symbol in (*self.q, *self.v, *self.p, *self.a, TIME, *self.u):
-            self.graph.symbol(symbol.name)
-        self.known = {user: self.graph.symbol(own.name) for user, own in self.replace.items()}
+        every = (*self.q, *self.v, *self.p, *self.a, TIME, *self.u)
+        self._nodes = {symbol: self.graph.symbol(symbol.name)[1] for symbol in every}
+        self.known = {user: (1, self._nodes[own]) for user, own in self.replace.items()}
 
         self.signs = _signs(self.graph, self.a)
 
     def numbers(self, symbols: Iterable[sp.Symbol]) -> tuple[int, ...]:
         """Return the nodes of plain symbols."""
-        return self.graph.numbers(s.name for s in symbols)
+        return tuple(self._nodes[symbol] for symbol in symbols)
 
     def restored(self, value: Value) -> sp.Expr:
         """Write a value in the user's symbols: a tree, for messages and short expressions."""
