@@ -20,7 +20,7 @@ from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import UNIT, Exact
 from symsimpson.graph.read import in_doubles, was_float
 
-__all__ = ["Definition", "Graph", "Level"]
+__all__ = ["Definition", "Definitions", "Level"]
 
 
 #: Numbers that agree in so many digits, computed with some more, are the same.
@@ -66,7 +66,7 @@ class Definition:
 Part = tuple[Expression, Level]
 
 
-class Graph(Expressions):
+class Definitions(Expressions):
     """Definitions in an order in which they can be computed, each made once."""
 
     def __init__(self, names: NameTable) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.levels import Graph
+from symsimpson.codegen.levels import Definitions
 
 __all__ = ["solve_blocks", "solve_symmetric", "solve_unpivoted"]
 
 Matrix = Sequence[Sequence[Expression]]
 Block = list[list[Expression]]
+Vector = Sequence[Expression]
 
 
 #: Blocks up to this size are inverted in closed form.
@@ -18,12 +19,7 @@ CLOSED_FORM = 2
 
 
 def solve_blocks(
-    graph: Graph,
-    matrix: Matrix,
-    right: Sequence[Expression],
-    size: int,
-    hints: Sequence[str],
-    section: str,
+    graph: Definitions, matrix: Matrix, right: Vector, size: int, hints: Sequence[str], section: str
 ) -> list[Expression]:
     """Solve by block elimination in the given order, blocks of ``size`` inverted by adjugates.
 
@@ -95,7 +91,7 @@ def _adjugate(block: Block) -> tuple[Expression, Block]:
 
 
 def solve_unpivoted(
-    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+    graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
 ) -> list[Expression]:
     """Solve by LU factors (Doolittle) in the given order, without pivoting.
 
@@ -121,7 +117,7 @@ def solve_unpivoted(
 
 
 def solve_symmetric(
-    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+    graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
 ) -> tuple[list[Expression], list[Expression]]:
     """Solve with a symmetric positive definite matrix by L D L^T, without roots.
 
@@ -155,7 +151,7 @@ def solve_symmetric(
 
 
 def _solve_two(
-    graph: Graph, matrix: Matrix, right: Sequence[Expression], hints: Sequence[str], section: str
+    graph: Definitions, matrix: Matrix, right: Vector, hints: Sequence[str], section: str
 ) -> tuple[list[Expression], list[Expression]]:
     """Solve a symmetric 2 x 2 system with one division; the pivots' signs are those of minors."""
     (a, b), (_, d) = matrix
@@ -168,7 +164,7 @@ def _solve_two(
 
 
 def _back(
-    graph: Graph,
+    graph: Definitions,
     upper: Matrix,
     forward: Sequence[Expression],
     inverse: Sequence[Expression],

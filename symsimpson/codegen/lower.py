@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from symsimpson.codegen.expression import Expression, Number
 from symsimpson.codegen.ir import Load, Row, Section, Statement, Store
-from symsimpson.codegen.levels import Graph, Level
+from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.scheme_numbers import SchemeNumbers
 from symsimpson.codegen.sections import sections
@@ -22,8 +22,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
 from symsimpson.discrete.reductions import Coupled
 from symsimpson.discrete.slopes import derive_cost, derive_slopes
-from symsimpson.graph.nodes import Graph as PlainGraph
-from symsimpson.graph.nodes import Value
+from symsimpson.graph.nodes import Graph, Value
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
@@ -39,7 +38,7 @@ class Lowering:
     def __init__(self, equations: DiscreteEquations) -> None:
         self.equations = equations
         self.names = NameTable(equations.system)
-        self.graph = Graph(self.names)
+        self.graph = Definitions(self.names)
         self.rows: dict[Expression, Row] = {}
         self.hoisted: dict[Expression, Row] = {}
         coordinates = self.names.coordinates
@@ -195,7 +194,7 @@ class Lowering:
             symbols.append(symbol)
         return tuple(symbols)
 
-    def known(self, value: Value, graph: PlainGraph | None = None) -> Expression:
+    def known(self, value: Value, graph: Graph | None = None) -> Expression:
         """Return a value that is made of parameters."""
         graph = graph or self.equations.plain.graph
         known = {graph.symbol(name)[1]: own for name, own in self.parameters.items()}

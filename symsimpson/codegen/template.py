@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.levels import Graph, Level
+from symsimpson.codegen.levels import Definitions, Level
 from symsimpson.discrete.jet import Jet, Key
 from symsimpson.graph.nodes import UNIT, Value
 from symsimpson.graph.program import Line, Program
@@ -43,7 +43,7 @@ class JetTemplate:
     Parameters
     ----------
     jet : Jet
-    graph : Graph
+    graph : Definitions
         Where definitions are made.
     names : sequence of str
         Of the coordinates, in names of entries.
@@ -54,7 +54,7 @@ class JetTemplate:
     def __init__(
         self,
         jet: Jet,
-        graph: Graph,
+        graph: Definitions,
         names: Sequence[str],
         parameters: Mapping[str, Expression],
         momenta: Sequence[Expression],
