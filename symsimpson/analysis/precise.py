@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,12 @@ from numpy.typing import NDArray
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.matrices import slopes_of
-from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.digits import Digits, read_precision
 from symsimpson.runtime.program import new_program
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
-from symsimpson.runtime.runs.run import Run
+from symsimpson.runtime.runs.run import Run, workspace
 
 __all__ = ["Precise"]
 
@@ -93,9 +93,18 @@ class Precise:
 
     def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector) -> Vector:
         """Evaluate a kernel at a state."""
-        t, values = self._numbers.zeros(1), self.program.values(self.parameters)
-        found: Vector = evaluate(self.program, kernel, block, count, t, q[None], p[None], values)
-        return found[0]
+        numbers, at = self._numbers, self.program.header.layout
+        with numbers.working():
+            W = self._prepared
+            W[at["POSITION"] : at["POSITION"] + self.n, 0] = numbers.read(list(q))
+            W[at["MOMENTUM"] : at["MOMENTUM"] + self.n, 0] = numbers.read(list(p))
+            self._call(kernel, W)
+            return numbers.result(W[at[block] : at[block] + count, 0])
+
+    def _call(self, kernel: str, W: Vector) -> None:
+        """Call a kernel of a state."""
+        one, start = self._numbers.read(1.0).item(), self._numbers.read(0.0).item()
+        self.program.kernels.address(kernel)(one, start, W)
 
     def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
         """Differentiate the map of some steps by differences, Newton's method included.
@@ -113,11 +122,31 @@ class Precise:
 
     def gradient(self, z: Iterable[Any]) -> Vector:
         """Differentiate the energy by differences: (dH/dq, dH/dp)."""
-        moved = np.array(list(self._moved(z)), dtype=object).reshape(-1, 2 * self.n)
-        energies = self.stepper.energy(
-            moved[:, : self.n], moved[:, self.n :], parameters=self.parameters
-        )
-        return (energies[0::2] - energies[1::2]) / (2 * self.small)
+        numbers, at = self._numbers, self.program.header.layout
+        point = [self.context.convert(x) for x in z]
+        rows = [at[block] + a for block in ("POSITION", "MOMENTUM") for a in range(self.n)]
+        with numbers.working():
+            W = self._prepared
+            here, up, down = (
+                numbers.read([x + move for x in point]) for move in (0, self.small, -self.small)
+            )
+            W[rows, 0] = here
+            change = numbers.zeros(2 * self.n)
+            for k, row in enumerate(rows):
+                for sign, moved in ((1, up), (-1, down)):
+                    W[row, 0] = moved[k]
+                    self._call("energy", W)
+                    change[k] += sign * W[at["ENERGY"], 0]
+                W[row, 0] = here[k]
+            return numbers.result(change) / (2 * self.small)
+
+    @cached_property
+    def _prepared(self) -> Vector:
+        """A workspace in which kernels of a state may be called."""
+        numbers, program = self._numbers, self.program
+        W = workspace(program.header, numbers, numbers.read(program.values(self.parameters)))
+        self._call("prepare", W)
+        return W
 
     def rates(self, z: Iterable[Any]) -> list[Any]:
         """Return Hamilton's equations: q' = dH/dp, p' = -dH/dq."""

@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.binding import bind, bind_arb, bind_mpmath
+from symsimpson.module.blocks import scratch
 from symsimpson.module.header import Header
+from symsimpson.module.interface import KERNELS
 from symsimpson.runtime.driver.compiled import driver_text
 from symsimpson.runtime.inputs import whole_number
 from symsimpson.runtime.kernels.numbers import Numbers
@@ -144,6 +146,8 @@ class Digits(Numbers):
 
     def _number(self, value: Any) -> Any:
         context = self.context
+        if type(value) is context.mpf:
+            return +value
         if isinstance(value, Fraction):
             return context.mpf(value.numerator) / value.denominator
         if isinstance(value, np.integer):
@@ -266,7 +270,13 @@ class Arb(Digits):
     def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
         """Bind the kernels of a module."""
         with self.working():
-            return _Functions(bind_arb(text, checking=True), header, self.digits)
+            module = bind_arb(text, checking=True)
+        passing = {row for rows in scratch(header.layout).values() for row in rows}
+        lasting = np.array([row for row in range(header.rows) if row not in passing])
+        for name in KERNELS:
+            if hasattr(module, name):
+                vars(getattr(module, name))["lasting"] = lasting, slice(header.rows, None)
+        return _Functions(module, header, self.digits)
 
     def working(self) -> AbstractContextManager[Any]:
         """Set the precision of python-flint, which is global, for a while."""
@@ -275,8 +285,12 @@ class Arb(Digits):
         return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
-        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends."""
+        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.
+
+        What no other kernel reads may keep them.
+        """
         kernel(h, t, W)
         ball = self._arb
         for lane in W.T:
-            lane[:] = [value.mid() if type(value) is ball else value for value in lane]
+            for rows in getattr(kernel, "lasting", (slice(None),)):
+                lane[rows] = [x.mid() if type(x) is ball else x for x in lane[rows]]
