@@ -25,22 +25,23 @@ RESOLVED = 1e-28
 def order_of_errors(s: Subject) -> Iterator[Check]:
     """order: errors against Hamilton's equations of the module's own energy."""
     steps, context = 8, s.precise.context
-    with mpmath.workdps(DIGITS):
-        exact = s.exact(steps * mpmath.mpf(s.h))
     digits = coefficient_digits(s.stepper.source)
     resolved = RESOLVED if digits is None else max(RESOLVED, 10.0 ** -(digits + 2))
 
-    def error(level: int) -> float:
-        """Return the error with steps of h / 2**level."""
-        flow = s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
-        return s.distance(flow, exact)
+    def end(level: int) -> Any:
+        """Return the end with steps of h / 2**level."""
+        return s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
 
     levels = list(range(3 if s.stepper.order > HIGH else 5))
-    errors = [error(level) for level in levels]
+    ends = [end(level) for level in levels]
+    with mpmath.workdps(DIGITS):
+        least = _least(s, s.distance(ends[-2], ends[-1]))
+        exact = s.exact(steps * mpmath.mpf(s.h), error=least)
+    errors = [s.distance(one, exact) for one in ends]
     # coefficients of few digits leave an error of lower order: larger steps are above it
     while digits is not None and sum(e > resolved for e in errors) < 3 and levels[0] > -3:
         levels.insert(0, levels[0] - 1)
-        errors.insert(0, error(levels[0]))
+        errors.insert(0, s.distance(end(levels[0]), exact))
     what = (
         f"errors {errors[0]:.1e} to {errors[-1]:.1e} after 8 h, for {_parts(levels[0])} to "
         f"{_parts(levels[-1])}, in {DIGITS} digits"
@@ -52,6 +53,11 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
         what,
         f"The scheme has order {s.stepper.order}; the last pairs are asymptotic{nearly}",
     )
+
+
+def _least(s: Subject, difference: float) -> float:
+    """Return the error of the last of two ends that differ by so much, if the order is right."""
+    return difference / 2.0**s.stepper.order
 
 
 def _seen(
@@ -69,14 +75,16 @@ def order_of_time(s: Subject) -> Iterator[Check]:
     if s.timed is None:
         return
     steps, timed, context = 8, s.timed, s.precise.context
-    with mpmath.workdps(DIGITS):
-        exact = s.exact(steps * mpmath.mpf(s.h), timed=True)[-1]
 
-    def error(parts: int) -> Any:
+    def end(parts: int) -> Any:
         run = timed.run(s.z, s.h / context.mpf(parts), parts * steps, every=None)
-        return abs(context.convert(run.t[-1]) - exact)
+        return context.convert(run.t[-1])
 
-    errors = [float(error(2**level)) for level in range(3 if s.stepper.order > HIGH else 5)]
+    ends = [end(2**level) for level in range(3 if s.stepper.order > HIGH else 5)]
+    with mpmath.workdps(DIGITS):
+        least = _least(s, float(abs(ends[-2] - ends[-1])))
+        exact = s.exact(steps * mpmath.mpf(s.h), timed=True, error=least)[-1]
+    errors = [float(abs(one - exact)) for one in ends]
     yield Check(
         "time",
         *_seen(s, errors, RESOLVED),

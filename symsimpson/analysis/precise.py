@@ -121,24 +121,33 @@ class Precise:
         return of_end, of_start
 
     def gradient(self, z: Iterable[Any]) -> Vector:
-        """Differentiate the energy by differences: (dH/dq, dH/dp)."""
-        numbers, at = self._numbers, self.program.header.layout
+        """Differentiate the energy: dH/dq by differences, and dH/dp, which is v.
+
+        In a time of its own a system has no kernel of v; there both are differences.
+        """
+        numbers, at, n = self._numbers, self.program.header.layout, self.n
         point = [self.context.convert(x) for x in z]
-        rows = [at[block] + a for block in ("POSITION", "MOMENTUM") for a in range(self.n)]
+        rows = [at[block] + a for block in ("POSITION", "MOMENTUM") for a in range(n)]
         with numbers.working():
             W = self._prepared
             here, up, down = (
                 numbers.read([x + move for x in point]) for move in (0, self.small, -self.small)
             )
             W[rows, 0] = here
-            change = numbers.zeros(2 * self.n)
-            for k, row in enumerate(rows):
-                for sign, moved in ((1, up), (-1, down)):
-                    W[row, 0] = moved[k]
+            found = numbers.zeros(2 * n)
+            moved = rows
+            if "RATE" not in at:
+                self._call("energy", W)
+                found[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
+                moved = rows[:n]
+            half = numbers.read(1 / (2 * self.small)).item()
+            for k, row in enumerate(moved):
+                for sign, there in ((half, up), (-half, down)):
+                    W[row, 0] = there[k]
                     self._call("energy", W)
-                    change[k] += sign * W[at["ENERGY"], 0]
+                    found[k] += sign * W[at["ENERGY"], 0]
                 W[row, 0] = here[k]
-            return numbers.result(change) / (2 * self.small)
+            return numbers.result(found)
 
     @cached_property
     def _prepared(self) -> Vector:

@@ -28,6 +28,8 @@ __all__ = ["SHORT", "Subject", "with_inputs"]
 SHORT = 50
 #: The local error of the exact motion, and the most steps that it is given.
 LOCAL, MOST = mpmath.mpf("1e-30"), 100
+#: An error of the exact motion is this part of those that are measured by it.
+NEGLIGIBLE = mpmath.mpf("1e-5")
 
 
 def with_inputs(stepper: Stepper, given: Mapping[Any, float] | None) -> Stepper:
@@ -90,12 +92,16 @@ class Subject:
         conservative = self.stepper.program.header.conservative
         return linear_symmetries(self.precise, self.z) if conservative else []
 
-    def exact(self, end: Any, *, timed: bool = False) -> list[Any]:
-        """Return the state of the exact motion at a time, in many digits; ``timed``, with t."""
+    def exact(self, end: Any, *, timed: bool = False, error: float = 0.0) -> list[Any]:
+        """Return the state of the exact motion at a time, in many digits; ``timed``, with t.
+
+        Of each step the error is much smaller than the one that is given.
+        """
+        local = max(LOCAL, mpmath.mpf(error) * NEGLIGIBLE)
         if timed:
             rates_and_t = self.precise.rates_and_time
             start = [*(mpmath.mpf(x) for x in self.z), mpmath.mpf(0)]
-            return list(extrapolate(rates_and_t, start, [end], LOCAL, MOST)[0])
+            return list(extrapolate(rates_and_t, start, [end], local, MOST)[0])
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
         declared = self.stepper.program.declared
@@ -115,7 +121,7 @@ class Subject:
 
             rates = forced
         # with constraints p has a part that has no effect, of which the last line gets rid
-        found = extrapolate(rates, start, [end], LOCAL, MOST)[0][: 2 * self.n]
+        found = extrapolate(rates, start, [end], local, MOST)[0][: 2 * self.n]
         return list(self.precise.placed(found))
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:
