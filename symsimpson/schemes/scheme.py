@@ -145,8 +145,7 @@ class Scheme:
         >>> round(float(np.linalg.det(ss.SIMPSON.oscillator(0.5))), 12)  # it keeps areas
         1.0
         """
-        A, B = (np.array(table, dtype=np.float64) for table in (self.A, self.B))
-        b = np.array(self.quadrature.weights, dtype=np.float64)
+        A, B, b = self._doubles
         # D_k L_d = sum_m K_km X_m with X the control points themselves
         K = B.T @ (b[:, None] * B) / x - x * A.T @ (b[:, None] * A)
         ends, inner = np.ix_([0, -1], [0, -1]), slice(1, -1)
@@ -155,6 +154,12 @@ class Scheme:
             K = K[ends] - K[[0, -1]][:, inner] @ solved
         a, d, c = K[0, 0], K[1, 1], K[0, 1]  # p0 = -(a q0 + c q1), p1 = c q0 + d q1
         return np.array([[-a / c, -1 / c], [c - a * d / c, -d / c]])
+
+    @cached_property
+    def _doubles(self) -> tuple[NDArray[np.float64], ...]:
+        """A, B and the weights, rounded."""
+        tables = self.A, self.B, self.quadrature.weights
+        return tuple(np.array(table, dtype=np.float64) for table in tables)
 
     @cached_property
     def points(self) -> tuple[sp.Expr, ...]:

@@ -28,7 +28,8 @@ FAR = 1e6
 def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
     """Find where the linear oscillator turns unstable or stable again, as h omega grows.
 
-    Runs of the compiled stepper decide; each edge is bisected to ``width``.
+    Runs of the compiled stepper decide, those of an ensemble with h = 1; each edge is bisected to
+    ``width``.
 
     Parameters
     ----------
@@ -42,30 +43,38 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
     list of float
         Edges, the first from stable to unstable.
     """
+    q = harmonic_oscillator().coordinates[0]
     stepper = compile_system(harmonic_oscillator(), scheme)
 
-    def stable(x: float) -> bool:
-        run = stepper.integrate(
-            [1.0], p0=[0.0], h=x, steps=STEPS, parameters={"m": 1.0, "k": 1.0}, on_failure="return"
+    def stable(x: Floats) -> NDArray[np.bool_]:
+        found = stepper.ensemble(
+            np.ones((x.size, 1)),
+            p0=np.zeros((x.size, 1)),
+            h=1.0,
+            steps=STEPS,
+            every=None,
+            parameters={"m": 1.0, "k": x**2},
+            reduce={"least": ("min", q), "largest": ("max", q)},
         )
-        return run.steps == STEPS and bool(np.abs(run.q).max() < FAR)
+        near = [np.abs(found.reduced[name]) < FAR for name in ("least", "largest")]
+        return (found.status == 0) & near[0] & near[1]
 
     return _edges(stable, largest, width)
 
 
-def _edges(stable: Callable[[float], bool], largest: float, width: float) -> list[float]:
+def _edges(
+    stable: Callable[[Floats], NDArray[np.bool_]], largest: float, width: float
+) -> list[float]:
     """Find where a property changes, by a scan and bisection."""
-    grid = np.linspace(0.01, largest, round(largest / 0.01)).tolist()
-    seen = [stable(x) for x in grid]
-    edges = []
-    for k in range(len(grid) - 1):
-        low, high = grid[k], grid[k + 1]
-        while seen[k] != seen[k + 1] and high - low > width:
-            middle = (low + high) / 2
-            low, high = (middle, high) if stable(middle) == seen[k] else (low, middle)
-        if seen[k] != seen[k + 1]:
-            edges.append((low + high) / 2)
-    return edges
+    grid = np.linspace(0.01, largest, round(largest / 0.01))
+    seen = stable(grid)
+    edges = np.flatnonzero(seen[:-1] != seen[1:])
+    low, high, before = grid[edges], grid[edges + 1], seen[edges]
+    while edges.size and (high - low).max() > width:
+        middle = (low + high) / 2
+        here = stable(middle) == before
+        low, high = np.where(here, middle, low), np.where(here, high, middle)
+    return [float(x) for x in (low + high) / 2]
 
 
 def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
@@ -76,11 +85,14 @@ def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
     """
     found = read_scheme(scheme)
 
-    def stable(x: float) -> bool:
+    def stable_at(x: float) -> bool:
         try:
             return bool(abs(np.trace(found.oscillator(x))) - 2 <= 1e-12)
         except np.linalg.LinAlgError:  # a pole of the map
             return False
+
+    def stable(x: Floats) -> NDArray[np.bool_]:
+        return np.array([stable_at(one) for one in x.tolist()])
 
     return _edges(stable, largest, 1e-12)
 
