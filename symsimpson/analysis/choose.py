@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.analysis.candidates import Wanted
-from symsimpson.analysis.pilot import any_step, choose_state, choose_step
+from symsimpson.analysis.pilot import choose_state, choose_step, without_step_warnings
 from symsimpson.analysis.stability.frequency import largest_frequency
 from symsimpson.analysis.variants import in_tau
 from symsimpson.api.compiling import compile as compile_system
@@ -73,7 +73,7 @@ class Choice:
 
 @waiting("choosing a scheme and a step")
 @late()
-@any_step()
+@without_step_warnings()
 @explained()
 def choose(
     system: MechanicalSystem,

@@ -22,8 +22,8 @@ class StepCosts:
     Attributes
     ----------
     general, here : dict
-        For each scheme the cost on the path for any system, and on that for this one: its
-        ``unknowns``, operations an ``iteration`` and when ``closing`` the step.
+        Cost of a step by scheme, without and with what was found about the system: ``unknowns``,
+        operations of an ``iteration`` and of ``closing`` the step.
     """
 
     general: dict[str, Cost]
@@ -58,7 +58,7 @@ def step_costs(
 ) -> StepCosts:
     """Generate modules with and without the findings of a system, and count what a step does.
 
-    It takes seconds for small systems, and longer for large ones: what is general is long.
+    It takes seconds for small systems, and longer for large ones.
 
     Parameters
     ----------

@@ -14,16 +14,16 @@ from symsimpson.api.stepper import Stepper
 __all__ = ["LONG", "drift", "keeps_shadow", "shadow"]
 
 LONG = 100_000
-#: Of schemes up to this order the energy swings by much more than what they keep.
+#: Up to this order the energy swings by much more than the shadow energy that a scheme keeps.
 HIGHEST_ORDER = 4
-#: Steps in which a drift is seen that the swing of the energy would hide, and how much finer.
+#: Steps of the run whose shadow energy is looked at, and the number that h is divided by there.
 FEW, FINER = 100, 4
-#: What the sum of actions is rounded to, relative to the energy.
-ROUNDED = 1e-12
+#: Rounding error of the shadow energy, relative to the energy.
+SHADOW_ROUNDING = 1e-12
 
 
 def keeps_shadow(stepper: Stepper) -> bool:
-    """Return whether runs have a shadow energy that tells much more than the energy."""
+    """Return whether runs have a shadow energy that swings much less than the energy."""
     header = stepper.program.header
     family = "equations" in header.functions and not header.constraints
     made = stepper.program.differentiate is not None
@@ -31,7 +31,7 @@ def keeps_shadow(stepper: Stepper) -> bool:
 
 
 def shadow(s: Subject) -> Iterator[Check]:
-    """shadow: the energy that the scheme keeps, over few steps."""
+    """shadow: check that the energy that the scheme keeps swings less than H over few steps."""
     if not keeps_shadow(s.stepper):
         return
     run = s.stepper.integrate(
@@ -44,14 +44,14 @@ def shadow(s: Subject) -> Iterator[Check]:
     yield Check.at_most(
         "shadow",
         float(np.ptp(kept)) / scale,
-        0.5 * float(swing) + ROUNDED,
+        0.5 * float(swing) + SHADOW_ROUNDING,
         f"swing of the energy that the scheme keeps, in {FEW} steps of h/{FINER}; H: {swing:.1e}",
         "H less the error of the action swings less than H; a drift would show at once.",
     )
 
 
 def drift(s: Subject) -> Iterator[Check]:
-    """drift: of energy, momenta and invariants over many steps."""
+    """drift: check that energy, momenta and invariants have no trend over many steps."""
     if not s.stepper.program.header.conservative:
         yield from _balance(s)
         return
@@ -82,7 +82,7 @@ def drift(s: Subject) -> Iterator[Check]:
 
 
 def _balance(s: Subject) -> Iterator[Check]:
-    """balance: of the energy and the work that was done, with two steps."""
+    """balance: measure the order of energy less work from runs with h and h/2."""
     if "work" not in s.stepper.program.header.functions:
         return
     largest = []

@@ -16,23 +16,23 @@ from symsimpson.runtime.results.status import Status
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
 
-__all__ = ["any_step", "choose_state", "choose_step"]
+__all__ = ["choose_state", "choose_step", "without_step_warnings"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 
-#: A step is taken whose energy error is at most so much of the kinetic energy.
-ENOUGH = 1e-4
+#: Largest swing of the energy of a step that is chosen, relative to the kinetic energy.
+MOST_ENERGY_ERROR = 1e-4
 #: Halving the step moves the path of eight steps by at most so much of its length.
 CLOSE = 0.01
 TRIES = 30
-#: More iterations a step than this, and it is too large.
+#: Most iterations a step, on average, of a step size that is chosen.
 NEWTON_ITERATIONS, STAGE_ITERATIONS = 3.3, 9.0
 
 
 @contextmanager
-def any_step() -> Iterator[None]:
-    """Let steps that are too large be tried without a warning."""
+def without_step_warnings() -> Iterator[None]:
+    """Let no warning of step sizes be heard inside a block."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StabilityWarning)
         warnings.simplefilter("ignore", ResolutionWarning)
@@ -75,11 +75,11 @@ def choose_state(
     )
 
 
-@any_step()
+@without_step_warnings()
 def choose_step(
     stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int
 ) -> float:
-    """Find a step of which so many can be taken, that changes the energy by little.
+    """Choose a step size with small errors of energy and path, of which so many steps succeed.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def choose_step(
         if run.steps < 64 or run.newton_iterations.sum() > most * 64:
             continue
         kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
-        if stepper.program.header.conservative and np.ptp(run.energy) > ENOUGH * kinetic:
+        if stepper.program.header.conservative and np.ptp(run.energy) > MOST_ENERGY_ERROR * kinetic:
             continue
         # some schemes keep the energy of some systems at any step: the path must be right, too
         finer = stepper.integrate(

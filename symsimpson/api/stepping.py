@@ -22,7 +22,7 @@ __all__ = ["Stepping"]
 
 @explaining()
 class Stepping(Evaluator):
-    """A stepper that goes step by step; :class:`Stepper` is one that also runs."""
+    """Single steps and control loops of a stepper, to which :class:`Stepper` adds whole runs."""
 
     def step(
         self,

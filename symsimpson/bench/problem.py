@@ -20,7 +20,7 @@ from symsimpson.reference import FirstOrder, canonical, second_order, truth
 
 __all__ = ["Problem", "make_problem"]
 
-#: Digits of the solution that others are measured by.
+#: Decimal digits of the reference solution.
 DIGITS = 20
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A system, a state to start from, a time, and the state then.
+    """An initial value problem of a system, with a reference solution at ``t_end``.
 
     Attributes
     ----------
@@ -95,10 +95,10 @@ def make_problem(
             "could not be measured.\nCompare in coordinates without, or schemes among themselves: "
             "ss.choose."
         )
-    hamilton, newton = canonical(system), second_order(system)
-    start = hamilton.state([mpmath.mpf(float(x)) for x in (*q, *p)])
+    in_momenta, in_velocities = canonical(system), second_order(system)
+    start = in_momenta.state([mpmath.mpf(float(x)) for x in (*q, *p)])
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]
-    found = truth(hamilton, start, samples, digits=DIGITS)
+    found = truth(in_momenta, start, samples, digits=DIGITS)
     n = system.n
     path = np.array([[float(x) for x in y[: 2 * n]] for y in found.y])
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
@@ -106,11 +106,11 @@ def make_problem(
     return Problem(
         system,
         q,
-        _velocity(hamilton, q, p),
+        _velocity(in_momenta, q, p),
         p,
         float(t_end),
-        hamilton,
-        newton,
+        in_momenta,
+        in_velocities,
         path[-1],
         float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)),
         scale,

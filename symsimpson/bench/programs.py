@@ -1,7 +1,7 @@
-"""Other programs, each with its best setting on a problem.
+"""Other solvers of differential equations, run on a problem over a range of settings.
 
-Those that compile a right-hand side get one; those that compile themselves do so before the clock
-starts.
+Solvers that call a right-hand side get one that numba compiled; what compiles itself does so before
+the clock starts.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = ["PROGRAMS", "in_heyoka"]
 
 Floats = NDArray[np.float64]
 
-#: A coarse run that goes astray takes no more steps than this.
+#: A run of heyoka takes no more steps than this.
 MOST_STEPS = 200_000
 
 
@@ -166,10 +166,10 @@ def in_heyoka(hy: Any, equations: FirstOrder, scale: Floats | None = None) -> li
     known |= {symbol: hy.expression(float(value)) for symbol, value in equations.parameters.items()}
 
     def written(value: sp.Expr) -> Any:
-        # it reads no fractions that are not exact in binary
+        # heyoka reads no fractions that are not exact in binary
         inexact = {x: sp.Float(x, 17) for x in value.atoms(sp.Rational) if x.q & (x.q - 1)}
         value = value.xreplace(inexact)
-        # its powers above the second divide by their base, which may be zero
+        # powers above the second in heyoka divide by their base, which may be zero
         for power in sorted(value.atoms(sp.Pow), key=sp.count_ops):
             if power not in named and power.exp.is_Integer and power.exp > 2:
                 base = hy.from_sympy(power.base.xreplace(named), known)

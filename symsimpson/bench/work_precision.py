@@ -29,9 +29,10 @@ __all__ = ["work_precision"]
 LEAST_SECONDS = 1e-3
 #: A choice that takes longer than this once is not made finer.
 MOST_SECONDS = 2.0
+#: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
 MOST_SLOW, LEAP = 3, 3
-#: So much of the time is a call alone: one step.
-BRIEF = 1e-6
+#: A run over this part of the time measures the cost of a call alone.
+CALL_FRACTION = 1e-6
 #: Errors are not followed below this: it is rounding.
 FLOOR = 3e-14
 
@@ -111,7 +112,7 @@ def work_precision(
             _once(contender, contender.choices[0], problem)
             seconds[contender.name] = time.perf_counter() - begin
             entries += _sweep(contender, problem, min(errors))
-        brief = replace(problem, t_end=BRIEF * problem.t_end)
+        brief = replace(problem, t_end=CALL_FRACTION * problem.t_end)
         for contender in _contenders(brief, schemes, peers):
             coarsest = 1.0 if contender.what == "steps" else contender.choices[0]
             for _ in range(2):  # once more, when nothing is made or loaded any longer
@@ -164,7 +165,7 @@ def _contenders(
 
 
 def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _Entry | None:
-    """Run a choice once or twice; None if it failed or took too long."""
+    """Run a choice twice, the second time with a clock; None if it raised an error."""
     run, read = contender.make(choice)
     try:
         found = run()
@@ -180,7 +181,7 @@ def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _E
 
 
 def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:
-    """Run choices from coarse to fine until the error is small enough or falls no longer."""
+    """Run choices from coarse to fine until they are accurate enough, stagnate or are too slow."""
     found: list[_Entry] = []
     slow = place = 0
     while place < len(contender.choices):

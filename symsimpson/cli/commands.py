@@ -75,13 +75,16 @@ def check(options: argparse.Namespace) -> int:
 
 
 def certify(options: argparse.Namespace) -> int:
-    """Measure whether a stepper is what it should be."""
+    """Print a certificate of a stepper: measured order, symplecticity, drift and other rows."""
     from symsimpson.api.compiling import compile as compile_system
     from symsimpson.api.compiling import load
 
     path = Path(options.stepper)
     if path.suffix == ".py" and options.retimed:
-        raise InputError("--retimed is for systems.\nA generated file is what it is.")
+        raise InputError(
+            "--retimed does not go with a generated file.\n"
+            "Generate the file from the retimed system."
+        )
     if path.suffix == ".py":
         stepper = load(path)
     elif options.save:
@@ -100,7 +103,7 @@ def certify(options: argparse.Namespace) -> int:
 
 
 def choose(options: argparse.Namespace) -> int:
-    """Find a scheme and a step for an error."""
+    """Print the fastest scheme and step size for a given error."""
     from symsimpson.analysis.choose import choose as chosen
 
     system = find(options.system, options.retimed)

@@ -21,7 +21,7 @@ FIGURES = (".png", ".pdf", ".svg")
 
 
 def check_figure(option: str, path: str) -> None:
-    """Refuse a figure's file before anything is computed for it.
+    """Refuse a figure's file that has an unknown format or no folder, before any computation.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str,
 
 
 def find(name: str, rate: str | None = None) -> MechanicalSystem:
-    """Find a system by its name in the catalogue or by file and attribute; in another time."""
+    """Return a system of the catalogue or of file:attribute, retimed if a rate is given."""
     found = named(name)
     return found if rate is None else found.retimed(rate)
 
@@ -71,7 +71,8 @@ def named(name: str) -> MechanicalSystem:
     if not separator:
         raise InputError(
             f"there is no system {name!r} in the catalogue.{did_you_mean(name, EVERY)}\n"
-            "symsimpson list shows it. For your own system give path/to/file.py:attribute."
+            "Run symsimpson list to see the catalogue. For your own system give "
+            "path/to/file.py:attribute."
         )
     if not Path(path).is_file():
         raise InputError(f"there is no file {path}.\nGive path/to/file.py:attribute.")

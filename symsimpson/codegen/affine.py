@@ -20,10 +20,10 @@ __all__ = ["AffineSolver"]
 
 
 class AffineSolver(Explicit):
-    """Newton's method from a path at rest gives the increments, and once more their last digits.
+    """Increments by one Newton step from a path at rest, and by a second one their last digits.
 
-    The second residual is that of the path itself: what rounding does to the factors, which would
-    be the same in all steps and add up, is gone.
+    The second step takes away what rounding does to the factors, which would be the same in all
+    steps and add up.
     """
 
     def __init__(self, low: Lowering, part: Affine) -> None:
@@ -31,7 +31,7 @@ class AffineSolver(Explicit):
         self._solved = [(m, a) for m in part.solved for a in part.coordinates]
 
     def close(self) -> Closing:
-        """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i), less what is damped."""
+        """Return q1 - q0 = X_d, and p1 - p0 of h sum_i b_i L_q(q_i, v_i) and of damping."""
         low, group = self._low, self.coordinates
         nodes = range(low.equations.scheme.stages)
         rest = [self._at_rest(i) for i in nodes]
@@ -49,7 +49,7 @@ class AffineSolver(Explicit):
         return Point(f"{i}_rest", low.q, (low.graph.of(0),) * low.n, t, low.inputs(i))
 
     def _improved(self, path: Path | None, points: list[Point], name: str) -> Path:
-        """Add Newton's correction to a path with these points at its nodes, or to none."""
+        """Return a path behind a Newton step; points are its nodes, None is the path at rest."""
         low, part, names = self._low, self._part, self._low.names.coordinates
         change = newton_correction(low, points, part.rows, self._solved, part.coordinates)
         degree = range(1, low.equations.scheme.degree + 1)

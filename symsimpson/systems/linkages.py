@@ -95,7 +95,7 @@ def slider_crank() -> CatalogueSystem:
     )
 
 
-#: Masses, lengths and inertias of the squeezer, in kg, m and kg m^2.
+#: Parameters of the squeezer in SI units: masses, lengths, inertias, points, spring and torque.
 _SQUEEZER = {
     "m1": 0.04325,
     "m2": 0.00365,

@@ -1,4 +1,4 @@
-"""Walked kernels as functions that numba compiles: it gives module, options, machine and cache."""
+"""Kernels as intrinsics of numba, which gives the module of LLVM, options, machine and cache."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ __all__ = ["called_by_stub", "library", "stub", "stubs", "walker_digest", "walki
 
 @cache
 def walker_digest() -> str:
-    """Return what tells this walker from others, which may make other code of the same text."""
+    """Return a digest of the files of this package, which may make other code of the same text."""
     files = sorted(resources.files("symsimpson.walk").iterdir(), key=lambda one: one.name)
     content = b"".join(one.read_bytes() for one in files if one.name.endswith(".py"))
     return hashlib.sha256(content).hexdigest()
 
 
 def stub(name: str, count: int) -> str:
-    """Return a function that calls what is walked for it, with so many arguments."""
+    """Return the text of a function with so many arguments that calls ``walk_<name>``."""
     names = _names(count)
     return f"def {name}({names}):\n    return walk_{name}({names})\n"
 
@@ -42,7 +42,7 @@ def stubs(text: str, names: list[str]) -> str:
 
 
 def called_by_stub(signature: Any, code: Callable[..., Any]) -> Any:
-    """Return what a stub calls: an intrinsic of this signature, whose instructions are made so."""
+    """Return an intrinsic of numba with this signature and this generator of instructions."""
     from numba.extending import intrinsic
 
     made: dict[str, Any] = {"signature": signature, "code": code}
@@ -56,7 +56,7 @@ def _names(count: int) -> str:
 
 
 def walking(text: str, name: str, lanes: int, bits: int) -> Any:
-    """Return what a stub calls: its code is that of the kernel, walked when it is compiled.
+    """Return an intrinsic of numba whose instructions are made of a kernel when it is compiled.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def walking(text: str, name: str, lanes: int, bits: int) -> Any:
 def function(
     context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
 ) -> ir.Function:
-    """Walk a kernel into a module: lanes as one vector, or one after the other."""
+    """Write a kernel into a module of LLVM: lanes as one vector, or one after the other."""
     if lanes > 1:
         try:
             return _walked(context, module, text, name, lanes, bits, vector=True)
@@ -94,7 +94,7 @@ def function(
 
 
 def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
-    """Return what calls functions of ``math`` as numba does."""
+    """Return a function that writes calls of functions of ``math`` as numba does."""
     from numba import types
 
     def call(builder: ir.IRBuilder, function: Any, arguments: list[Any]) -> Any:
@@ -107,9 +107,9 @@ def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
 
 
 def wide(bits: int) -> str:
-    """Return what lets vectors be so wide; llvmlite does not know it, so it is added past it.
+    """Return attributes of a function by which its vectors may have so many bits.
 
-    Longer vectors of the text are taken apart: none of them has to be in one register.
+    llvmlite does not know them: they are added to its set. Longer vectors of the text are taken apart: none of them has to be in one register.
     """
     return f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="0"'
 

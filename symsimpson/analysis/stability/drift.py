@@ -15,6 +15,7 @@ from symsimpson.api.stepper import Stepper
 
 __all__ = ["Drift", "energy_drift"]
 
+#: Blocks of samples, and samples of a block; a run takes a multiple of their product as steps.
 BLOCKS, SAMPLES = 32, 128
 
 Floats = NDArray[np.floating[Any]]
@@ -32,14 +33,15 @@ class Drift:
     t : ndarray, shape (blocks - 1,)
         Times between the first block of samples and the others.
     rms : ndarray, shape (blocks - 1,)
-        Over the members: relative change of the block's mean energy since the first block.
+        Root mean square, over the members, of the relative change of a block's mean energy since
+        the first block.
     noise : float
-        What ``rms`` is from sampling an oscillation alone.
+        Part of ``rms`` that comes from sampling an oscillation alone.
     exponent : float
-        Of the growth of ``rms`` with t, NaN while it does not exceed the noise.
+        Exponent a of the fit rms ~ t^a; NaN if the last ``rms`` is at most three times the noise.
     bias : float
-        The mean over the members at the end, in units of its standard error: unbiased
-        rounding stays below 3.
+        Mean change of the energy of all members at the end, in units of its standard error:
+        unbiased rounding stays below 3.
     truncation : float
         Rms oscillation within a block, relative to the energy.
     solver : float
@@ -151,7 +153,7 @@ def _sampled(
     values: Mapping[str, float],
     progress: bool | None,
 ) -> tuple[Floats, float, int]:
-    """Return relative energies at samples, the drift of constant momenta, and failures."""
+    """Return energies over the first one, the drift of conserved momenta, and how many failed."""
     every = max(1, steps // (BLOCKS * SAMPLES))
     found = stepper.ensemble(
         q,

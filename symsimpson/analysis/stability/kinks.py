@@ -45,10 +45,10 @@ HALF = Fraction(1, 2)
 
 @dataclass(frozen=True)
 class _Root:
-    """A root of a sum of squares: each a constant factor times the square of what moves."""
+    """The square root of a sum of constant factors times squares of functions of q and t."""
 
     text: str
-    squares: tuple[tuple[tuple[Exact, int], ...], ...]  # of bases with half their exponents
+    squares: tuple[tuple[tuple[Exact, int], ...], ...]  # pairs (half the exponent, base)
     factors: tuple[tuple[Exact, tuple[tuple[Exact, int], ...]], ...]
 
 
@@ -56,7 +56,7 @@ _FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = W
 
 
 def _found(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
-    """Return the roots of a system, looked for once."""
+    """Return the roots of a system, which are looked for once per system."""
     if system not in _FOUND:
         _FOUND[system] = _roots(system)
     return _FOUND[system]
@@ -108,7 +108,7 @@ def kink_passed(
     known = dict(zip(plain.numbers((*plain.parameters, *plain.u)), given, strict=True))
     first: tuple[float, str] | None = None
     for root in roots:
-        place = _distance(plain, root, known, t, q)
+        place = _near_passages(plain, root, known, t, q)
         if place is None:
             continue
         near, part = place
@@ -145,7 +145,7 @@ def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
 
 
 def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | None:
-    """Part a node into (bases, half their exponents) and constant factors; None if it is no sum."""
+    """Split a sum of squares: ((half exponent, base), ...) and constant factors; else None."""
     graph, allowed = plain.graph, moving | {*plain.numbers((*plain.parameters, *plain.u))}
     if graph.nodes[n].symbols.isdisjoint(moving) or not graph.nodes[n].symbols <= allowed:
         return None
@@ -158,19 +158,21 @@ def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | 
             work += [(d, k) for d, k in node.parts if k not in seen]
             seen.update(k for _, k in node.parts)
             continue
-        late = [(e, b) for b, e in graph.factors(m) if graph.nodes[b].symbols & moving]
-        still = [(e, b) for b, e in graph.factors(m) if not graph.nodes[b].symbols & moving]
-        if any(e <= 0 or Fraction(e) % 2 for e, _ in late):
+        moving_factors = [(e, b) for b, e in graph.factors(m) if graph.nodes[b].symbols & moving]
+        constant_factors = [
+            (e, b) for b, e in graph.factors(m) if not graph.nodes[b].symbols & moving
+        ]
+        if any(e <= 0 or Fraction(e) % 2 for e, _ in moving_factors):
             return None
-        terms.append((tuple((e // 2, b) for e, b in late), (c, tuple(still))))
+        terms.append((tuple((e // 2, b) for e, b in moving_factors), (c, tuple(constant_factors))))
     return terms
 
 
-def _distance(
+def _near_passages(
     plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats
 ) -> tuple[NDArray[np.bool_], Floats] | None:
-    """Tell which lines between states pass near the zero, and at which part of them."""
-    u = _below(plain, root, known, _at(plain, t, q), _ARRAYS)
+    """Mark the lines between states that pass near the zero, and give the part where they do."""
+    u = _root_terms(plain, root, known, _at(plain, t, q), _ARRAYS)
     if u is None:
         return None
     with np.errstate(all="ignore"):
@@ -181,10 +183,10 @@ def _distance(
         return (missed < NEAR**2 * length) & (length > 0.0), part
 
 
-def _below(
+def _root_terms(
     plain: Plain, root: _Root, known: dict[int, float], at: dict[int, Any], context: Any
 ) -> Any:
-    """Return what is squared below a root, one row each; None if the sum has no zero."""
+    """Return u, where the root is that of sum(u_i^2), a row per term; None if it has no zero."""
     graph, rows = plain.graph, []
     symbols = {**known, **at}
     for bases, (c, still) in zip(root.squares, root.factors, strict=True):
@@ -232,11 +234,11 @@ def _size(vector: Sequence[Any]) -> float:
 
 
 def _zero(plain: Plain, root: _Root, known: dict[int, float], t: Any, q: list[Any]) -> list[Any]:
-    """Move a point near a zero onto it: corrections of least squares with differences."""
+    """Move a point onto the zero by Gauss-Newton steps with derivatives by differences."""
     small = mpmath.mpf(10) ** (-DIGITS // 2)
 
     def below(point: list[Any]) -> list[Any]:
-        return list(_below(plain, root, known, _at(plain, t, point), mpmath.mp))
+        return list(_root_terms(plain, root, known, _at(plain, t, point), mpmath.mp))
 
     for _ in range(4):
         u = below(q)

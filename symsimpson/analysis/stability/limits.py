@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.analysis.pilot import any_step
+from symsimpson.analysis.pilot import without_step_warnings
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.schemes.named import read_scheme
@@ -24,7 +24,7 @@ STEPS = 4000
 FAR = 1e6
 
 
-@any_step()
+@without_step_warnings()
 def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-4) -> list[float]:
     """Find where the linear oscillator turns unstable or stable again, as h omega grows.
 
@@ -130,7 +130,7 @@ def energy_map(
     rows = []
     for h in np.asarray(steps, dtype=np.float64):
         count = max(1, round(t_end / h))
-        with any_step():
+        with without_step_warnings():
             found = stepper.ensemble(
                 q0,
                 **other,

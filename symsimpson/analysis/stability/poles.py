@@ -1,9 +1,10 @@
-"""Past the pole of spherical angles, closer and closer, against the motion in space.
+"""Runs past the pole of spherical angles, compared with the motion in space.
 
-The angles turn by half a turn within the time eps/v at a distance eps; a step that is longer cannot
-follow. The direction of the body's axis n, a unit vector, knows no pole; its equations are those
-of a symmetric top with I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)), where p is the momentum of
-the spin (0 for the spherical pendulum), c the torque of gravity and e points against gravity.
+The angles turn by half a turn within the time eps/v, at a distance eps and a speed v; a step that
+is longer cannot follow. The unit vector n along the body's axis is regular there; its equations are
+those of a symmetric top with I n'' = -I |n'|^2 n + p n x n' - c (e - n (n e)), where p is the
+momentum of the spin (0 for the spherical pendulum), c the torque of gravity and e points against
+gravity.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ Floats = NDArray[np.float64]
 
 #: Steps of the solution in space for each step of the scheme.
 FINER = 200
-#: Of the top about its axis, in rad/s.
+#: Rate of the top about its axis, in rad/s.
 SPIN = 252.0
 
 
@@ -120,11 +121,13 @@ def pole_sweep(
             t_end=1.0,
         ),
     ]
-    return [_pass(case, float(distance), phase) for case in cases for distance in distances]
+    return [
+        _run_past_pole(case, float(distance), phase) for case in cases for distance in distances
+    ]
 
 
-def _pass(case: _Case, distance: float, phase: float) -> PolePass:
-    """Meet the pole in the middle of a run."""
+def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
+    """Integrate a run that passes the pole at half of its time."""
     steps = round(case.t_end / case.h)
     h = case.t_end / steps
     z = -1.0 if case.down else 1.0

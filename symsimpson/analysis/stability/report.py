@@ -19,7 +19,7 @@ from symsimpson.errors import ConvergenceError
 
 __all__ = ["stress", "stress_standard"]
 
-#: So many steps tell the energy that a scheme keeps.
+#: Steps of the run whose shadow energy is reported.
 SHORT = 200
 
 
@@ -85,7 +85,7 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
 
 
 def stress_standard(scheme: str) -> Iterator[str]:
-    """Return the linear oscillator's limits and the passes of poles."""
+    """Report limits of stability of the linear oscillator, and runs past poles, line by line."""
     yield f"{scheme}: where the linear oscillator turns unstable or stable again, h omega"
     for found, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
         yield f"  {found:.4f}, by theory {theory:.4f}"

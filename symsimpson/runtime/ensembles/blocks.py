@@ -18,7 +18,7 @@ from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
 from symsimpson.runtime.kernels.observed import KINDS, observing_kernel
 from symsimpson.runtime.program import Program
-from symsimpson.runtime.runs.chaos import directions, kept_growth
+from symsimpson.runtime.runs.chaos import directions, storage_of_growth
 from symsimpson.runtime.runs.run import NOTHING_KEPT, TIME_KEPT
 from symsimpson.runtime.runs.variations import kept_variations
 
@@ -112,7 +112,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
                 f"a run of {task.steps} steps does not tell how variations grow.\n"
                 f"Take {RENEWAL} at least."
             )
-        kept, columns = kept_growth(program, PAIR, RENEWAL), directions(2 * header.n, PAIR)
+        kept, columns = storage_of_growth(program, PAIR, RENEWAL), directions(2 * header.n, PAIR)
         told = header.told_to_renew(PAIR, RENEWAL)
     if not all(r.of_variations for r in task.reductions):
         watched = len(task.reductions)

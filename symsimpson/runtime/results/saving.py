@@ -16,7 +16,7 @@ __all__ = ["digest_of", "save"]
 
 
 def save(run: Stored, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory, and what is needed to have it back; or a table of it."""
+    """Write a trajectory to a file that it can be read from again, or a table of its states."""
 
     def arrays() -> dict[str, Any]:
         stored = (one.name for one in (*VECTORS, *SCALARS))
@@ -27,7 +27,7 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
 
 
 def _dataset(run: Stored) -> Any:
-    """Return all that a trajectory is made of."""
+    """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
     found = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
@@ -52,7 +52,7 @@ def digest_of(run: Stored) -> str:
     about = (float(run.h), run.steps, run.every, run.status.name, run.message, run.program.source)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
-    ways = () if run.variations is None else (run.variations,)
+    variations = () if run.variations is None else (run.variations,)
     arrays = (
         run.t,
         run.q,
@@ -61,7 +61,7 @@ def digest_of(run: Stored) -> str:
         run.newton_iterations,
         run.input_values,
         *tau,
-        *ways,
+        *variations,
     )
     for array in arrays:
         content.update(np.ascontiguousarray(array).tobytes())

@@ -22,10 +22,10 @@ __all__ = ["States"]
 
 
 def with_units(data: Any, units: Mapping[str, str]) -> Any:
-    """Write units that are known into an ``xarray.Dataset``, where its libraries look for them.
+    """Return an ``xarray.Dataset`` with the units that are known.
 
-    q, p and v hold several quantities: theirs stand in coordinates named ``units_q`` and so on,
-    and in the attributes where all are the same.
+    Units of q, p and v stand in coordinates named ``units_q`` and so on, and in an attribute where
+    all are the same.
     """
     if "t" in units:
         data["time"].attrs["units"] = units["t"]
@@ -43,8 +43,8 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
     return data
 
 
-def stored(name: str, own: str) -> str:
-    """Return a name if files take it as that of an attribute; else that of the module."""
+def attribute_name(name: str, own: str) -> str:
+    """Return a name if attributes of files may have it, else the name in the module."""
     return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else own
 
 
@@ -100,8 +100,8 @@ class States(Quantities):
         """Return a quantity by its name, shape (N,), or some of the states.
 
         Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
-        "t", "energy" and "kinetic_energy". A number gives one state, a slice or an array as numpy
-        takes them more.
+        "t", "energy" and "kinetic_energy". A whole number selects one state; a slice or an array of
+        numbers selects several, as in numpy.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class States(Quantities):
     def __getstate__(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
 
-    #: Iterating over quantities or over states: neither is what everybody expects.
+    #: There is no iteration: over quantities or over states would be as natural.
     __iter__ = None
 
     def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
@@ -145,7 +145,7 @@ class States(Quantities):
         *more : str
             Further ones.
         ax : matplotlib axes, optional
-            Drawn into; made if there are none: one for each of the system's ``units``.
+            Axes to draw in; new ones, one for each unit of the system, unless given.
 
         Returns
         -------
@@ -272,11 +272,11 @@ class States(Quantities):
         return with_units(xarray.Dataset(variables, names, self._about()), self.program.units)
 
     def _further(self) -> dict[str, Any]:
-        """Variables of a dataset that not all states have."""
+        """Return variables of a dataset that a subclass has beside those of all states."""
         return {}
 
     def _about(self) -> dict[str, Any]:
-        """Where the numbers come from."""
+        """Return attributes of a dataset: system, scheme, order, digest and parameters."""
         program = self.program
         return {
             "system": program.system,
@@ -284,7 +284,7 @@ class States(Quantities):
             "order": program.order,
             "digest": program.header.digest,
             **{
-                f"parameter {stored(name, own)}": float(value)
+                f"parameter {attribute_name(name, own)}": float(value)
                 for (name, value), own in zip(
                     self.parameters.items(), program.names.parameters.own, strict=True
                 )

@@ -14,7 +14,7 @@ __all__ = ["Stored"]
 
 
 class Stored(Outcome, States):
-    """The part of a run that is read where something is computed of it.
+    """Arrays and settings of a finished run, from which other quantities are computed.
 
     Attributes
     ----------
@@ -22,10 +22,10 @@ class Stored(Outcome, States):
     every : int or None
         Steps from one stored state to the next.
     input_values : ndarray, shape (1, steps, s, m)
-        Inputs by step, node and number; an axis of one entry stands for all.
+        Inputs by step, node and number, of one run; an axis of one entry stands for all.
     variations : ndarray, shape (N + 1, 2 n, k), or None
     varied_by : tuple of str or None
-        What they belong to, if the program does not tell.
+        Names that ``variations`` are derivatives by; None for those of the program.
     tau_values : ndarray or None
         The variable in which steps are fixed, where it is not the time.
     """

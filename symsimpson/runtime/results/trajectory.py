@@ -79,7 +79,7 @@ class Trajectory(Energies, Differentiated):
         return self.program.names.varied(self.varied_by)
 
     def __getitem__(self, key: Any) -> Any:
-        """Return a quantity by its name, shape (N,), or some of the states.
+        """Return a quantity by its name, shape (N + 1,), or some of the states.
 
         As :class:`States`; what the run knows of these states, such as their ``tangent``, stays.
         """
@@ -103,7 +103,7 @@ class Trajectory(Energies, Differentiated):
 
     @property
     def inputs(self) -> dict[str, NDArray[Any]]:
-        """Values of the inputs by name: shape (N,), one per step, or (N, s), at the nodes."""
+        """Values of the inputs by name: shape (steps,), or (steps, s) if nodes have their own."""
         names, (given,) = self.program.inputs, self.input_values
         values = np.broadcast_to(given, (max(self.steps, len(given)), *given.shape[1:]))
         shown = values[:, 0] if values.shape[1] == 1 else values
@@ -226,7 +226,7 @@ class Trajectory(Energies, Differentiated):
         return animate(self, seconds=seconds, fps=fps)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Keep the run in a file, of the kind that its ending says.
+        """Save the run to a file, in the format of its extension.
 
         ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives, and the
         generated module, so that :func:`symsimpson.open_trajectory` gives back this trajectory.
@@ -236,7 +236,7 @@ class Trajectory(Energies, Differentiated):
         Raises
         ------
         InputError
-            If the name ends otherwise, a library is missing, or the run has many digits.
+            If there is no such format, a library is missing, or the run has many digits.
         StorageError
             If the file cannot be written.
 

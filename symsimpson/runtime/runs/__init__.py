@@ -1,1 +1,1 @@
-"""One run: how it begins, goes on, is kept on disk, and what its energy tells of it."""
+"""Single runs: their start, steps, checkpoints, and checks of their energy."""

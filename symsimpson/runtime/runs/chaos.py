@@ -27,25 +27,25 @@ from symsimpson.runtime.runs.variations import refuse_retimed, varied_program
 if TYPE_CHECKING:
     from symsimpson.runtime.program import Program
 
-__all__ = ["directions", "find_chaos", "kept_growth", "lyapunov"]
+__all__ = ["directions", "find_chaos", "lyapunov", "storage_of_growth"]
 
 Floats = NDArray[np.float64]
 
 
-def kept_growth(program: Program, count: int, every: int) -> Kept:
-    """Say what a run keeps of so many variations, made orthonormal after so many steps."""
+def storage_of_growth(program: Program, count: int, every: int) -> Kept:
+    """Say which rows a run stores for variations that are made orthonormal now and then."""
     rows, room = program.header.room_for_growth(count)
     return Kept("tangent", rows, room, count, every)
 
 
 def directions(size: int, count: int) -> Floats:
-    """Return orthonormal columns to begin with, the same ones each time, along nothing special."""
+    """Return random orthonormal columns as first variations, the same ones each time."""
     found, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
     return np.ascontiguousarray(found)
 
 
-def _allowed(program: Program, spec: RunSpec, columns: Floats) -> Floats:
-    """Return directions that constraints allow at the start: a step there moves any into them."""
+def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) -> Floats:
+    """Return directions tangent to the constraints at the start: a step leads variations there."""
     if not program.header.constraints:
         return columns
     back = replace(spec, h=-spec.h, steps=1, every=0)
@@ -100,11 +100,15 @@ def find_chaos(
             "Run longer, or pass a smaller every=."
         )
     run = new_run(
-        program, spec, stride, spec.steps // stride + 1, kept=kept_growth(program, count, stride)
+        program,
+        spec,
+        stride,
+        spec.steps // stride + 1,
+        kept=storage_of_growth(program, count, stride),
     )
     begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count
-    run.begin_growth(_allowed(program, spec, directions(2 * program.n, count)))
+    run.begin_growth(_tangent_to_constraints(program, spec, directions(2 * program.n, count)))
     look_at_step(program, run, spec)
     with run.watched(spec.steps, progress):
         run.advance(spec.steps)
