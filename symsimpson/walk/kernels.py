@@ -109,7 +109,8 @@ def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
 def wide(bits: int) -> str:
     """Return attributes of a function by which its vectors may have so many bits.
 
-    llvmlite does not know them: they are added to its set. Longer vectors of the text are taken apart: none of them has to be in one register.
+    llvmlite does not know them: they are added to its set. Longer vectors of the text are taken
+    apart: none of them has to be in one register.
     """
     return f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="0"'
 
