@@ -159,7 +159,7 @@ def apocentre(e, number=float):
 def reference():
     """Half an orbit of eccentricity 0.6 in tau, and a little: q, p and t."""
     with mp.workdps(40):
-        return states(ss.compile(kepler().retimed("encounters"), "gauss16", precision=40), 160)
+        return states(ss.compile(kepler().retimed("encounters"), "gauss16", precision=40), 80)
 
 
 def states(stepper, steps, e="0.6"):

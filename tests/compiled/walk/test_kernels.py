@@ -156,7 +156,7 @@ def test_explicit_steps_and_others(scheme):
 
 @pytest.mark.parametrize(
     ("system", "scheme"),
-    sweep([("hanging_chain", "suzuki4"), ("argon", "blanes_moan4"), ("cloth", "kahan_li8")], 1),
+    sweep([("argon", "blanes_moan4"), ("hanging_chain", "suzuki4"), ("cloth", "kahan_li8")], 1),
 )
 def test_kicks_and_drifts_by_loops(system, scheme):
     check(EVERY[system](), scheme)

@@ -43,8 +43,8 @@ def total(found, plain):
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda: ss.systems.n_pendulum(8), 4),
-        (lambda: ss.systems.fermi_pasta_ulam(12), 6),
+        (lambda: ss.systems.n_pendulum(5), 4),
+        (lambda: ss.systems.fermi_pasta_ulam(8), 6),
         (ss.systems.double_pendulum, 6),
         (ss.systems.heavy_top, 20),
         (ss.systems.rigid_body, 30),

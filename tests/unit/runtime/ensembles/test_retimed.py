@@ -13,7 +13,7 @@ KEPLER = ss.MechanicalSystem(
     kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
     potential=-1 / sp.sqrt(x**2 + y**2),
 )
-ECCENTRICITY = np.linspace(0.1, 0.95, 11)
+ECCENTRICITY = np.linspace(0.1, 0.95, 9)
 Q0 = np.column_stack([1 + ECCENTRICITY, 0 * ECCENTRICITY])
 V0 = np.column_stack([0 * ECCENTRICITY, np.sqrt((1 - ECCENTRICITY) / (1 + ECCENTRICITY))])
 HOW = [
