@@ -29,7 +29,7 @@ def coefficient_loops(
     Parameters
     ----------
     low : Lowering
-    values : sequence of Expr
+    values : sequence of Expression
         The coefficients, in the order of their rows; made of the parameters of ``low``.
 
     Returns

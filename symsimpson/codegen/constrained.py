@@ -123,10 +123,10 @@ class ConstrainedSolver:
                 for c in self._held
             ]
             change[a] -= low.graph.total(pulls) / low.h
-        p = [
-            define(f"p_{names[a]}_far", low.p[a] + (change[a] + low.p_low[a]), "projection")
-            for a in group
-        ]
+        moved = {
+            a: define(f"p_{names[a]}_step", change[a] + low.p_low[a], "projection") for a in group
+        }
+        p = [define(f"p_{names[a]}_far", low.p[a] + moved[a], "projection") for a in group]
         _, _, taken = held_velocities(low, end, p, "projection", group, "far")
         slopes = [
             [low.held.entry(end, "projection", "Phi", c, a) for a in group] for c in self._held

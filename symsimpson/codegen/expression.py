@@ -75,7 +75,7 @@ class Expression:
         return self.node == UNIT and self.coefficient == other
 
     def __hash__(self) -> int:
-        return hash((self.coefficient, self.node))
+        return hash(self.coefficient if self.node == UNIT else (self.coefficient, self.node))
 
     def __repr__(self) -> str:
         return f"Expression({self.coefficient}, {self.graph.nodes[self.node]})"
@@ -130,10 +130,12 @@ class Expressions(Graph):
         """Add values; equal nodes are collected, and the first term has no minus."""
         terms: dict[int, Exact] = {}
         for c, n in values:
-            kind, parts, _ = self.nodes[n]
-            inner = kind == "sum" and (c in (1, -1) or len(parts) == 1)
-            for d, m in parts if inner else ((1, n),):
-                terms[m] = terms.get(m, 0) + c * d
+            terms[n] = terms.get(n, 0) + c
+        while inner := [n for n, c in terms.items() if self._is_opened(c, n)]:
+            for n in inner:
+                c = terms.pop(n)
+                for d, m in self.nodes[n].parts:
+                    terms[m] = terms.get(m, 0) + c * d
         items = [(exact(c), n) for n, c in sorted(terms.items()) if c]
         if not items:
             return 0, UNIT
@@ -142,6 +144,11 @@ class Expressions(Graph):
         sign = 1 if items[0][0] > 0 else -1
         parts = tuple((sign * c, n) for c, n in items)
         return sign, self._make("sum", parts, self._united(n for _, n in items))
+
+    def _is_opened(self, c: Exact, n: int) -> bool:
+        """Return whether the terms of a multiple of a sum are terms of the sum that it is in."""
+        kind, parts, _ = self.nodes[n]
+        return kind == "sum" and (c in (1, -1) or len(parts) == 1)
 
     def of(self, number: Number) -> Expression:
         """Return a number as an expression."""

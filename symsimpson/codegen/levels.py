@@ -18,7 +18,7 @@ from symsimpson.codegen.names import NameTable
 from symsimpson.codegen.printer import LARGE
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import UNIT, Exact
-from symsimpson.graph.read import in_doubles, was_float
+from symsimpson.graph.read import in_doubles, is_float
 
 __all__ = ["Definition", "Definitions", "Level"]
 
@@ -115,7 +115,7 @@ class Definitions(Expressions):
 
     def known_at(self, node: int) -> int:
         """Return when a node is known: early ones come first in a sum."""
-        return max((self.levels.get(n, 0) for n in self.nodes[node].symbols), default=0)
+        return max((self.levels[n] for n in self.nodes[node].symbols), default=0)
 
     def split(self, expression: Expression, section: str) -> Part:
         """Replace what is known earlier than the whole by definitions."""
@@ -149,10 +149,12 @@ class Definitions(Expressions):
         return [self.split(value, section) for value in values]
 
     def _power(self, one: Expression, section: str) -> Part:
-        """Split the base of a power."""
+        """Split the base of a power; exponents have all digits, unless they are those of roots."""
         ((base, exponent),) = self.factors(one.node)
         value, level = self.split(Expression(self, (1, base)), section)
-        return value**exponent, level
+        if exponent.denominator in (1, 2, 4):
+            return value**exponent, level
+        return self.applied("pow", value, self._number(self.of(exponent))), level
 
     def _multiple(self, c: Exact, value: Expression) -> Expression:
         """Return a value times a number, which has a name if it is not exact."""
@@ -183,25 +185,23 @@ class Definitions(Expressions):
         """Gather the parts of a sum or product that are known before the others."""
         late = [value for value, at in parts if at == level]
         early = [(value, at) for value, at in parts if at < level]
-        product, sign = join == self.product, 1
-        if product:  # signs stay outside, so that x and -x share a definition
-            signs = [-1 if value.coefficient < 0 else 1 for value, _ in early]
-            sign = -1 if signs.count(-1) % 2 else 1
+        if join == self.product:  # signs stay outside, so that x and -x share a definition
+            minus = sum(value.coefficient < 0 for value, _ in early) % 2
             early = [
-                (own, at)
-                for (value, at), minus in zip(early, signs, strict=True)
-                if (own := -value if minus < 0 else value) != 1
+                (-value if value.coefficient < 0 else value, at)
+                for value, at in early
+                if value not in (1, -1)
             ]
-            variable = [value for value, at in early if at > Level.CONSTANT]
-            if not variable and len(early) == 1 and early[0][0].node == UNIT:
-                return join([self.of(sign), early[0][0], *late])
+            late = [self.of(-1 if minus else 1), *late]
+            if len(early) == 1 and early[0][0].node == UNIT:
+                return join([early[0][0], *late])
         if not early:
-            return join([self.of(sign), *late]) if product else join(late)
+            return join(late)
         known = max(at for _, at in early)
         value = self._regroup(join, early, known, section)
         if not self._trivial(value):
             value = self._name(value, _PREFIX[known], section)
-        return join([self.of(sign), value, *late]) if product else join([value, *late])
+        return join([value, *late])
 
     def _name(self, value: Expression, hint: str, section: str) -> Expression:
         """Return the symbol that stands for a value already split, or for its opposite."""
@@ -223,7 +223,7 @@ class Definitions(Expressions):
         c = number.coefficient
         if number.node == UNIT:
             small = abs(c.numerator) < LARGE and c.denominator < LARGE
-            if was_float(c) or (small and c.denominator & (c.denominator - 1) == 0):
+            if is_float(c) or (small and c.denominator & (c.denominator - 1) == 0):
                 return number
         if c < 0:
             return -self._number(-number)
@@ -233,11 +233,17 @@ class Definitions(Expressions):
             if own in self._constant_of:  # the same number, written in another way
                 self._constant_of[number] = self._constant_of[own]
                 return self._constant_of[number]
-            hint = f"C_{c.numerator}_{c.denominator}" if rational else "C"
+            short = rational and max(c.numerator, c.denominator) < LARGE
+            hint = f"C_{c.numerator}_{c.denominator}" if short else "C"
             symbol = self.declare(self.names.fresh(hint), Level.CONSTANT)
             self.constants[symbol] = number
             self._constant_of[number] = self._constant_of[own] = symbol
         return self._constant_of[number]
+
+    def is_positive(self, expression: Expression) -> bool:
+        """Return whether an expression is a number above zero."""
+        value = self.replaced(expression, self.constants)
+        return value.is_number and mpmath.mpf(self._digits(value)) > 0
 
     def _digits(self, number: Expression) -> str:
         """Return a number in digits."""

@@ -59,7 +59,7 @@ class LinearSolver(Explicit):
                 self._add(impulse, change, f"kick_{number}")
                 p = self._moved(low.p, low.p_low, impulse, f"p_{number}")
             else:
-                change = self._drift(number, coefficients, p)
+                change = self._drift(coefficients, p)
                 self._add(moved, change, f"drift_{number}")
                 q = self._moved(low.q, low.q_low, moved, f"q_{number}")
         end = end_point(low, moved)
@@ -104,7 +104,7 @@ class LinearSolver(Explicit):
             kicks[a] = self._define(f"kick_{number}_{a}", constant)
         return {a: total([kicks[a], *(matrix[a, b] * q[b] for b in group)]) for a in group}
 
-    def _drift(self, number: int, coefficients: tuple[Number, Number], p: Vector) -> Vector:
+    def _drift(self, coefficients: tuple[Number, Number], p: Vector) -> Vector:
         """Apply b (M/h + e h K)^-1 to p."""
         h, group, graph = self._low.h, self.coordinates, self._low.graph
         start, slope = map(graph.of, coefficients)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from symsimpson.codegen.expression import Expression
-from symsimpson.codegen.levels import Definitions
+from symsimpson.codegen.levels import Definitions, Level
 
 __all__ = ["solve_blocks", "solve_symmetric", "solve_unpivoted"]
 
@@ -155,12 +155,16 @@ def _solve_two(
 ) -> tuple[list[Expression], list[Expression]]:
     """Solve a symmetric 2 x 2 system with one division; the pivots' signs are those of minors."""
     (a, b), (_, d) = matrix
+    pivot = a
     determinant = graph.define("det", a * d - b**2, section)
     scale = graph.define("inv_det", 1 / determinant, section)
     x, y = right
+    if graph.level(scale) <= Level.RUN:  # the inverse is known before
+        a, b, d = a * scale, b * scale, d * scale
+        scale = graph.of(1)
     first = graph.define(hints[0], (d * x - b * y) * scale, section)
     second = graph.define(hints[1], (a * y - b * x) * scale, section)
-    return [first, second], [a, determinant]
+    return [first, second], [pivot, determinant]
 
 
 def _back(

@@ -11,7 +11,7 @@ from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import acceptance, convergence, lanes
 from symsimpson.discrete.reductions import Constrained, Coupled, Separable
-from symsimpson.discrete.rows import force_factor, inertia_factor
+from symsimpson.discrete.rows import force_factor, inertia_factor, simplified
 from symsimpson.module.interface import PIVOTED
 from symsimpson.schemes.scheme import Scheme
 
@@ -351,7 +351,7 @@ def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dic
         ),
         "TEST_ROWS": tuple(
             tuple(
-                sp.radsimp(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
+                simplified(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
             )
             for test in part.tests
         ),
@@ -361,7 +361,7 @@ def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dic
     }
     if part.last is not None:
         test = part.last_test(d)
-        scale = sp.radsimp(-1 / S[part.last][d]) if part.last else sp.S.One
+        scale = simplified(-1 / S[part.last][d]) if part.last else sp.S.One
         tables |= {
             "LAST_START": test[0],
             "LAST_SCALE": scale,

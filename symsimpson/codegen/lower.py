@@ -22,7 +22,7 @@ from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.discrete.jet import Jet, watched
 from symsimpson.discrete.reductions import Coupled
 from symsimpson.discrete.slopes import derive_cost, derive_slopes
-from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.constraints import regular_mass
 
 __all__ = ["Lowering"]
@@ -194,11 +194,15 @@ class Lowering:
             symbols.append(symbol)
         return tuple(symbols)
 
-    def known(self, value: Value, graph: Graph | None = None) -> Expression:
+    def known(self, value: Value) -> Expression:
         """Return a value that is made of parameters."""
-        graph = graph or self.equations.plain.graph
-        known = {graph.symbol(name)[1]: own for name, own in self.parameters.items()}
-        return self.graph.taken(graph, value, known)
+        return self.graph.taken(self.equations.plain.graph, value, self._by_node)
+
+    @cached_property
+    def _by_node(self) -> dict[int, Expression]:
+        """Parameters by their nodes in the graph of the system."""
+        graph = self.equations.plain.graph
+        return {graph.symbol(name)[1]: own for name, own in self.parameters.items()}
 
     def start_point(self) -> Point:
         """Return the point q0; its suffix is that of a node standing there."""

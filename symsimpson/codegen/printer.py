@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from symsimpson.codegen.expression import Expression, Expressions
 from symsimpson.graph.nodes import UNIT, Exact, Graph, Value, exact, magnitude
-from symsimpson.graph.read import in_doubles, was_float
+from symsimpson.graph.read import in_doubles, is_float
 
 __all__ = ["LARGE", "NAMED_CONSTANTS", "Printer", "count_operations", "formula"]
 
@@ -63,6 +63,8 @@ class Printer:
         What is no product stands before products, each of which is fused with what is before it.
         """
         terms = sorted(terms, key=lambda term: (not _alone(graph, *term), graph.known_at(term[1])))
+        first = next((k for k, (c, n) in enumerate(terms) if c > 0 and _alone(graph, c, n)), 0)
+        terms = [terms[first], *terms[:first], *terms[first + 1 :]]
         if len(terms) == 1:
             return self._value(graph, *terms[0])
         text = self._within(self._value(graph, *terms[0]), SUM)
@@ -76,7 +78,7 @@ class Printer:
         factors = sorted(factors, key=lambda factor: _place(graph, factor[0]))
         above = [self._power(graph, n, e) for n, e in factors if e > 0]
         below = [self._power(graph, n, -e) for n, e in factors if e < 0]
-        if self._exact or was_float(c):
+        if is_float(c):
             if abs(c) != 1:
                 above.insert(0, self._number(magnitude(c)))
         else:
@@ -128,7 +130,7 @@ class Printer:
         """Write a number."""
         c = in_doubles(c)
         p, q = c.numerator, c.denominator
-        if was_float(c):
+        if is_float(c):
             return repr(float(c)), SUM if c < 0 else ATOM
         if q == 1:
             large = self._exact and abs(p) >= LARGE
@@ -195,7 +197,7 @@ def count_operations(expression: Expression) -> int:
 
 def _operations(c: Exact, exponents: Sequence[Exact]) -> int:
     """Count the operations of a product with a number."""
-    single = was_float(c)
+    single = is_float(c)
     above = sum(e > 0 for e in exponents) + (single or c.numerator not in (1, -1))
     below = sum(e < 0 for e in exponents) + (not single and c.denominator != 1)
     powers = 0

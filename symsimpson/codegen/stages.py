@@ -290,7 +290,10 @@ class StageKernels:
 
         def total(values: Sequence[Expression], hint: str) -> Expression:
             parts = [define(f"{hint}_{k}", low.graph.total(values[k::4]), "sums") for k in range(4)]
-            return define(f"{hint}_all", (parts[0] + parts[1]) + (parts[2] + parts[3]), "sums")
+            halves = [
+                define(f"{hint}_half_{k}", low.graph.total(parts[k::2]), "sums") for k in range(2)
+            ]
+            return define(f"{hint}_all", halves[0] + halves[1], "sums")
 
         for a, name in enumerate(names):
             change = total(self._moves[a], f"dq_{name}")

@@ -166,6 +166,8 @@ class JetTemplate:
     def _angle(self, n: int, line: Line, point: Point, section: str) -> Expression:
         """Return the sine or the cosine of an angle, of which both are made at once."""
         angle = self._value(line.parts[1], point, section)
+        if self._graph.level(angle) == Level.CONSTANT:
+            return self._graph.define("C", self._graph.applied(line.parts[0], angle), section)
         number = self._angles[line.parts[1]]
         hint = angle.name if angle.is_symbol else f"angle{number}_{point.suffix}"
         sine, cosine = self._graph.define_sincos(hint, angle, section)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from symsimpson.codegen.expression import Expression
 from symsimpson.codegen.ir import Assign, Load, Row, Section, SinCos, Statement, Store, Turn
+from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 
 __all__ = ["Turning"]
@@ -73,7 +74,9 @@ class Turning:
                 continue
             graph = self._low.graph
             hints = ("angle_before", "sine_before", "cosine_before", "turn")
-            angle, sine, cosine, change = (graph.named(self._low.names.fresh(x)) for x in hints)
+            angle, sine, cosine, change = (
+                graph.declare(self._low.names.fresh(x), Level.ITERATION) for x in hints
+            )
             for block, symbol in zip(_BLOCKS, (angle, sine, cosine), strict=True):
                 yield Load(symbol, self._row(block, len(changes)))
             yield Assign(change, statement.angle - angle)

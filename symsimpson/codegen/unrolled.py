@@ -26,7 +26,6 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
-from symsimpson.graph.nodes import UNIT
 
 __all__ = [
     "SOLVERS",
@@ -98,7 +97,7 @@ def velocity(
         deficits += [
             low.graph.define("deficit", d - low.graph.applied("abs", d), section)
             for d in pivots
-            if d.node != UNIT or d.coefficient <= 0  # of others only a run can tell
+            if not low.graph.is_positive(d)
         ]
     deficit = low.graph.define("deficit", low.graph.total(deficits), section)
     return [found[a] for a in range(low.n)], deficit

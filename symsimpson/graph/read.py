@@ -16,6 +16,7 @@ __all__ = [
     "Reader",
     "fraction",
     "in_doubles",
+    "is_float",
     "line_written",
     "number",
     "tree_size",
@@ -144,6 +145,11 @@ def was_float(value: int | Fraction) -> bool:
     return q > FLOAT and q & (q - 1) == 0
 
 
+def is_float(value: int | Fraction) -> bool:
+    """Return whether a number is one that only floats are, and is one of them."""
+    return was_float(value) and Fraction(float(value)) == value
+
+
 def in_doubles(value: int | Fraction) -> int | Fraction:
     """Return a number, rounded where its numerator or denominator is far too large for a double.
 
@@ -164,7 +170,7 @@ def in_doubles(value: int | Fraction) -> int | Fraction:
 def number(value: int | Fraction) -> sp.Number:
     """Return a fraction as a SymPy number; what was a float is one again."""
     value = in_doubles(value)
-    if was_float(value) and Fraction(float(value)) == value:
+    if is_float(value):
         return sp.Float(float(value))
     return sp.Rational(value.numerator, value.denominator)
 
