@@ -34,8 +34,8 @@ from symsimpson.support.extras import library
 __all__ = ["read_precision"]
 
 FEWEST, MOST = 15, 10_000
-#: With more digits, quadratic convergence is worth its price.
-MOST_BY_STAGES = 64
+#: With more digits, quadratic convergence is worth its price; with few unknowns, always.
+MOST_BY_STAGES, FEWEST_BY_STAGES = 64, 5
 ARITHMETICS = ("mpmath", "arb")
 
 
@@ -84,7 +84,8 @@ class _Functions(KernelSets):
     """Kernels as Python functions."""
 
     def __init__(self, module: SimpleNamespace, header: Header, digits: int) -> None:
-        super().__init__(header, by_stages=header.by_stages and digits <= MOST_BY_STAGES)
+        many = digits <= MOST_BY_STAGES and header.degree >= FEWEST_BY_STAGES
+        super().__init__(header, by_stages=header.by_stages and many)
         self._module = module
 
     @property
