@@ -33,7 +33,7 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
         """Return the end with steps of h / 2**level."""
         return s.precise.flow(s.z, context.ldexp(s.h, -level), int(steps * 2.0**level))
 
-    levels = list(range(3 if s.stepper.order > HIGH else 5))
+    levels = list(_levels(s))
     try:
         ends = [end(level) for level in levels]
     except ConvergenceError:
@@ -58,6 +58,11 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
         what,
         f"The scheme has order {s.stepper.order}; the last pairs are asymptotic{nearly}",
     )
+
+
+def _levels(s: Subject) -> range:
+    """Return how often steps are halved."""
+    return range(3 if s.stepper.order > HIGH else 5)
 
 
 def _least(s: Subject, difference: float) -> float:
@@ -85,7 +90,7 @@ def order_of_time(s: Subject) -> Iterator[Check]:
         run = timed.run(s.z, s.h / context.mpf(parts), parts * steps, every=None)
         return context.convert(run.t[-1])
 
-    ends = [end(2**level) for level in range(3 if s.stepper.order > HIGH else 5)]
+    ends = [end(2**level) for level in _levels(s)]
     with mpmath.workdps(DIGITS):
         least = _least(s, float(abs(ends[-2] - ends[-1])))
         exact = s.exact(steps * mpmath.mpf(s.h), timed=True, error=least)[-1]

@@ -103,8 +103,13 @@ class Precise:
 
     def _call(self, kernel: str, W: Vector) -> None:
         """Call a kernel of a state."""
-        one, start = self._numbers.read(1.0).item(), self._numbers.read(0.0).item()
-        self.program.kernels.address(kernel)(one, start, W)
+        self.program.kernels.address(kernel)(*self._one_and_zero, W)
+
+    @cached_property
+    def _one_and_zero(self) -> tuple[Any, Any]:
+        """A step and a time for kernels of a state, which do without."""
+        one, zero = self._numbers.read([1.0, 0.0])
+        return one, zero
 
     def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
         """Differentiate the map of some steps by differences, Newton's method included.

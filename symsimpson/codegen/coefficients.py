@@ -80,7 +80,7 @@ def _loop(
     target, *indices = [low.names.fresh("row") for _ in members[0]]
     factors = []
     for index in indices:
-        factors.append(low.graph.declare(low.names.fresh("factor"), Level.RUN))
+        factors.append(low.graph.fresh("factor", Level.RUN))
         low.rows[factors[-1]] = Row("PARAMETER", index)
     value = low.graph.split(low.graph.product([number, *factors]), "constants")[0]
     read = [Index(name, f"{table}[term, {k}]") for k, name in enumerate((target, *indices))]

@@ -80,13 +80,14 @@ class ConstrainedSolver:
                     more = (x * entry(m, "Phi", c, b) for c, x in enumerate(push))
                     matrix[row][column] += total(more) / h
             for j, c in ((j, c) for j in part.rows for c in held):
-                matrix[row].append(-entry(k, "Phi", c, a) / h if j == k else total([]))
+                matrix[row].append(-entry(k, "Phi", c, a) / h if j == k else low.graph.of(0))
         for m in part.columns:
             for c in held:
                 slopes = [
-                    entry(m, "Phi", c, b) / h if j == m else total([]) for j, b in self.increments
+                    entry(m, "Phi", c, b) / h if j == m else low.graph.of(0)
+                    for j, b in self.increments
                 ]
-                matrix.append(slopes + [total([])] * len(self.multipliers))
+                matrix.append(slopes + [low.graph.of(0)] * len(self.multipliers))
                 right.append(-entry(m, "phi", c) / h)
         hints = correction_names(low, self.increments)
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]

@@ -86,6 +86,10 @@ class Definitions(Expressions):
         self.levels[symbol.node] = level
         return symbol
 
+    def fresh(self, hint: str, level: Level) -> Expression:
+        """Return a symbol of a new name for a value that comes from outside."""
+        return self.declare(self.names.fresh(hint), level)
+
     def define(self, hint: str, expression: Expression, section: str) -> Expression:
         """Define an expression under a name; numbers and symbols stand for themselves."""
         value, _ = self.split(expression, section)
@@ -100,10 +104,7 @@ class Definitions(Expressions):
         value = self.define(hint if hint.startswith("angle") else f"angle_{hint}", angle, section)
         if value not in self._angles:
             level = self.level(value)
-            sine, cosine = (
-                self.declare(self.names.fresh(f"{function}_{hint}"), level)
-                for function in ("sin", "cos")
-            )
+            sine, cosine = (self.fresh(f"{function}_{hint}", level) for function in ("sin", "cos"))
             definition = Definition((sine, cosine), value, level, section)
             self.definitions |= {sine: definition, cosine: definition}
             self._angles[value] = sine, cosine
@@ -158,12 +159,9 @@ class Definitions(Expressions):
 
     def _multiple(self, c: Exact, value: Expression) -> Expression:
         """Return a value times a number, which has a name if it is not exact."""
+        c *= value.coefficient
         one = Expression(self, (1, value.node))
-        return (
-            one
-            if c * value.coefficient == 1
-            else self._number(self.of(c * value.coefficient)) * one
-        )
+        return one if c == 1 else self._number(self.of(c)) * one
 
     def _numbers_joined(
         self, join: Callable[[list[Expression]], Expression], values: list[tuple[Exact, int]]
@@ -211,7 +209,7 @@ class Definitions(Expressions):
         if level == Level.CONSTANT:
             return self._number(self.replaced(value, self.constants))
         if value not in self._known:
-            symbol = self.declare(self.names.fresh(hint), level)
+            symbol = self.fresh(hint, level)
             self.definitions[symbol] = Definition((symbol,), value, level, section)
             self._known[value] = symbol
         return self._known[value]
@@ -235,7 +233,7 @@ class Definitions(Expressions):
                 return self._constant_of[number]
             short = rational and max(c.numerator, c.denominator) < LARGE
             hint = f"C_{c.numerator}_{c.denominator}" if short else "C"
-            symbol = self.declare(self.names.fresh(hint), Level.CONSTANT)
+            symbol = self.fresh(hint, Level.CONSTANT)
             self.constants[symbol] = number
             self._constant_of[number] = self._constant_of[own] = symbol
         return self._constant_of[number]

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
-
-import sympy as sp
 
 from symsimpson.codegen.expression import Expression, Expressions
 from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["SchemeNumbers", "rounded"]
+__all__ = ["SchemeNumbers"]
 
 #: What a module takes of a scheme, and of its quadrature.
 _OF_SCHEME = ("A", "B", "points", "stiffness", "end_slope", "extrapolation", "correction")
@@ -53,8 +50,3 @@ class SchemeNumbers:
         if isinstance(table, tuple):
             return tuple(map(self._read, table))
         return self._graph.read(table)
-
-
-def rounded(number: sp.Expr) -> Fraction:
-    """Return a number of a scheme as the double next to it."""
-    return Fraction(float(number))

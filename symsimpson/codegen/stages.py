@@ -13,6 +13,7 @@ treated alike, so they are lanes, and one trajectory fills a vector register.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from math import prod
 from typing import Any
 
@@ -33,7 +34,6 @@ from symsimpson.codegen.ir import (
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.printer import count_operations
-from symsimpson.codegen.scheme_numbers import rounded
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.template import Point
 from symsimpson.codegen.turning import Turning
@@ -245,7 +245,7 @@ class StageKernels:
         low = self._low
         if low.equations.plain.autonomous:
             return None
-        place = low.graph.declare(low.names.fresh("c_j"), Level.ITERATION)
+        place = low.graph.fresh("c_j", Level.ITERATION)
         low.rows[place] = Row("STAGE_PLACE", "node")
         return low.graph.define("t_j", low.t + place * low.h, "path")
 
@@ -335,7 +335,7 @@ class StageKernels:
         terms = []
         for a in cyclic:
             weights = [
-                rounded(prod((1 - y) / (x - y) for y in c if y != x) / b[i])
+                Fraction(float(prod((1 - y) / (x - y) for y in c if y != x) / b[i]))
                 for i, x in enumerate(c)
             ]
             path = low.graph.total(x * w for w, x in zip(weights, self._moves[a], strict=True))

@@ -152,7 +152,7 @@ class FamilyWriter:
         self._kinds = [names.fresh(f"k{s}") for s in range(family.slots)]
 
         def base(hint: str, block: str, index: str) -> Expression:
-            symbol = low.graph.declare(names.fresh(hint), Level.ITERATION)
+            symbol = low.graph.fresh(hint, Level.ITERATION)
             low.rows[symbol] = Row(block, index)
             return symbol
 

@@ -72,11 +72,8 @@ class Turning:
             if not isinstance(statement, SinCos):
                 yield statement
                 continue
-            graph = self._low.graph
             hints = ("angle_before", "sine_before", "cosine_before", "turn")
-            angle, sine, cosine, change = (
-                graph.declare(self._low.names.fresh(x), Level.ITERATION) for x in hints
-            )
+            angle, sine, cosine, change = (self._low.graph.fresh(x, Level.ITERATION) for x in hints)
             for block, symbol in zip(_BLOCKS, (angle, sine, cosine), strict=True):
                 yield Load(symbol, self._row(block, len(changes)))
             yield Assign(change, statement.angle - angle)

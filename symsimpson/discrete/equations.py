@@ -135,13 +135,14 @@ class DiscreteEquations:
 
     def _coefficient(self, what: str, i: int, k: int, m: int) -> sp.Expr:
         b, A, B = self.scheme.quadrature.weights[i], self.scheme.A[i], self.scheme.B[i]
-        factors = {
-            "F_q": self.h * b * A[k] * A[m],
-            "F_v": b * A[k] * B[m],
-            "P_q": b * B[k] * A[m],
-            "M": b * B[k] * B[m] / self.h,
-        }
-        return factors[what]
+        match what:
+            case "F_q":
+                return self.h * b * A[k] * A[m]
+            case "F_v":
+                return b * A[k] * B[m]
+            case "P_q":
+                return b * B[k] * A[m]
+        return b * B[k] * B[m] / self.h
 
     def second_derivative(self, k: int, a: int, m: int, b: int, entry: Entry) -> list[Any]:
         """List the terms of D_m D_k L_d, components a and b."""
