@@ -114,7 +114,10 @@ class Functions(Expressions):
         key, given = values.packed(function.name, arguments)
         if key not in self._made:
             self._made[key] = values.apart(
-                function.name, given, lambda own: self._inside(function, values.unpacked(key, own))
+                function.name,
+                given,
+                lambda own: self._inside(function, values.unpacked(key, own)),
+                self._apart[function.name],
             )
         made, results = self._made[key]
         return values.call_apart(made, given, results)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -59,14 +59,19 @@ class Calls(Blocks):
         return list(map(back, key[1]))
 
     def apart(
-        self, name: str, given: list[Any], walk: Callable[[list[Any]], Any]
+        self,
+        name: str,
+        given: list[Any],
+        walk: Callable[[list[Any]], Any],
+        attributes: Sequence[str] = (),
     ) -> tuple[Any, Any]:
         """Walk a function by itself; returns it, and the types of its results."""
         module, builder = self.builder.module, self.builder
         kind = ir.FunctionType(ir.VoidType(), [INT.as_pointer(), *(x.type for x in given)])
         made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
         made.linkage = "internal"
-        for attribute in builder.function.attributes:
+        machine = (one for one in builder.function.attributes if one.startswith('"'))
+        for attribute in (*machine, *attributes):
             set.add(made.attributes, attribute)
         self.builder = ir.IRBuilder(made.append_basic_block("entry"))
         found = walk(list(made.args[1:]))

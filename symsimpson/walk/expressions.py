@@ -5,8 +5,9 @@ from __future__ import annotations
 import ast
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -77,9 +78,10 @@ class Expressions(ABC):
         values: Calls,
         call: Callable[[Any, Any, list[Any]], Any],
         few: int = FEW,
-        apart: frozenset[str] = frozenset(),
+        apart: Mapping[str, Sequence[str]] = MappingProxyType({}),
     ) -> None:
         self._text, self._values, self._call, self._few = text, values, call, few
+        #: Functions that stay functions, and the attributes that they have for LLVM.
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
         self._frames: list[Frame] = []

@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
 from symsimpson.runtime.driver.steps import (
     SET,
     SETTING,
@@ -58,7 +58,7 @@ def begin_anew(kernels, legendre, setting, start):
     begin(kernels, legendre, h, t, W, at)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def switch(kernels, h, t, W, at):
     """Go on with other kernels of the same layout, from the state and the predicted increments."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -73,7 +73,7 @@ def switch(kernels, h, t, W, at):
         put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def begin_growth(W, at, directions):
     """Begin variations of a state, orthonormal columns, and what is kept of how they grow."""
     size, count = directions.shape

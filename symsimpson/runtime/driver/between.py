@@ -8,7 +8,7 @@ from numba import njit, types
 from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin
 from symsimpson.runtime.driver.explicit import finite
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, RARE, call, solve
 from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give
 
 #: Newton's method for a time within a step takes four to six iterations, and halving, where it
@@ -123,7 +123,7 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
             fine[i] = take(kernels, part, 1, q_out[i], p_out[i], rests, i)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
     """Go from a state to a time between that of it and ``ahead``, a step; leave the new one there.
 

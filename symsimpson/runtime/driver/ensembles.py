@@ -11,7 +11,7 @@ from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin, begin_growth
 from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
 from symsimpson.runtime.driver.recovery import recover
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
 from symsimpson.runtime.driver.steps import INPUTS, RENEWING, SET, SETTING, SIGNATURES, take_steps
 
 #: Where in the cursor what stands.
@@ -36,7 +36,7 @@ SIGNATURES |= {
 }
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def load_block(kernels, more, setting, block, starts):
     """Put the members of a block into the lanes; the last one fills a ragged end."""
     (h, t0, W, at), (q0, other0, parameters) = setting, starts
@@ -88,7 +88,7 @@ def look_at_time(W, at, still):
             still[lane] = -1
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def begin_variations(momentum_slopes, h, t, W, at, columns):
     """Begin variations of the state; at given velocities, parameters change p, too."""
     size, count = columns.shape
@@ -134,7 +134,7 @@ def observe(more, setting, reductions, block, members, step):
                 seen[member, 2 * k] = value
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def tell_of_variations(W, at, h, kinds, seen, block):
     """Keep what the variations of a block came to."""
     for k in range(kinds.shape[0]):
@@ -152,7 +152,7 @@ def tell_of_variations(W, at, h, kinds, seen, block):
                 seen[member, 2 * k] = W[at[KEPT] + 3, lane] / past
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def finish_block(W, at, block, step, every, buffers, outs, lost):
     """Store what the lanes of a block have come to."""
     (buffer_q, buffer_p, kept, counted), (q_out, p_out, codes_out, kept_out) = buffers, outs

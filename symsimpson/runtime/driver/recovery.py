@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, LANES, call, rounding, solve
+from symsimpson.runtime.driver.solving import LANES, RARE, call, rounding, solve
 from symsimpson.runtime.driver.steps import (
     FAILED,
     SET,
@@ -35,28 +35,28 @@ PIECES = 16
 LINEAR, LARGE = 1e-20, 1e-4
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def keep_all(W, copy):
     """Copy all rows of all lanes."""
     for lane in range(LANES):
         keep(W, 0, W.shape[0], lane, copy)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def put_all_back(W, copy):
     """Restore all rows of all lanes."""
     for lane in range(LANES):
         put_back(W, 0, W.shape[0], lane, copy)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def activate_only(W, active, lane):
     """Let kernels work on one lane."""
     for other in range(LANES):
         W[active, other] = 1.0 if other == lane else 0.0
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def distance(W, at, lane, a, b):
     """Squared distance of two sets of increments in the metric of M(q0)'s diagonal."""
     total = 0.0
@@ -66,7 +66,7 @@ def distance(W, at, lane, a, b):
     return total
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def continuation(kernels, h, t, W, at, lane):
     """Solve one lane's step by following the solution from small steps to h; give a status.
 
@@ -115,7 +115,7 @@ def continuation(kernels, h, t, W, at, lane):
     return status
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def go_on(kernels, h, t, W, at, lane, steps):
     """Take steps with one lane; tells whether all of them could be taken."""
     for step in range(steps):
@@ -129,7 +129,7 @@ def go_on(kernels, h, t, W, at, lane, steps):
     return True
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def resolved(kernels, h, t, W, at, lane):
     """Return whether a step, and what follows from it, is about what finer steps come to."""
     first, n, rows, lanes = at[POSITION], at[DIMENSION], W.shape[0], LANES
@@ -153,7 +153,7 @@ def resolved(kernels, h, t, W, at, lane):
     return good and apart <= APART * W[at[LARGEST_SQUARED], lane]
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def linear(kernels, h, t, W, at, lane):
     """Return whether the equations of a lane's step are linear, so that they have one solution.
 
@@ -173,7 +173,7 @@ def linear(kernels, h, t, W, at, lane):
     return second <= LINEAR * first and first >= LARGE * size
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def verify(kernels, h, t, W, at, lane):
     """Close a lane's step anew if its solution is not the one that smaller steps lead to."""
     first, last = at[INCREMENT], at[STATE_END]
@@ -227,7 +227,7 @@ def verify(kernels, h, t, W, at, lane):
     put_all_back(W, after)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def recover(kernels, h, t, W, at, event):
     """Finish a step at which ``take_steps`` stopped: lanes that failed, or are in doubt."""
     first, last = at[INCREMENT], at[STATE_END]

@@ -26,6 +26,8 @@ FADING = 1.05**2
 #: What is called by compiled code alone has no way in from Python, which takes long to compile.
 INNER = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 DRIVER_OPTIONS = {"nogil": True, "error_model": "numpy", **INNER}
+#: For what is called once a run, or where a step fails: it may be slow, and compiles fast.
+RARE = {**DRIVER_OPTIONS}
 #: For what is called in each step: a call costs reference counts of its arrays.
 INLINE = {"inline": "always", **DRIVER_OPTIONS}
 
@@ -35,7 +37,7 @@ def call(address, h, t, workspace):
     raise NotImplementedError
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def give_up(active):
     """Mark the lanes that have not converged."""
     for lane in range(LANES):
@@ -44,7 +46,7 @@ def give_up(active):
     return NOT_CONVERGED
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def rounding(W, at, h, lane):
     """Bound the squared size of corrections that are made of rounding, in the metric of M(q0).
 
@@ -60,7 +62,7 @@ def rounding(W, at, h, lane):
     return ROUND_OFF * size
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def solve_to_rounding(iterate, h, t, W, at):
     """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
 
@@ -84,7 +86,7 @@ def solve_to_rounding(iterate, h, t, W, at):
     return give_up(active)
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def worst_of(active):
     """Return 0 if all lanes are solved, else the status of one that is not."""
     worst = 0

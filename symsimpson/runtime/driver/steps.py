@@ -14,6 +14,7 @@ from symsimpson.runtime.driver.solving import (
     DRIVER_OPTIONS,
     INLINE,
     LANES,
+    RARE,
     UNSOLVED,
     call,
     solve_for,
@@ -75,14 +76,14 @@ def give(W, at, inputs, step):
                 ]
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def put_back(W, first, last, lane, copy):
     """Restore rows of a lane."""
     for row in range(first, last):
         W[row, lane] = copy[row - first, lane]
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def step_back(W, at, lane):
     """Restore the state and the predicted increments from before the last call of advance."""
     first, last, previous = at[POSITION], at[STATE_END], at[PREVIOUS]
@@ -108,7 +109,7 @@ def store(W, at, place, stores):
             W[at[ITERATIONS], lane] = 0.0
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def orthonormalise(W, first, size, count, factor, lane):
     """Make columns orthonormal, V = Q R, by Gram and Schmidt; R stands from ``factor`` on."""
     for j in range(count):
@@ -129,7 +130,7 @@ def orthonormalise(W, first, size, count, factor, lane):
         W[factor + j * count + j, lane] = norm
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def renew(W, at):
     """Make variations orthonormal, and keep how they have grown and stand to one another.
 

@@ -8,7 +8,7 @@ from numba import njit, types
 
 from symsimpson.module.interface import *
 from symsimpson.runtime.driver.between import BETWEEN, STATES_GIVEN, begin_again
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, call, solve
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, RARE, call, solve
 from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, WORKSPACE, give
 
 SIGNATURES |= {
@@ -23,7 +23,7 @@ SIGNATURES |= {
 SAME_WAY, ROUNDED = 1e-3, 1e-9
 
 
-@njit(**DRIVER_OPTIONS)
+@njit(**RARE)
 def reached(W, at, before, after):
     """Return whether steps that began at a stored state ended at the next one."""
     gap, change, size = 0.0, 0.0, 0.0
