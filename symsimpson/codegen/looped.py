@@ -285,14 +285,16 @@ class LoopKernels:
         return Kernel("energy", doc, lanes(body))
 
     def work(self, *, following: bool) -> Kernel:
-        """Return the integrals of powers over a step whose increments are known.
+        """Return the integrals of powers over the step that was taken.
 
-        Those of coordinates that are ``following`` from the others are solved for first.
+        Increments of coordinates that are ``following`` from the others are solved for first.
         """
+        exchange = _call("exchange_steps")
         first = (*self.all_rows(), _call("solve_following")) if following else ()
         nodes = self.nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
-        doc = "Add the work of forces in a step, and the integral of dL/dt."
-        return Kernel("work", doc, lanes((*first, nodes)))
+        step = (exchange, *first, nodes, exchange, _call("sum_work"))
+        doc = "Add the work of forces in the step that was taken, and the integral of dL/dt."
+        return Kernel("work", doc, lanes((When(step),)))
 
     def before_state(self) -> tuple[Statement, ...]:
         """Return what finds the velocities of a state."""

@@ -106,7 +106,8 @@ class DiscreteEquations:
     @property
     def looked_at(self) -> bool:
         """Whether something is asked of the path of a step that was taken."""
-        return self.varied is not None or self.system.retiming is not None
+        works = bool(self.rows and self.plain.powers)
+        return works or self.varied is not None or self.system.retiming is not None
 
     @property
     def unknowns(self) -> Unknowns:

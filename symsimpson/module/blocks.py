@@ -22,15 +22,17 @@ ADJACENT = (
 #: Places in what the driver is told of a module: the first row of blocks; the row behind the
 #: unknowns, the number of coordinates, of rows, how many of the unknowns are measured, how many
 #: steps an explicit kernel may take in one call, as it is told the time of the first, from one
-#: input to the next how many rows, where what is stored beside states begins, and how many
-#: variations are made orthonormal, after each so many steps.
+#: input to the next how many rows; where it stands how variations grow, and how many of them are
+#: made orthonormal, after each so many steps; how many recorders are called with the time of the
+#: state. Behind all that, the first row and the number of those that are stored with states, of
+#: each recorder.
 TOLD = {
     name: place
     for place, name in enumerate(
         (
             *(block.name for block in TABLE if block.told),
             *("STATE_END", "DIMENSION", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT_STRIDE"),
-            *("KEPT", "RENEWED", "RENEWAL"),
+            *("GROWN", "RENEWED", "RENEWAL", "OF_STATES"),
         )
     )
 }

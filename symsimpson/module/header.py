@@ -162,23 +162,13 @@ class Header:
             "INPUT": 0,
             "INPUT_STRIDE": 0,
             "TANGENT": self.rows,
-            "KEPT": self.rows,
+            "TIME": self.rows,
+            "GROWN": self.rows,
             "RENEWED": 0,
             "RENEWAL": 1,
+            "OF_STATES": 0,
         }
-        if self.retimed:  # the time is stored beside states
-            more["KEPT"] = self.layout["TIME"]
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)
-
-    def told_to_renew(self, count: int, every: int) -> NDArray[np.int64]:
-        """Return the same for runs that make so many variations orthonormal after so many steps.
-
-        What is stored beside their states is how these grow and stand to one another.
-        """
-        told = self.told.copy()
-        told[TOLD["KEPT"]] = self.rows + self.room_for_tangents(count)
-        told[TOLD["RENEWED"]], told[TOLD["RENEWAL"]] = count, every
-        return told
 
 
 def read_header(text: str, where: str) -> Header:

@@ -9,7 +9,7 @@ and the places in TOLD, which stand in this module by their names, too.
 from symsimpson.module.blocks import TOLD
 
 #: Number of the agreement; modules with another number are refused.
-INTERFACE = 10
+INTERFACE = 11
 
 #: The type of a kernel, and what the compiler is told: contract and nsz keep NaN checks and
 #: compensated sums, "fast" would delete both.
@@ -17,6 +17,8 @@ SIGNATURE = "void(float64, float64, CPointer(float64))"
 OPTIONS = '{"fastmath": {"contract", "nsz"}, "error_model": "numpy"}'
 
 globals().update(TOLD)
+#: Behind these, what recorders leave to be stored: pairs of a first row and a number of rows.
+RECORDED = len(TOLD)
 #: From TIME to RATE, which stands behind it.
 RATE_BEHIND = 6
 
@@ -32,10 +34,11 @@ ACCEPTED, TO_BE_VERIFIED, UNRESOLVED, POSSIBLY_UNRESOLVED = range(4)
 #: stages; by Newton's method where that failed, with the energy watched as in all steps by stages.
 EXPLICIT, NEWTON, STAGES, NEWTON_AFTER_STAGES = range(4)
 
-#: A set of kernels as the driver takes it: the mode, then addresses, 0 where there is none.
-MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE, BEHIND = range(7)
+#: A set of kernels as the driver takes it: the mode, then addresses, 0 where there is none; from
+#: RECORDERS on, those of all that are called behind each step.
+MODE, PREPARE, START, ITERATE, ADVANCE, MEASURE, RECORDERS = range(7)
 
-#: The kernels of each set by name, in that order; one to be called behind each step may follow.
+#: The kernels of each set by name, in that order; recorders may follow.
 KERNEL_SETS = {
     EXPLICIT: ("prepare", "start", "", "advance", ""),
     NEWTON: ("prepare", "start", "newton", "advance", ""),

@@ -139,6 +139,7 @@ TABLE = (
     ),
     part("POWER", "power of each force, then dL/dt, at a node or a state", lambda s: s.powers),
     part("WORK", "integrals of these over steps", lambda s: s.powers),
+    part("WORK_LOW", "what rounding has taken from them", lambda s: s.powers),
     part("STAGE_V", "h b_i v_i", lambda s: s.n * s.staged),
     part("STAGE_F", "h b_i F_i", lambda s: s.n * s.staged),
     part("STAGE_Q", "positions at the nodes, less q", lambda s: s.staged_by_loops * s.n * s.staged),
@@ -330,6 +331,7 @@ TABLE = (
         "TIME",
         "t and what rounding has taken from it, then both before the step",
         lambda s: 4 * s.retimed,
+        told=True,
     ),
     part("TIME_END", "1 and the time at which the run ends, or 0", lambda s: 2 * s.retimed),
     part("RATE", "dt/dtau at a node or a state", lambda s: s.retimed),
@@ -339,5 +341,5 @@ TABLE = (
         "number of variations of the state that are carried along",
         lambda s: s.differentiated,
     ),
-    part("TANGENT", "these variations, or what else is kept behind each step", none, told=True),
+    part("TANGENT", "these variations, or the record of a step", none, told=True),
 )

@@ -50,9 +50,18 @@ def add_exactly(W, row, low, increment, lane):
 
 @compiled
 def add_work(W, h, node, lane):
-    """Add what a node contributes to the integrals of powers over the step."""
+    """Add what a node contributes to the integrals of powers, to what rounding took from them."""
     for k in range(NODE_POWERS):
-        W[WORK + k, lane] += h * WEIGHTS[node] * W[POWER + k, lane]
+        W[WORK_LOW + k, lane] += h * WEIGHTS[node] * W[POWER + k, lane]
+
+
+@compiled
+def sum_work(W, lane):
+    """Add the integrals over a step to those of the run."""
+    for k in range(NODE_POWERS):
+        change = W[WORK_LOW + k, lane]
+        W[WORK_LOW + k, lane] = real(0)
+        add_exactly(W, WORK + k, WORK_LOW + k, change, lane)
 
 
 @compiled

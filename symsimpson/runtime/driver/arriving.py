@@ -49,23 +49,20 @@ def run_to_end(kernels, addresses, setting, start, asked, found, inputs):
     part, and then that behind it; and of the last part how long it is, and all iterations.
     """
     (legendre, energy, retime), (times, W, at) = addresses, setting
-    (most, every, few, limit), (states, kept, iterations, end, told) = asked, found
+    (most, every, few, limit), (states, times_out, iterations, end, told) = asked, found
     h, t0, t_end, near = times[0], times[1], times[2], times[3]
-    parameters, n, time = start[0], at[DIMENSION], at[KEPT]
+    parameters, n, time = start[0], at[DIMENSION], at[TIME]
     begin_anew(kernels, legendre, (h, t0, W, at), start)
     call(retime, h, t0, W)
     begin(kernels, 0, h, t0, W, at)
-    W[time, 0], kept[0, 0, 0] = t0, t0
-    W[time + 4, 0], W[time + 5, 0] = 1.0, t_end
+    W[time, 0], W[time + 4, 0], W[time + 5, 0] = t0, 1.0, t_end
     for k in range(parameters.size):
         parameters[k] = W[at[PARAMETER] + k, 0]
-    for a in range(n):
-        states[0, 0, a, 0] = W[at[POSITION] + a, 0]
-        states[1, 0, a, 0] = W[at[MOMENTUM] + a, 0]
+    stores = states[0], states[1], times_out, iterations
+    store_lane(W, at, 0, 0, stores)
     if not (parameters[-1] > 0.0 and W[at[MASS_PIVOT], 0] >= 0.0):  # the first rate
         return -1
-    progress = np.zeros(3, dtype=np.int64)
-    stores = states[0], states[1], kept, iterations
+    progress = np.zeros(4, dtype=np.int64)
     take_all(kernels, (h, t0, W, at), progress, most, every, stores, inputs)
     if W[at[STATUS], 0] != ARRIVED:
         return -2 if progress[0] == most else -1

@@ -75,11 +75,11 @@ def switch(kernels, h, t, W, at):
 
 @njit(**RARE)
 def begin_growth(W, at, directions):
-    """Begin variations of a state, orthonormal columns, and what is kept of how they grow."""
+    """Begin variations of a state, orthonormal columns, and what tells how they grow."""
     size, count = directions.shape
-    product = at[KEPT] + 2 * count + 4
+    product = at[GROWN] + 2 * count + 4
     for lane in range(LANES):
-        for row in range(at[KEPT], product + count * count):
+        for row in range(at[GROWN], product + count * count):
             W[row, lane] = 0.0
         for j in range(count):
             W[product + j * (count + 1), lane] = 1.0

@@ -3,13 +3,22 @@
 Compiled behind the text of the driver, whose names it uses.
 """
 
+import numpy as np
 from numba import njit, types
 
 from symsimpson.module.interface import *
 from symsimpson.runtime.driver.begin import begin
-from symsimpson.runtime.driver.explicit import finite
-from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, RARE, call, solve
-from symsimpson.runtime.driver.steps import INPUTS, SET, SIGNATURES, TOLD_ROWS, WORKSPACE, give
+from symsimpson.runtime.driver.explicit import finite, take_explicit_steps
+from symsimpson.runtime.driver.solving import DRIVER_OPTIONS, RARE, call
+from symsimpson.runtime.driver.steps import (
+    INPUTS,
+    SET,
+    SIGNATURES,
+    SUSPICIOUS,
+    TOLD_ROWS,
+    WORKSPACE,
+    take_steps,
+)
 
 #: Newton's method for a time within a step takes four to six iterations, and halving, where it
 #: leads out of the step, as many as there are digits.
@@ -55,38 +64,35 @@ def begin_again(kernels, setting, q, p):
         W[at[POSITION] + a, 0] = q[a]
         W[at[MOMENTUM] + a, 0] = p[a]
     begin(kernels, 0, h, t, W, at)
-    if kernels[BEHIND] != 0:
-        W[at[KEPT], 0], W[at[KEPT] + 1, 0] = t, 0.0
+    if at[TIME] < at[ROWS]:
+        W[at[TIME], 0], W[at[TIME] + 1, 0] = t, 0.0
 
 
 @njit(**DRIVER_OPTIONS)
-def take(kernels, setting, count, q, p, inputs, first):
-    """Take steps from (q, p), and leave there the state after them; tells whether all went well.
+def take(kernels, setting, count, state, driving, doubtful):
+    """Take steps from a state, and leave there the one after them; tells whether all went well.
 
-    The first has the inputs of this number.
-
-    Steps in doubt are not recovered here: that is rare, and would make this slow to compile.
+    They are driven by inputs, the first one by those of a given number. Steps in doubt go well
+    where they may be ``doubtful``; they are not recovered here: that is rare, and would make this
+    slow to compile.
     """
-    h, t, W, at = setting
-    n, direct = at[DIMENSION], kernels[MODE] == EXPLICIT
+    (_, _, W, at), (q, p), (inputs, first) = setting, state, driving
     begin_again(kernels, setting, q, p)
-    for step in range(count):
-        give(W, at, inputs, first + step)
-        if not direct:
-            W[at[ACTIVE], 0] = 1.0
-            if solve(kernels[ITERATE], h, t + h * step, W, at) != 0:
-                return False
-        W[at[ACTIVE], 0], W[at[COUNT], 0] = 1.0, 1.0
-        call(kernels[ADVANCE], h, t + h * step, W)
-        if not direct and (W[at[STATUS], 0] != 0.0 or W[at[IN_DOUBT], 0] != 0.0):
-            return False
-        if kernels[BEHIND] != 0:
-            W[at[ACTIVE], 0] = 1.0
-            call(kernels[BEHIND], h, t + h * step, W)
+    progress, counted = np.zeros(4, dtype=np.int64), np.empty((1, 1), dtype=np.int64)
+    progress[3] = first
+    stores = np.empty((1, 1, 1)), np.empty((1, 1, 1)), np.empty((1, 1, 1)), counted
+    if kernels[MODE] == EXPLICIT:
+        take_explicit_steps(kernels, setting, progress, count, 0, stores, inputs)
+    else:
+        take_steps(kernels, setting, progress, count, 0, stores, inputs)
+        while doubtful and progress[1] == SUSPICIOUS:
+            take_steps(kernels, setting, progress, count, 0, stores, inputs)
+    n = at[DIMENSION]
     for a in range(n):
         q[a] = W[at[POSITION] + a, 0]
         p[a] = W[at[MOMENTUM] + a, 0]
-    return finite(W, at[POSITION], at[POSITION] + 4 * n, 0)
+    well = progress[0] == count and progress[1] == 0 and W[at[STATUS], 0] == 0.0
+    return well and finite(W, at[POSITION], at[POSITION] + 4 * n, 0)
 
 
 @njit(**DRIVER_OPTIONS)
@@ -112,7 +118,8 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
         now = t[stored] + h * done
         if whole[i] > done and well:
             first, count = stored * every + done, whole[i] - done
-            well = take(kernels, (h, now, W, at), count, q_out[last], p_out[last], inputs, first)
+            here, state = (h, now, W, at), (q_out[last], p_out[last])
+            well = take(kernels, here, count, state, (inputs, first), False)
             done = whole[i]
             now = t[stored] + h * done
         for a in range(n):
@@ -120,7 +127,7 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
         fine[i] = well
         if well and rest[i] != 0.0:
             part = rest[i], now, W, at
-            fine[i] = take(kernels, part, 1, q_out[i], p_out[i], rests, i)
+            fine[i] = take(kernels, part, 1, (q_out[i], p_out[i]), (rests, i), False)
 
 
 @njit(**RARE)
@@ -132,7 +139,7 @@ def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
     before and one behind it.
     """
     (h, now, W, at), (q, p) = setting, state
-    n, time = at[DIMENSION], at[KEPT]
+    n, time = at[DIMENSION], at[TIME]
     start_q, start_p = q.copy(), p.copy()
     part, low, high, left = 0.0, 0.0, h, asked - now
     change = h * left / (ahead - now) if ahead != now else h
@@ -143,7 +150,7 @@ def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
         part += change
         for a in range(n):
             q[a], p[a] = start_q[a], start_p[a]
-        well = take(kernels, (part, now, W, at), 1, q, p, inputs, 0)
+        well = take(kernels, (part, now, W, at), 1, (q, p), (inputs, 0), False)
         later = W[time, 0]
         call(energy, part, later, W)
         before, left = left, asked - later
@@ -172,7 +179,7 @@ def states_at(kernels, energy, setting, states, sought, found, every, own):
     (h, t, W, at), (q, p) = setting, states
     (start, asked, near), (q_out, p_out, part, fine) = sought, found
     inputs, parameters = own
-    n, last, time = at[DIMENSION], len(start), at[KEPT]
+    n, last, time = at[DIMENSION], len(start), at[TIME]
     for i in range(last):
         k, now, ahead, well, more = start[i], t[start[i]], t[start[i]], True, True
         for row in range(parameters.shape[1]):
@@ -185,7 +192,7 @@ def states_at(kernels, energy, setting, states, sought, found, every, own):
                 for a in range(n):
                     q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
                 step = h, now, W, at
-                well = take(kernels, step, 1, q_out[last], p_out[last], inputs, 0)
+                well = take(kernels, step, 1, (q_out[last], p_out[last]), (inputs, 0), False)
                 ahead = W[time, 0]
                 more = well and (asked[i] - ahead) * h >= 0.0
                 if more:

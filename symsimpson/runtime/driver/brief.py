@@ -17,6 +17,7 @@ from symsimpson.runtime.driver.steps import (
     SETTING,
     SIGNATURES,
     WORKSPACE,
+    store_lane,
     take_steps,
 )
 
@@ -51,11 +52,9 @@ def run_briefly(kernels, addresses, setting, start, asked, found, inputs):
     (steps, every, few, limit), (states, iterations, end) = asked, found
     n, last = at[DIMENSION], steps // every if every != 0 else 0
     begin_anew(kernels, legendre, setting, start)
-    for a in range(n):
-        states[0, 0, a, 0] = W[at[POSITION] + a, 0]
-        states[1, 0, a, 0] = W[at[MOMENTUM] + a, 0]
-    progress, nothing = np.zeros(3, dtype=np.int64), np.empty((1, 0, 1))
+    progress, nothing = np.zeros(4, dtype=np.int64), np.empty((1, 0, 1))
     stores = states[0], states[1], nothing, iterations
+    store_lane(W, at, 0, 0, stores)
     take_all(kernels, setting, progress, steps, every, stores, inputs)
     over = progress[0] == steps and W[at[STATUS], 0] == 0.0 and W[at[MASS_PIVOT], 0] >= 0.0
     if not over or not finite(W, at[POSITION], at[POSITION] + 4 * n, 0):

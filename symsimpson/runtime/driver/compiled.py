@@ -34,7 +34,7 @@ PARTS = (
     "brief",
     "ensembles",
     "between",
-    "work",
+    "replay",
     "backward",
     "arriving",
 )

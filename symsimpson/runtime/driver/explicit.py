@@ -19,6 +19,7 @@ from symsimpson.runtime.driver.steps import (
     give,
     keep,
     put_back,
+    record,
     renew,
     store,
 )
@@ -68,9 +69,9 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
     position, status = at[POSITION], at[STATUS]
     state_end = position + 4 * n
     kept = np.empty((4 * n, lanes))
-    step, before = progress[0], progress[2]
+    step, before, given = progress[0], progress[2], progress[3]
     single = 0
-    followed = kernels[BEHIND] != 0 and stores[2].shape[1] > 0
+    followed = len(kernels) > RECORDERS
     while step < stop:
         count = stop - step if every == 0 else min(stop - step, every - step % every)
         count = 1 if single > 0 or followed else min(count, AT_ONCE, at[STEPS_A_CALL])
@@ -82,7 +83,7 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
             alive += W[status, lane] == 0.0
         if alive == 0:
             break
-        give(W, at, inputs, before + step)
+        give(W, at, inputs, given + step)
         call(kernels[ADVANCE], h, t0 + h * (before + step), W)
         lost = 0
         for lane in range(lanes):
@@ -106,8 +107,8 @@ def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs)
             for lane in range(lanes):
                 for row in range(4 * n):
                     W[at[PREVIOUS] + row, lane] = kept[row, lane]
-                W[at[ACTIVE], lane] = 1.0 if W[status, lane] == 0.0 else 0.0
-            call(kernels[BEHIND], h, t0 + h * (before + step), W)
+            passed, reached = t0 + h * (before + step), t0 + h * (before + step + 1)
+            record(kernels, RECORDERS, h, passed, reached, W, at)
         step += count
         single -= 1
         if RENEWING and followed and (before + step) % at[RENEWAL] == 0:

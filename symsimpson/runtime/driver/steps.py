@@ -92,21 +92,37 @@ def step_back(W, at, lane):
 
 
 @njit(**INLINE)
-def store(W, at, place, stores):
-    """Store the states of lanes that go on, and their iterations since the states before.
+def store_lane(W, at, place, lane, stores):
+    """Store the state of a lane, what recorders have left, and iterations since the one before."""
+    q_out, p_out, recorded_out, iterations_out = stores
+    for a in range(at[DIMENSION]):
+        q_out[place, a, lane] = W[at[POSITION] + a, lane]
+        p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
+    column = 0
+    for pair in range(RECORDED, len(at), 2):
+        for row in range(at[pair + 1]):
+            recorded_out[place, column + row, lane] = W[at[pair] + row, lane]
+        column += at[pair + 1]
+    iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
+    W[at[ITERATIONS], lane] = 0.0
 
-    So is what is kept behind each step, where there is room for it.
-    """
-    q_out, p_out, kept_out, iterations_out = stores
+
+@njit(**INLINE)
+def store(W, at, place, stores):
+    """Store the states of lanes that go on."""
     for lane in range(LANES):
         if W[at[STATUS], lane] == 0.0:
-            for a in range(at[DIMENSION]):
-                q_out[place, a, lane] = W[at[POSITION] + a, lane]
-                p_out[place, a, lane] = W[at[MOMENTUM] + a, lane]
-            for k in range(kept_out.shape[1]):
-                kept_out[place, k, lane] = W[at[KEPT] + k, lane]
-            iterations_out[place, lane] = np.int64(W[at[ITERATIONS], lane])
-            W[at[ITERATIONS], lane] = 0.0
+            store_lane(W, at, place, lane, stores)
+
+
+@njit(**INLINE)
+def record(kernels, first, h, t, reached, W, at):
+    """Call recorders, from a ``first`` one on: with the time of the step, or that of the state."""
+    last = len(kernels)
+    for k in range(first, last):
+        for lane in range(LANES):
+            W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
+        call(kernels[k], h, reached if k >= last - at[OF_STATES] else t, W)
 
 
 @njit(**RARE)
@@ -134,11 +150,11 @@ def orthonormalise(W, first, size, count, factor, lane):
 def renew(W, at):
     """Make variations orthonormal, and keep how they have grown and stand to one another.
 
-    From KEPT on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
+    From GROWN on: how often this was done, the mean MEGNO, SALI, the sums of ln R_jj, GALI of two,
     three, ... variations; then the sums of k ln R_11 and of MEGNO, the product of all R, its
     columns made as long as 1, and R.
     """
-    size, count, first = 2 * at[DIMENSION], at[RENEWED], at[KEPT]
+    size, count, first = 2 * at[DIMENSION], at[RENEWED], at[GROWN]
     sums, aligned = first + 3, first + 3 + count
     megno, product = first + 2 * count + 2, first + 2 * count + 4
     factor = product + count * count
@@ -193,21 +209,20 @@ def watch(kernels, h, t, W, at):
 def take_steps(kernels, setting, progress, stop, every, stores, inputs):
     """Take steps until ``stop``, an event, or no lane is left.
 
-    ``progress`` is (step, event, before), the last the steps that were taken before all of these.
-
-    ``inputs`` are those of all steps. States are stored after each ``every`` steps, none for
-    ``every = 0``; a kernel is called behind each of them where there is room to store what it
-    keeps. A lane with a status other than 0 is not touched. At an event the step is not
-    finished: ``recover`` does that, and ``take_steps`` goes on.
+    ``progress`` is (step, event, before, given): the steps that were taken before all of these, and
+    how many of the ``inputs`` are theirs. Recorders are called behind each step. States are stored
+    after each ``every`` steps, none for ``every = 0``. A lane with a status other than 0 is not
+    touched. At an event the step is not finished: ``recover`` does that, and ``take_steps`` goes
+    on.
     """
     h, t0, W, at = setting
     # as rows of their own their lanes are vectors
     active, status, in_doubt = W[at[ACTIVE]], W[at[STATUS]], W[at[IN_DOUBT]]
     relative, contraction = W[at[RELATIVE]], W[at[CONTRACTION]]
-    step, recovered, before = progress[0], progress[1] != 0, progress[2]
+    step, recovered, before, given = progress[0], progress[1] != 0, progress[2], progress[3]
     progress[1] = 0
     watched = kernels[MODE] == NEWTON_AFTER_STAGES
-    followed = kernels[BEHIND] != 0 and stores[2].shape[1] > 0
+    followed = len(kernels) > RECORDERS
     if watched and not recovered:
         call(kernels[MEASURE], h, t0 + h * (before + step), W)
     while step < stop:
@@ -221,7 +236,7 @@ def take_steps(kernels, setting, progress, stop, every, stores, inputs):
                 alive += status[lane] == 0.0
             if alive == 0:
                 break
-            give(W, at, inputs, before + step)
+            give(W, at, inputs, given + step)
             found = solve_for(kernels[ITERATE], h, t, W, active, relative, contraction)
             if found == UNSOLVED:
                 found = solve_to_rounding(kernels[ITERATE], h, t, W, at)
@@ -242,11 +257,10 @@ def take_steps(kernels, setting, progress, stop, every, stores, inputs):
             if status[0] != 0.0:
                 break
         recovered = False
-        if followed:
-            for lane in range(LANES):
-                active[lane] = 1.0 if status[lane] == 0.0 else 0.0
-            call(kernels[BEHIND], h, t0 + h * (before + step), W)
         step += 1
+        if followed:
+            passed, reached = t0 + h * (before + step - 1), t0 + h * (before + step)
+            record(kernels, RECORDERS, h, passed, reached, W, at)
         if RENEWING and followed and (before + step) % at[RENEWAL] == 0:
             renew(W, at)
         if every != 0 and step % every == 0:

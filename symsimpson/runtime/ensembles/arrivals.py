@@ -31,13 +31,13 @@ def take_last_parts(program: Program, task: Task, results: Results) -> None:
         program,
         task.parameters[arrived],
         task.h,
-        (results.kept[arrived, 0, 0], *states),
+        (results.recorded[arrived, 0, 0], *states),
         np.arange(arrived.size),
         np.full(arrived.size, task.t_end),
         1,
     )
     results.q[arrived, 0], results.p[arrived, 0] = q, p
-    results.kept[arrived, 0, 0], results.part[arrived] = task.t_end, part
+    results.recorded[arrived, 0, 0], results.part[arrived] = task.t_end, part
     results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED
 
 

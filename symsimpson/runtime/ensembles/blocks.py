@@ -6,21 +6,20 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
-from symsimpson.module.blocks import TOLD
 from symsimpson.runtime.ensembles.arrivals import take_last_parts
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
-from symsimpson.runtime.kernels.observed import KINDS, observing_kernel
+from symsimpson.runtime.kernels.observed import KINDS, observers
+from symsimpson.runtime.kernels.recorders import Recorder, growth, ordered, tangents, told
 from symsimpson.runtime.program import Program
-from symsimpson.runtime.runs.chaos import directions, storage_of_growth
-from symsimpson.runtime.runs.run import NOTHING_KEPT, TIME_KEPT
-from symsimpson.runtime.runs.variations import kept_variations
+from symsimpson.runtime.runs.chaos import directions
 
 __all__ = ["run_blocks"]
 
@@ -94,11 +93,11 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     header, lanes = program.header, task.lanes
     numbers = program.numbers
     kernels = numbers.kernels(program.source, header, lanes)
-    kept, columns, told = NOTHING_KEPT, np.zeros((0, 0)), header.told.copy()
-    watched, observing, slopes = 0, 0, 0
+    columns, slopes = np.zeros((0, 0)), 0
+    recorders: list[Recorder] = []
     if task.tangents is not None:
         columns = task.tangents
-        kept = kept_variations(header, columns.shape[1])
+        recorders.append(tangents(header, columns.shape[1]))
         changed = header.varied_by and task.velocities
         slopes = kernels.address("momentum_slopes") if changed else 0
     if task.of_variations:
@@ -112,32 +111,28 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
                 f"a run of {task.steps} steps does not tell how variations grow.\n"
                 f"Take {RENEWAL} at least."
             )
-        kept, columns = storage_of_growth(program, PAIR, RENEWAL), directions(2 * header.n, PAIR)
-        told = header.told_to_renew(PAIR, RENEWAL)
-    if not all(r.of_variations for r in task.reductions):
-        watched = len(task.reductions)
-        told[TOLD["ROWS"]] += kept.room  # what is observed stands behind all else
-        text = observing_kernel(header, task.reductions, told[TOLD["ROWS"]])
-        observing = kernels.observing(text, watched)
-    energy = kernels.address("energy") if any(r.energetic for r in task.reductions) else 0
+        columns = directions(2 * header.n, PAIR)
+        recorders.append(replace(growth(header, PAIR, RENEWAL), rows=0))
+    observed = header.rows + sum(one.room for one in recorders)
+    watching = observers(header, task.reductions, observed)
+    rows, called = 2 * len(task.reductions) + 1, ordered(header, [*recorders, *watching])
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
-    kept = TIME_KEPT if header.retimed else kept
-    more = np.array([legendre, observing, energy, slopes, retime], dtype=np.int64)
+    more = np.array([legendre, slopes, retime, observed, rows if watching else 0], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
-    step = kernels.set(kernels.fallbacks[0], kept.kernel)
+    step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
     advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
+    width, room = sum(one.rows for one in called), sum(one.room for one in called)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
-        W = _aligned(header.rows + watched + kept.room + 1, lanes)  # the last is the driver's
+        W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's
         if len(columns):
             W[header.layout["TANGENTS"]] = columns.shape[1]
         if task.t_end is not None:
             W[header.layout["TIME_END"]], W[header.layout["TIME_END"] + 1] = 1.0, task.t_end
         cursor = np.array([first, 0, 0], dtype=np.int64)
         buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
-        rows = max(1, kept.rows) if kept.kernel else 0
-        buffer_kept = np.empty((task.stored, rows, lanes))
+        recorded = np.empty((task.stored, width, lanes))
         counted = np.zeros((task.stored, lanes), dtype=np.int64)
         lost = np.zeros(2 * lanes, dtype=np.int64)
         budget = FIRST_BUDGET
@@ -146,12 +141,12 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
             advance_blocks(
                 step,
                 more,
-                (task.h, task.t0, W, told),
+                (task.h, task.t0, W, at),
                 cursor,
                 (last, budget, task.steps, task.every),
                 (task.q0, task.other0, task.parameters, task.inputs, columns),
-                (buffer_q, buffer_p, buffer_kept, counted, lost),
-                (results.q, results.p, results.codes, results.kept, kinds, results.seen),
+                (buffer_q, buffer_p, recorded, counted, lost),
+                (results.q, results.p, results.codes, results.recorded, kinds, results.seen),
             )
             spent = time.perf_counter() - start
             budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))

@@ -57,7 +57,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
                 asked = task.of_member(member, program, every=every, **carried)
                 found = run(program, asked, on_failure="return")
         except InputError:
-            for array in (results.q, results.p, results.kept, results.seen):
+            for array in (results.q, results.p, results.recorded, results.seen):
                 array[member] = np.nan
             results.codes[member] = Status.BAD_INPUT, 0, 0
             continue
@@ -85,7 +85,7 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
     if task.retimed:
         results.part[member] = run.tau[-1] - run.h * run.steps
     stride = task.every // (run.every or 1)
-    for array, states in ((results.q, run.q), (results.p, run.p), (results.kept, kept)):
+    for array, states in ((results.q, run.q), (results.p, run.p), (results.recorded, kept)):
         found = states[:whole][::stride] if task.every else states[-1:]
         array[member, : len(found)], array[member, len(found) :] = found, np.nan
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()

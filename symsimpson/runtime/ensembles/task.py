@@ -113,7 +113,7 @@ class Results:
         # status, steps, iterations
         self.codes = np.zeros((task.members, 3), dtype=np.int64)
         self.codes[:, 0] = Status.INTERRUPTED
-        self.kept = np.full((task.members, task.stored, task.carried(n)), np.nan)
+        self.recorded = np.full((task.members, task.stored, task.carried(n)), np.nan)
         #: Of a step that was taken last, in tau.
         self.part = np.zeros(task.members)
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
@@ -133,7 +133,7 @@ class Results:
             "newton_iterations": iterations,
             "reduced": reduced,
         }
-        kept = self.kept if task.every else self.kept[:, 0]
+        kept = self.recorded if task.every else self.recorded[:, 0]
         if task.tangents is not None:
             found["variations"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
                 -1, -2

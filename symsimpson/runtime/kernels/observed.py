@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.runtime.kernels.reader import Reader
+from symsimpson.runtime.kernels.recorders import Recorder
 
 if TYPE_CHECKING:
     from symsimpson.runtime.program import Program
@@ -21,6 +22,7 @@ __all__ = [
     "KINDS",
     "Observed",
     "Reduction",
+    "observers",
     "observing_kernel",
     "read_expression",
     "read_reductions",
@@ -120,30 +122,90 @@ def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[
     return tuple(found)
 
 
-def observing_kernel(header: Header, found: Sequence[Observed], first: int | None = None) -> str:
-    """Write a kernel that puts the quantities into rows from ``first`` on.
+def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
+    """Write a kernel that puts the quantities into rows behind those of the module."""
+    places = enumerate(found, header.rows)
+    return _kernel(
+        "Quantities that are watched.",
+        _names(header),
+        (f"W[{row}, lane] = {one.text}" for row, one in places),
+    )
 
-    Those are behind the rows of the module unless it is said, for the workspace of a run.
+
+def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tuple[Recorder, ...]:
+    """Return what reduces quantities over the states of a run.
+
+    From the ``first`` row on, which is behind all others, there are two for each: what it came to,
+    and the value at the state before; then how many states were looked at.
     """
-    running = first is not None
-    first = header.rows if first is None else int(first)
-    lines = [
-        "from math import acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh",
-        "",
-        "",
-        "def observe(h, t, workspace):",
-        '    """Quantities that are watched."""',
-        "    W = carray(workspace, (ROWS, LANES))",
-        "    for lane in range(LANES):",
+    watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if not one.of_variations]
+    if not watched:
+        return ()
+    count = first + 2 * len(reductions)
+    names = _names(header)
+    now, passed = "t", "h"
+    if header.retimed:
+        names.append("t = W[TIME, lane]")
+        passed = "W[TIME, lane] - W[TIME + 2, lane]"
+    lines = [*names, f"number = W[{count}, lane]"]
+    for row, one in watched:
+        lines += [f"value = {one.text}", *_reduced(one.kind, row, now, passed)]
+    lines.append(f"W[{count}, lane] = number + 1.0")
+    body = ["if W[ACTIVE, lane] > 0.0:", *(f"    {line}" for line in lines)]
+    text = _kernel("Quantities that are watched, reduced over states.", [], body)
+    energy = (Recorder("energy", of_states=True),) if any(x.energetic for _, x in watched) else ()
+    rows = 2 * len(reductions) + 1
+    return *energy, Recorder("observe", first, room=rows, text=text, of_states=True)
+
+
+def _reduced(kind: str, row: int, now: str, passed: str) -> list[str]:
+    """Return lines that reduce a ``value`` into a row, where ``number`` values were before."""
+    kept, before = f"W[{row}, lane]", f"W[{row + 1}, lane]"
+    if kind == "mean":
+        return [
+            f"mean = {kept} + (value - {kept}) / (number + 1.0)",
+            f"{kept} = value if number == 0.0 else mean",
+        ]
+    if kind != "first":
+        sign = "<" if kind == "min" else ">"
+        return [
+            f"further = value if value {sign} {kept} else {kept}",
+            f"{kept} = value if number == 0.0 else further",
+        ]
+    # 1 behind the value of the state before: it has been positive
+    return [
+        "if number == 0.0:",
+        f"    {kept} = {now} if value > 0.0 else nan",
+        f"elif {kept} != {kept} and value > 0.0:",
+        f"    {kept} = {now} - ({passed}) * value / (value - {before})",
+        f"{before} = value",
     ]
+
+
+def _names(header: Header) -> list[str]:
+    """Return lines that give quantities of a state the names that expressions have for them."""
     rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
     rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
     rows += [(x.symbol, x.block) for x in SCALARS]
-    if header.retimed and running:
-        rows.append(("t", "TIME"))
-    lines += [f"        {name} = W[{row}, lane]" for name, row in rows]
-    lines += [f"        W[{first + k}, lane] = {one.text}" for k, one in enumerate(found)]
-    return "\n".join(lines) + "\n"
+    return [f"{name} = W[{row}, lane]" for name, row in rows]
+
+
+def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
+    """Return the text of a kernel for each lane."""
+    functions = "acos, asin, atan, atan2, cos, cosh, exp, log, nan, sin, sinh, sqrt, tan, tanh"
+    return "\n".join(
+        [
+            f"from math import {functions}",
+            "",
+            "",
+            "def observe(h, t, workspace):",
+            f'    """{doc}"""',
+            "    W = carray(workspace, (ROWS, LANES))",
+            "    for lane in range(LANES):",
+            *(f"        {line}" for line in (*names, *lines)),
+            "",
+        ]
+    )
 
 
 def reduce_values(

@@ -17,6 +17,7 @@ from symsimpson.module.interface import (
     STAGES,
     WITH_PIVOTS,
 )
+from symsimpson.runtime.kernels.recorders import Recorder
 
 __all__ = ["KernelSets"]
 
@@ -33,7 +34,7 @@ class KernelSets(ABC):
 
     def __init__(self, header: Header, *, by_stages: bool) -> None:
         self.header, self.by_stages = header, by_stages
-        self._sets: dict[tuple[str, str], Any] = {}
+        self._sets: dict[tuple[str, tuple[Recorder, ...], bool], Any] = {}
 
     @cached_property
     def fallbacks(self) -> tuple[str, ...]:
@@ -41,24 +42,26 @@ class KernelSets(ABC):
         first = ("stages",) if self.by_stages else ()
         return (*first, "newton", *(("robust",) if self.header.newton_unknowns else ()))
 
-    def set(self, name: str, behind: str = "") -> Any:
-        """Return a set: its mode, then its kernels, and one to be called ``behind`` each step.
+    def set(self, name: str, recorders: tuple[Recorder, ...] = (), *, again: bool = False) -> Any:
+        """Return a set: its mode, then its kernels, and those of recorders.
 
         "robust" is Newton's method with row pivoting and the library's sine and cosine. It takes
-        any angle and meets no singular pivot, at several times the cost.
+        any angle and meets no singular pivot, at several times the cost. Steps that are taken
+        ``again`` were accepted once: how the energy changes is not looked at.
         """
-        if (name, behind) not in self._sets:  # finding compiled code takes the digest of the text
-            self._sets[name, behind] = self._made(name, behind)
-        return self._sets[name, behind]
+        key = name, recorders, again
+        if key not in self._sets:  # finding compiled code takes the digest of the text
+            self._sets[key] = self._made(*key)
+        return self._sets[key]
 
-    def _made(self, name: str, behind: str) -> Any:
+    def _made(self, name: str, recorders: tuple[Recorder, ...], again: bool) -> Any:
         if name == "stages":
             mode = STAGES
         elif not self.header.newton_unknowns:
             mode = EXPLICIT
         else:
             # forces may change the energy as they like
-            watched = self.by_stages and self.header.conservative
+            watched = self.by_stages and self.header.conservative and not again
             mode = NEWTON_AFTER_STAGES if watched else NEWTON
         robust = name == "robust"
         *names, energy = KERNEL_SETS[mode]
@@ -67,10 +70,16 @@ class KernelSets(ABC):
         kernels = self.compiled(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
-        if robust and f"{behind}{WITH_PIVOTS}" in self.header.functions:
-            behind += WITH_PIVOTS
-        last = self.address(behind, any_angle=robust) if behind else 0
-        return self.joined(mode, [*kernels, measure, last])
+        behind = [self._recording(one, robust) for one in recorders]
+        return self.joined(mode, [*kernels, measure, *behind])
+
+    def _recording(self, recorder: Recorder, robust: bool) -> Any:
+        """Return the kernel of a recorder."""
+        if recorder.text:
+            return self.observing(recorder.text, recorder.room)
+        pivoted = f"{recorder.kernel}{WITH_PIVOTS}"
+        name = pivoted if robust and pivoted in self.header.functions else recorder.kernel
+        return self.address(name, any_angle=robust)
 
     @property
     @abstractmethod

@@ -148,7 +148,7 @@ class DenseOutput:
                 q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
                 well = np.zeros(some.size, dtype=np.bool_)
                 between(
-                    kernels.set(kernels.fallbacks[0]),
+                    kernels.set(kernels.fallbacks[0], again=True),
                     (step.item(), t, W, header.told),
                     (q, p),
                     (start[some], whole[some], rest[some]),

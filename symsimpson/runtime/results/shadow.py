@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
+from symsimpson.runtime.kernels.recorders import Recorder, told
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.run import workspace
@@ -79,15 +80,16 @@ def _check(run: Stored) -> None:
 def _discrete_actions(program: Program, run: Stored) -> Reals:
     """Return L_d of all steps, which are taken again."""
     numbers, header = program.numbers, program.header
-    kernels, out = program.kernels, numbers.zeros(run.steps)
+    recorder = Recorder("step_cost", header.layout["COST"], rows=1)
+    kernels, out = program.kernels, numbers.zeros((run.steps + 1, 1))
     W = workspace(header, numbers, numbers.read(run.parameter_values))
     t, q, p = (np.ascontiguousarray(numbers.read(x)) for x in (run.t, run.q, run.p))
-    reached = numbers.driver("step_costs")(
-        kernels.set("newton"),
-        kernels.address("step_cost"),
-        (float(run.h), t, W, header.told),
+    reached = numbers.driver("replay")(
+        kernels.set("newton", (recorder,), again=True),
+        (float(run.h), t, W, told(header, (recorder,))),
         (q, p),
-        header.layout["COST"],
+        1,
+        True,
         out,
         numbers.read(run.input_values),
     )
@@ -96,7 +98,7 @@ def _discrete_actions(program: Program, run: Stored) -> Reals:
             f"{program.system}: the step to t = {float(run.t[reached]):g} could not be taken again."
             "\nTake a smaller step."
         )
-    return out
+    return out[1:, 0]
 
 
 def _actions(program: Program, run: Stored) -> Reals:

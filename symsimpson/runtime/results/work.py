@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
+from symsimpson.runtime.kernels.recorders import told, work
 from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.driving import at_places, since
 from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
@@ -134,21 +135,18 @@ def _added_up(run: Stored, count: int) -> Reals:
     W = workspace(header, numbers, numbers.read(run.parameter_values))
     t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
     out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
-    row = header.layout["WORK"]
-    sets = [name for name in kernels.fallbacks if name != "stages"]
+    recorder, sets = work(header), kernels.fallbacks
+    at = told(header, (recorder,))
     done, number = 0, 0
     while done < len(run) - 1:
         last = len(run) if number == 0 else min(len(run), done + 1 + FALLBACK_STRETCH)
         some = slice(done, last)
-        name = sets[number]
-        work = kernels.address("work", any_angle=name == "robust")
-        reached: int = numbers.driver("add_up_work")(
-            kernels.set(name),
-            work,
-            (h.item(), t[some], W, header.told),
+        reached: int = numbers.driver("replay")(
+            kernels.set(sets[number], (recorder,), again=True),
+            (h.item(), t[some], W, at),
             (q[some], p[some]),
             every,
-            row,
+            False,
             out[some],
             since(inputs, done * every),
         )

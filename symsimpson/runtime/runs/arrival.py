@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import StorageError
+from symsimpson.runtime.kernels.recorders import ordered
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.runtime.runs.run import Run, Stored, workspace
@@ -145,7 +146,7 @@ def states_at(
         q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
         part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
         numbers.driver("states_at")(
-            kernels.set(name, "clock"),
+            kernels.set(name, ordered(header, ()), again=True),
             kernels.address("energy"),
             (h, states[0], workspace(header, numbers, rows[0]), header.told),
             states[1:],

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.runtime.costs import Measured, StateCost, pull_velocities
+from symsimpson.runtime.kernels.recorders import steps
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.integrate import (
     begin_run,
@@ -24,7 +25,7 @@ from symsimpson.runtime.runs.integrate import (
     raise_failure,
     trajectory_of,
 )
-from symsimpson.runtime.runs.run import Kept, workspace
+from symsimpson.runtime.runs.run import workspace
 from symsimpson.runtime.runs.spec import RunSpec
 
 if TYPE_CHECKING:
@@ -116,12 +117,11 @@ class Way:
 
     def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
         header, count = program.header, spec.steps
-        rows = 4 * header.n + header.layout["UNKNOWNS"]
-        whole = count * rows <= RECORDED
+        recorder = steps(header)
+        whole = count * recorder.rows <= RECORDED
         self.piece = max(1, count if whole else isqrt(count))
         self._count = count
-        kept = Kept("record", rows, rows)
-        self._run = run = new_run(program, spec, 1, self.piece + 1, kept=kept)
+        self._run = run = new_run(program, spec, 1, self.piece + 1, recorders=(recorder,))
         begin_run(program, run, spec)
         self.q0, self.p0 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
         if count:
@@ -148,7 +148,7 @@ class Way:
                 run.put_back(position, kept)
                 run.store(0)
                 run.advance(last)
-            yield first, run.kept[: last - first + 1], *run.stored()[:2]
+            yield first, run.recorded[: last - first + 1], *run.stored()[:2]
 
 
 class _Back:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from symsimpson.runtime.inputs import MOST_STEPS, read_steps, read_times
 from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.runtime.kernels.recorders import ordered, told
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import STRIDE, resolution
@@ -70,17 +71,17 @@ class Prepared:
     def __init__(self, program: Program) -> None:
         header, kernels = program.header, program.kernels
         numbers = program.numbers
-        self.W, self.told = workspace(header, numbers, program.defaults), header.told
-        self.kernels = kernels.set(kernels.fallbacks[0])
+        recorders = ordered(header, ())
+        self.W, self.told = workspace(header, numbers, program.defaults), told(header, recorders)
+        self.kernels = kernels.set(kernels.fallbacks[0], recorders)
         self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
         iterated = header.newton_unknowns > 0
         self.most = MOST_TO_END // header.rows
         if header.retimed:
-            self.kernels = kernels.set(kernels.fallbacks[0], "clock")
             self.retime = kernels.address("retime")
             self.run_to_end = numbers.driver("run_to_end", iterated=iterated)
             self.sampled = room(self.most // STRIDE, program.n)
-            self.kept = np.empty((self.most + 1, 1, 1))
+            self.times = np.empty((self.most + 1, 1, 1))
             return
         self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
         #: Where states go that are looked at and forgotten.
@@ -123,7 +124,7 @@ class Prepared:
             (np.array([*times, resolution(FLOAT64)]), self.W, self.told),
             (asked.values, asked.q, asked.other),
             (self.most, every, few, LIMIT),
-            (stored[0], self.kept, stored[1], end, told),
+            (stored[0], self.times, stored[1], end, told),
             NO_INPUTS,
         )
         return steps
@@ -244,7 +245,7 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
     if every:
         last = steps // every + 1
         (Q, P), counts = stored
-        before = made.kept[:last, 0, 0].copy()
+        before = made.times[:last, 0, 0].copy()
         far = int(t_end != before[-1])  # 0: the last stored state is that of the end
         tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
         t = np.append(before, t[:far])

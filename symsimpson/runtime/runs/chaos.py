@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_count, whole_number
+from symsimpson.runtime.kernels.recorders import growth
 from symsimpson.runtime.results.chaos import Chaos, chaos_of
 from symsimpson.runtime.runs.integrate import (
     begin_run,
@@ -20,22 +21,15 @@ from symsimpson.runtime.runs.integrate import (
     trajectory_of,
 )
 from symsimpson.runtime.runs.request import Request
-from symsimpson.runtime.runs.run import Kept
 from symsimpson.runtime.runs.spec import RunSpec, read_run
 from symsimpson.runtime.runs.variations import refuse_retimed, varied_program
 
 if TYPE_CHECKING:
     from symsimpson.runtime.program import Program
 
-__all__ = ["directions", "find_chaos", "lyapunov", "storage_of_growth"]
+__all__ = ["directions", "find_chaos", "lyapunov"]
 
 Floats = NDArray[np.float64]
-
-
-def storage_of_growth(program: Program, count: int, every: int) -> Kept:
-    """Say which rows a run stores for variations that are made orthonormal now and then."""
-    rows, room = program.header.room_for_growth(count)
-    return Kept("tangent", rows, room, count, every)
 
 
 def directions(size: int, count: int) -> Floats:
@@ -104,7 +98,7 @@ def find_chaos(
         spec,
         stride,
         spec.steps // stride + 1,
-        kept=storage_of_growth(program, count, stride),
+        recorders=(growth(program.header, count, stride),),
     )
     begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count
@@ -115,4 +109,4 @@ def find_chaos(
     trajectory = trajectory_of(program, run, spec.steps, run.status, spec, run.stored(), stride)
     if not trajectory.success:
         raise_failure(run, trajectory, trajectory)
-    return chaos_of(program, run.kept[1 : len(trajectory), :, 0], trajectory, count)
+    return chaos_of(program, run.recorded[1 : len(trajectory), :, 0], trajectory, count)

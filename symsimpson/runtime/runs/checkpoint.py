@@ -56,7 +56,7 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         **spec.said(),
         "q0": run.rows("POSITION", program.n).tolist(),
         "p0": run.rows("MOMENTUM", program.n).tolist(),
-        **({"kept": run.kept.shape[1]} if run.kept.shape[1] else {}),
+        **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),
     }
 
 
@@ -125,7 +125,7 @@ class Checkpoint:
     def states(self) -> Stored:
         """Return what is stored, which stays on disk."""
         n = self._run.header.n
-        shape = (self._rows, 2 * n + 1 + self._run.kept.shape[1])
+        shape = (self._rows, 2 * n + 1 + self._run.recorded.shape[1])
         rows: Any = np.memmap(self._beside("states"), dtype="<f8", mode="r", shape=shape)
         unwritten = self._since()
         if len(unwritten):
@@ -156,7 +156,7 @@ class Checkpoint:
 
     def _rows_of(self, places: slice) -> Floats:
         run = self._run
-        parts = [x[places, :, 0] for x in (run.q, run.p, run.iterations[:, None], run.kept)]
+        parts = [x[places, :, 0] for x in (run.q, run.p, run.iterations[:, None], run.recorded)]
         rows: Floats = np.column_stack(parts)
         return rows
 
@@ -216,7 +216,7 @@ class Checkpoint:
         if run.every:
             n = run.header.n
             run.q[0, :, 0], run.p[0, :, 0] = record.last[:n], record.last[n : 2 * n]
-            run.kept[0, :, 0] = record.last[2 * n + 1 :]
+            run.recorded[0, :, 0] = record.last[2 * n + 1 :]
 
 
 def exists(path: Path) -> bool:
@@ -296,7 +296,7 @@ def _read(path: Path, states: Path) -> Record:
     """Read one file and the states that it counts."""
     said = _said(path, states)
     workspace = np.frombuffer(base64.b64decode(said["workspace"]), dtype="<f8")
-    width = 8 * (2 * len(said["asked"]["q0"]) + 1 + said["asked"].get("kept", 0))
+    width = 8 * (2 * len(said["asked"]["q0"]) + 1 + said["asked"].get("recorded", 0))
     size = said["stored"] * width
     with open(states, "rb") as file:
         found = _digest_of(file, size)

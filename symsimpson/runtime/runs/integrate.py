@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import ConvergenceError, InputError, Interrupted, StorageError
 from symsimpson.runtime.inputs import read_count, read_failure, refused_start
 from symsimpson.runtime.kernels.numbers import NOTHING
+from symsimpson.runtime.kernels.recorders import Recorder, tangents
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
@@ -24,9 +26,9 @@ from symsimpson.runtime.runs.resolution import (
     finer_stride,
     sampling_stride,
 )
-from symsimpson.runtime.runs.run import NOTHING_KEPT, Kept, Run
+from symsimpson.runtime.runs.run import Run
 from symsimpson.runtime.runs.spec import RunSpec
-from symsimpson.runtime.runs.variations import begin_variations, kept_variations
+from symsimpson.runtime.runs.variations import begin_variations
 from symsimpson.runtime.runs.verdict import looked_at
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import silence
@@ -129,18 +131,19 @@ def new_run(
     stride: int,
     stored: int,
     inputs: Reals | None = None,
-    kept: Kept = NOTHING_KEPT,
+    recorders: Sequence[Recorder] = (),
 ) -> Run:
-    """Make a run that has room for so many states, and for what is kept beside them.
+    """Make a run that has room for so many states, and for what recorders leave beside them.
 
     Raises
     ------
     InputError
         If they do not fit into memory.
     """
-    if kept is NOTHING_KEPT and spec.tangents is not None:
-        header = program.header
-        kept = kept_variations(header, spec.tangents.shape[1] + len(header.varied_by or ()))
+    header = program.header
+    if spec.tangents is not None:
+        count = spec.tangents.shape[1] + len(header.varied_by or ())
+        recorders = (*recorders, tangents(header, count))
     try:
         return Run(
             program,
@@ -151,7 +154,7 @@ def new_run(
             stored,
             program.kernels.fallbacks,
             spec.inputs if inputs is None else inputs,
-            kept,
+            recorders,
         )
     except (MemoryError, ValueError):
         raise InputError(
@@ -245,7 +248,7 @@ def trajectory_of(
                 t, tau, q, p, iterations = with_end(
                     (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
                 )
-    tangents = tangents_of(program, run, spec, len(t) if every else 0)
+    variations = _variations(program, run, spec, more[0] if every else run.left()[None])
     message = status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
@@ -271,21 +274,19 @@ def trajectory_of(
         program=program,
         parameter_values=values,
         input_values=result(spec.inputs),
-        variations=tangents,
+        variations=variations,
         tau_values=result(tau) if run.header.retimed else None,
     )
 
 
-def tangents_of(program: Program, run: Run, spec: RunSpec, stored: int) -> Reals | None:
-    """Return the variations at so many stored states, or at the last one for 0; None for none.
+def _variations(program: Program, run: Run, spec: RunSpec, recorded: Reals) -> Reals | None:
+    """Return variations of what was recorded, shape (N, 2 n, k); None if there are none.
 
-    They have shape (N, 2 n, k), those of parameters behind the others.
+    Those of parameters stand behind the others.
     """
     if spec.tangents is None:
         return None
-    rows = run.kept[:stored, :, 0]
-    if not stored:
-        rows = run.rows("TANGENT", run.kept.shape[1])[None].copy()
+    rows = recorded[:, run.columns("tangent")]
     found: Reals = program.numbers.result(rows)
     return found.reshape(len(rows), -1, 2 * program.n).swapaxes(1, 2)
 

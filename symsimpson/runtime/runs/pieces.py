@@ -50,7 +50,7 @@ def by_pieces(
     begin_run(program, run, spec)
     look_at_step(program, run, spec)
     stride = STRIDE if spec.t_end is not None else sampling_stride(program, count)
-    found, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.kept))]
+    found, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.recorded))]
     if not count:
         found.append(take(_piece(program, run, spec), 0))
     with run.watched(count, progress if spec.t_end is None else bool(progress)):
@@ -60,7 +60,7 @@ def by_pieces(
             if stride:  # states to look at, behind those of the piece before
                 first = stride - run.first % stride
                 here = slice(first, run.step - run.first + 1, stride)
-                seen.append(tuple(x[here, :, 0].copy() for x in (run.q, run.p, run.kept)))
+                seen.append(tuple(x[here, :, 0].copy() for x in (run.q, run.p, run.recorded)))
             run.forget()
     # the states are gone, but for the last and those to look at
     run.every = stride
@@ -80,7 +80,7 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
     """Return the states that a run has stored, or the last one and the end."""
     kept = run.step - run.first + 1
     tau = np.arange(run.first, run.step + 1) * run.h
-    t = run.kept[:kept, 0, 0] if run.header.retimed else run.t0 + tau
+    t = run.recorded[:kept, 0, 0] if run.header.retimed else run.t0 + tau
     columns: tuple[Any, ...] = t, tau, run.q[:kept, :, 0], run.p[:kept, :, 0]
     if end is not None:
         ends = end.t, end.tau, end.q, end.p

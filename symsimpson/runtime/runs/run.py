@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
+from symsimpson.runtime.kernels.recorders import Recorder, ordered, told
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
 from symsimpson.support.progress import Watcher
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from symsimpson.runtime.kernels.numbers import Numbers
     from symsimpson.runtime.program import Program
 
-__all__ = ["NOTHING_KEPT", "Kept", "Run", "Stored", "workspace"]
+__all__ = ["Run", "Stored", "workspace"]
 
-#: q, p, iterations and what is kept beside, of stored states.
+#: q, p, iterations and what recorders left, of stored states.
 Stored = tuple[NDArray[Any], NDArray[Any], NDArray[np.int64], NDArray[Any]]
 
 #: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
@@ -51,31 +51,6 @@ def workspace(
     return W
 
 
-@dataclass(frozen=True)
-class Kept:
-    """The rows beside the state that a kernel leaves which is called behind each step.
-
-    Attributes
-    ----------
-    kernel : str
-    rows : int
-        Of these so many are stored with the states.
-    room : int
-        Rows of the workspace that it needs, behind all others.
-    renewed, renewal : int
-        How many variations are made orthonormal, and after how many steps.
-    """
-
-    kernel: str = ""
-    rows: int = 0
-    room: int = 0
-    renewed: int = 0
-    renewal: int = 1
-
-
-NOTHING_KEPT = Kept()
-#: The time of the user, where it is not that of the steps.
-TIME_KEPT = Kept("clock", rows=1)
 #: What stops a run behind a step that is not taken then.
 BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
 
@@ -96,32 +71,30 @@ class Run:
         stored: int,
         fallbacks: Sequence[str] | None = None,
         inputs: NDArray[Any] = NO_INPUTS,
-        kept: Kept = NOTHING_KEPT,
+        recorders: Sequence[Recorder] = (),
     ) -> None:
         header, kernels, numbers = program.header, program.kernels, program.numbers
-        if header.retimed and kept is NOTHING_KEPT:
-            kept = TIME_KEPT
         self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
         self._declared, self._tools = program.declared, program.tools
         self._parameters, self._inputs = parameters, inputs
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
-        self._behind, self.told = kept.kernel, header.told
-        if kept.renewed:
-            self.told = header.told_to_renew(kept.renewed, kept.renewal)
+        self._recorders = ordered(header, recorders)
+        self.told = told(header, self._recorders)
+        if any(one.renewed for one in recorders):
             self._driver = partial(numbers.driver, renewing=True)
-        self.W = workspace(header, numbers, parameters, kept.room)
+        self.W = workspace(header, numbers, parameters, sum(one.room for one in recorders))
         self._column = self.W[:, 0]
         self._status = header.layout["STATUS"]
         self._watcher: Watcher | None = None
         self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
         self._stretch = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
-        #: What is kept beside them.
-        self.kept = numbers.zeros((stored, kept.rows, 1))
+        #: What recorders left beside them, of one behind the other.
+        self.recorded = numbers.zeros((stored, sum(one.rows for one in self._recorders), 1))
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
-        self._stores = self.q, self.p, self.kept, self.iterations
+        self._stores = self.q, self.p, self.recorded, self.iterations
         #: Steps before those whose states stand in the arrays; and what was done since.
-        self.first, self._progress = 0, np.zeros(3, dtype=np.int64)
+        self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
         self._interrupted = False
         self._set, self._set_until = 0, -1
 
@@ -150,9 +123,7 @@ class Run:
                 self._driver("begin")(self._kernels(), 0, self.h, self.t0, self.W, self.told)
             self.rows("TIME", 1)[:] = self.t0
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
-            self.kept[0, 0, 0] = self.t0
-        if self.every:
-            self.store(0)
+        self.store(0)
 
     @property
     def _setting(self) -> tuple[Any, ...]:
@@ -177,10 +148,29 @@ class Run:
         self._driver("begin_growth")(self.W, self.told, directions)
 
     def store(self, place: int) -> None:
-        """Store the present state."""
+        """Store the present state, and what recorders have left."""
         n = self.header.n
         self.q[place, :, 0] = self.rows("POSITION", n)
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
+        self.recorded[place, :, 0] = self.left()
+
+    def left(self, kernel: str = "") -> NDArray[Any]:
+        """Return what all recorders, or one of them, have left beside the present state."""
+        rows = [
+            self._column[one.first : one.first + one.rows]
+            for one in self._recorders
+            if kernel in ("", one.kernel)
+        ]
+        return np.concatenate([self._column[:0], *rows])
+
+    def columns(self, kernel: str) -> slice:
+        """Return where the rows of a recorder stand among those of all."""
+        first = 0
+        for one in self._recorders:
+            if one.kernel == kernel:
+                return slice(first, first + one.rows)
+            first += one.rows
+        return slice(0, 0)
 
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
@@ -210,7 +200,7 @@ class Run:
         return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
 
     def stored(self) -> Stored:
-        """Return q, p and iterations of the states that were stored, and what is kept beside."""
+        """Return q, p and iterations of the states that were stored, and what recorders left."""
         kept = self._progress.item(0) // self.every + 1 if self.every else 0
         q, p, rows, iterations = (x[:kept] for x in self._stores)
         return q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0]
@@ -326,7 +316,7 @@ class Run:
         return self.value("TIME") if self.header.retimed else None
 
     def _kernels(self) -> Any:
-        return self.kernels.set(self._fallbacks[self._set], self._behind)
+        return self.kernels.set(self._fallbacks[self._set], self._recorders)
 
     def _change_to(self, number: int) -> None:
         """Go on with other kernels; between stages and Newton's method nothing is handed over."""
@@ -347,7 +337,7 @@ class Run:
     def take(self, stop: int) -> None:
         """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
         kernels, setting, stop = self._kernels(), self._setting, stop - self.first
-        self._progress[2] = self.first
+        self._progress[2:] = self.first
         while True:
             self._take_steps(
                 kernels, setting, self._progress, stop, self.every, self._stores, self._inputs

@@ -10,22 +10,13 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_array, whole_number
-from symsimpson.runtime.runs.run import Kept
 from symsimpson.support.names import did_you_mean, spelled
 
 if TYPE_CHECKING:
-    from symsimpson.module.header import Header
     from symsimpson.runtime.program import Program
     from symsimpson.runtime.runs.run import Run
 
-__all__ = [
-    "begin_variations",
-    "kept_variations",
-    "read_tangents",
-    "read_varied",
-    "refuse_retimed",
-    "varied_program",
-]
+__all__ = ["begin_variations", "read_tangents", "read_varied", "refuse_retimed", "varied_program"]
 
 Reals = NDArray[Any]
 #: What a step has besides parameters and inputs.
@@ -157,11 +148,6 @@ def read_tangents(program: Program, tangents: Any) -> Reals:
     return columns
 
 
-def kept_variations(header: Header, count: int) -> Kept:
-    """Say what a run keeps that carries so many variations along."""
-    return Kept("tangent", 2 * header.n * count, header.room_for_tangents(count))
-
-
 def begin_variations(program: Program, run: Run, tangents: Reals, *, velocity: bool) -> None:
     """Let variations of the state and of parameters begin.
 
@@ -175,4 +161,4 @@ def begin_variations(program: Program, run: Run, tangents: Reals, *, velocity: b
     run.rows("TANGENT", 2 * n * given)[:] = tangents.T.ravel()
     if velocity and varied:
         run.apply("momentum_slopes")
-    run.kept[0, :, 0] = run.rows("TANGENT", 2 * n * count)
+    run.store(0)

@@ -29,7 +29,7 @@ def test_the_driver_is_told_where_blocks_stand(text):
     told = dict(zip(TOLD, header.told.tolist(), strict=True))
     for name in TOLD.keys() & BLOCKS.keys() & header.layout.keys():
         assert told[name] == header.layout[name]
-    assert told["TANGENT"] == told["KEPT"] == told["ROWS"] == header.rows  # behind all others
+    assert told["TANGENT"] == told["GROWN"] == told["ROWS"] == header.rows  # behind all others
     assert told["STATE_END"] == header.layout["PREDICTED"]
     assert told["MEASURED"] == header.layout["PREDICTED"] - header.layout["INCREMENT"]
     assert (told["INPUT_STRIDE"] > 0) == (text == DRIVEN)

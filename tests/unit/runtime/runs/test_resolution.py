@@ -243,17 +243,17 @@ def test_work_is_unknown_behind_a_step_that_cannot_be_taken_again(monkeypatch):
     known, plain, calls = run.work["total"], Numbers.driver, []
 
     def driver(self, name, *given, **more):
-        if name != "add_up_work":
+        if name != "replay":
             return plain(self, name, *given, **more)
 
-        def add_up(kernels, work, setting, states, every, row, out, inputs):
+        def replay(kernels, setting, states, every, anew, out, inputs):
             h, t, W, told = setting
             calls.append(len(t))
             few = 101 if len(calls) == 1 else 1
             setting, states = (h, t[:few], W, told), tuple(x[:few] for x in states)
-            return plain(self, name)(kernels, work, setting, states, every, row, out[:few], inputs)
+            return plain(self, name)(kernels, setting, states, every, anew, out[:few], inputs)
 
-        return add_up
+        return replay
 
     monkeypatch.setattr(Numbers, "driver", driver)
     again = ss.compile(ss.systems.damped_pendulum()).integrate([0.5], v0=[0.0], h=0.01, steps=300)

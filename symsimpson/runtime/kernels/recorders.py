@@ -1,0 +1,91 @@
+"""Recorders: kernels that are called behind each step, and rows that they leave beside states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.module.blocks import TOLD
+from symsimpson.module.header import Header
+
+__all__ = ["Recorder", "growth", "ordered", "steps", "tangents", "told", "work"]
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """A kernel that is called behind each step.
+
+    Attributes
+    ----------
+    kernel : str
+    first : int
+        The first row that it leaves to be stored with states.
+    rows : int
+        Number of these rows.
+    room : int
+        Rows of the workspace that it needs behind those of the module.
+    text : str
+        The text of the kernel, where it is none of the module's.
+    of_states : bool
+        Whether it is told the time of the state, not that of the step that led there.
+    renewed, renewal : int
+        How many variations are made orthonormal, and after how many steps.
+    """
+
+    kernel: str
+    first: int = 0
+    rows: int = 0
+    room: int = 0
+    text: str = ""
+    of_states: bool = False
+    renewed: int = 0
+    renewal: int = 1
+
+
+def clock(header: Header) -> Recorder:
+    """Return what keeps the time of the user, where it is not that of the steps."""
+    return Recorder("clock", header.layout["TIME"], rows=1)
+
+
+def tangents(header: Header, count: int) -> Recorder:
+    """Return what carries so many variations of the state along."""
+    return Recorder("tangent", header.rows, 2 * header.n * count, header.room_for_tangents(count))
+
+
+def growth(header: Header, count: int, every: int) -> Recorder:
+    """Return what carries variations along that are made orthonormal now and then."""
+    first = header.rows + header.room_for_tangents(count)
+    rows, room = header.room_for_growth(count)
+    return Recorder("tangent", first, rows, room, renewed=count, renewal=every)
+
+
+def steps(header: Header) -> Recorder:
+    """Return what keeps each step, for the way back."""
+    rows = 4 * header.n + header.layout["UNKNOWNS"]
+    return Recorder("record", header.rows, rows, rows)
+
+
+def work(header: Header) -> Recorder:
+    """Return what adds up the work of forces."""
+    return Recorder("work", header.layout["WORK"], header.powers)
+
+
+def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
+    """Return recorders in the order of their calls: the clock first, those of states last."""
+    first = (clock(header),) if header.retimed else ()
+    return (*first, *sorted(recorders, key=lambda one: one.of_states))
+
+
+def told(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
+    """Return what the driver is told of a module and of the recorders of a run."""
+    found = header.told.copy()
+    found[TOLD["OF_STATES"]] = sum(one.of_states for one in recorders)
+    for one in recorders:
+        if one.renewed:
+            found[TOLD["GROWN"]] = one.first
+            found[TOLD["RENEWED"]], found[TOLD["RENEWAL"]] = one.renewed, one.renewal
+    stored = [number for one in recorders if one.rows for number in (one.first, one.rows)]
+    return np.array([*found, *stored], dtype=np.int64)
