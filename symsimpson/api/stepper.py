@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 from numpy.typing import ArrayLike
@@ -69,6 +69,8 @@ class Stepper(Examining):
         save: None = None,
         tangents: ArrayLike | None = None,
         sensitivities: Any = None,
+        record: str | Sequence[str] | None = None,
+        reduce: Mapping[str, Any] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -128,6 +130,8 @@ class Stepper(Examining):
         save: Any = None,
         tangents: ArrayLike | None = None,
         sensitivities: Any = None,
+        record: str | Sequence[str] | None = None,
+        reduce: Mapping[str, Any] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -160,13 +164,18 @@ class Stepper(Examining):
             Times in the order of the run, at which alone states are kept.
         save : str, symbol or sequence of them, optional
             Quantities to keep in place of states, as in ``run["energy"]``; "q", "p" and "v" are all
-            of theirs. Neither goes with ``tangents``, ``sensitivities`` or ``checkpoint``.
+            of theirs. Neither goes with what is recorded, nor with ``checkpoint``.
         tangents : int or array_like, shape (2 n, k), optional
             Variations (dq, dp) of the initial state, one per column; k stands for the first k unit
             vectors. ``run.tangent`` holds them.
         sensitivities : name, symbol or sequence of them, optional
             Parameters and inputs to differentiate by, with q0 and v0 or p0 held fixed; gives
             ``run.sensitivity``. An input is varied equally at all steps.
+        record : "work", optional
+            Adds up ``run.work`` while the run goes on: for runs that store few states, or one.
+        reduce : mapping from str to (kind, expression), optional
+            Quantities to evaluate behind each step, stored or not, as for :meth:`ensemble`; gives
+            ``run.reduced``.
         checkpoint : path, optional
             A file from which an interrupted run is resumed, to the same bits, by the same call or
             :func:`symsimpson.resume`. Stored states go to a file beside it.
@@ -209,7 +218,8 @@ class Stepper(Examining):
         """
         begin = q0, v0, p0, h, t_end, steps, t0
         derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
-        request = Request(*begin, parameters, inputs, every, *derivatives, *kept)
+        further = record, reduce
+        request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further)
         return run(self.program, request, checkpoint_every, progress, on_failure)
 
     def ensemble(
@@ -228,6 +238,7 @@ class Stepper(Examining):
         reduce: Mapping[str, Any] | None = None,
         tangents: ArrayLike | None = None,
         sensitivities: Any = None,
+        record: str | Sequence[str] | None = None,
         store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         client: Any = None,
@@ -259,7 +270,7 @@ class Stepper(Examining):
             to rounding are found by :meth:`Trajectory.events`, which says what expressions may be.
             "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
             motion grow, as :meth:`lyapunov` does.
-        tangents, sensitivities
+        tangents, sensitivities, record
             As for :meth:`integrate`; the same variations for all members.
         store : path, optional
             A Zarr store, a folder or a URL, for results that do not fit into memory. If it was
@@ -299,7 +310,6 @@ class Stepper(Examining):
         from symsimpson.runtime.ensembles.dispatch import run_ensemble
 
         begin = q0, v0, p0, h, t_end, steps, t0
-        request = Request(*begin, parameters, inputs, every, tangents, sensitivities)
-        return run_ensemble(
-            self.program, request, reduce, store, threads, client, progress, on_failure
-        )
+        asked = parameters, inputs, every, tangents, sensitivities
+        request = Request(*begin, *asked, record=record, reduce=reduce)
+        return run_ensemble(self.program, request, store, threads, client, progress, on_failure)

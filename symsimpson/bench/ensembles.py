@@ -48,7 +48,7 @@ def report(members: int = MEMBERS) -> Iterator[str]:
     def ours(scheme: str, steps: int, lanes: int | None = None, threads: int = threads) -> Run:
         program = ss.compile(ss.systems.double_pendulum(), scheme).program
         request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
-        task = read_task(program, request, None, threads, False, on_disk=False)
+        task = read_task(program, request, threads, False, on_disk=False)
         task = replace(task, lanes=lanes or task.lanes)
         return lambda: run_blocks(program, task, lambda done: None)[0].q
 

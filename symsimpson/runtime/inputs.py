@@ -194,7 +194,7 @@ def refuse_together(request: Request) -> None:
     ------
     InputError
     """
-    for name in ("tangents", "sensitivities", "checkpoint"):
+    for name in ("tangents", "sensitivities", "checkpoint", "record", "reduce"):
         if getattr(request, name) is not None:
             raise InputError(
                 f"{name} needs the states of all steps, of which t_eval or save keeps some.\n"

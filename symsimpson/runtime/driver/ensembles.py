@@ -110,9 +110,8 @@ def begin_variations(momentum_slopes, h, t, W, at, columns):
 
 
 @njit(**RARE)
-def tell(W, at, h, observed, kinds, seen, block):
-    """Keep what the observed values of a block, and its variations, came to."""
-    row, rows = observed
+def tell(W, at, h, row, kinds, seen, block):
+    """Keep what the observed values of a block, from a row on, and its variations came to."""
     for k in range(kinds.shape[0]):
         kind = np.int64(kinds[k])
         for lane in range(LANES):
@@ -120,8 +119,7 @@ def tell(W, at, h, observed, kinds, seen, block):
             if member >= seen.shape[0]:
                 continue
             if kind < LYAPUNOV:
-                if W[row + rows - 1, lane] > 0.0:  # states that were looked at
-                    seen[member, 2 * k] = W[row + 2 * k, lane]
+                seen[member, 2 * k] = W[row + 2 * k, lane]
                 continue
             if W[at[STATUS], lane] != 0.0:
                 continue
@@ -202,7 +200,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 lost[LANES + lane] = 0
                 for row in range(more[4]):
-                    W[more[3] + row, lane] = 0.0
+                    W[more[3] + row, lane] = np.nan if row < more[4] - 1 else 0.0
                 if every != 0:
                     store_lane(W, at, 0, lane, stores)
             record(kernels, len(kernels) - at[OF_STATES], h, t0, t0, W, at)
@@ -233,7 +231,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
             budget -= progress[0] - step
         cursor[STEP] = progress[0]
         if progress[0] >= steps or not alive:
-            tell(W, at, h, (more[3], more[4]), kinds, seen, block)
+            tell(W, at, h, more[3], kinds, seen, block)
             outcome = q_out, p_out, codes_out, recorded_out
             finish_block(W, at, block, progress[0], every, stores, outcome, lost)
             cursor[BLOCK], cursor[BEGUN] = block + 1, 0

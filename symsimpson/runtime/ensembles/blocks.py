@@ -16,10 +16,11 @@ from symsimpson.runtime.ensembles.arrivals import take_last_parts
 from symsimpson.runtime.ensembles.ensemble import Ensemble
 from symsimpson.runtime.ensembles.singles import PAIR, RENEWAL, run_singly
 from symsimpson.runtime.ensembles.task import Results, Task, ensemble_of
-from symsimpson.runtime.kernels.observed import KINDS, observers
-from symsimpson.runtime.kernels.recorders import Recorder, growth, ordered, tangents, told
+from symsimpson.runtime.kernels.observed import KINDS
+from symsimpson.runtime.kernels.recorders import Recorder, growth, ordered, told
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.runs.chaos import directions
+from symsimpson.runtime.runs.recording import recorders_of
 
 __all__ = ["run_blocks"]
 
@@ -35,7 +36,7 @@ Floats = NDArray[np.float64]
 
 def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
     """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
-    results = Results(task, program.n)
+    results = Results(task, program.header)
     work_off = _prepared(program, task, results)
     lanes = task.lanes
     blocks = -(-task.members // lanes)
@@ -93,11 +94,10 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     header, lanes = program.header, task.lanes
     numbers = program.numbers
     kernels = numbers.kernels(program.source, header, lanes)
-    columns, slopes = np.zeros((0, 0)), 0
-    recorders: list[Recorder] = []
+    columns, slopes, count = np.zeros((0, 0)), 0, None
+    growing: tuple[Recorder, ...] = ()
     if task.tangents is not None:
-        columns = task.tangents
-        recorders.append(tangents(header, columns.shape[1]))
+        columns, count = task.tangents, task.tangents.shape[1]
         changed = header.varied_by and task.velocities
         slopes = kernels.address("momentum_slopes") if changed else 0
     if task.of_variations:
@@ -112,13 +112,13 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
                 f"Take {RENEWAL} at least."
             )
         columns = directions(2 * header.n, PAIR)
-        recorders.append(replace(growth(header, PAIR, RENEWAL), rows=0))
-    observed = header.rows + sum(one.room for one in recorders)
-    watching = observers(header, task.reductions, observed)
-    rows, called = 2 * len(task.reductions) + 1, ordered(header, [*recorders, *watching])
+        growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
+    asked = recorders_of(header, count, task.record, task.reductions, growing)
+    called = ordered(header, asked)
+    observed = [(one.first, one.room) for one in called if one.kernel == "observe"] or [(0, 0)]
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
-    more = np.array([legendre, slopes, retime, observed, rows if watching else 0], dtype=np.int64)
+    more = np.array([legendre, slopes, retime, *observed[0]], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
     advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)

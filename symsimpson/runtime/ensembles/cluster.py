@@ -151,10 +151,12 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         asked["steps"],
         asked["every"],
         NO_INPUTS,
-        reductions,
         threads=1,
         progress=False,
         lanes=lanes_for(program.header),
+        tangents=None if asked["tangents"] is None else np.array(asked["tangents"]),
+        record=tuple(asked["record"]),
+        reductions=reductions,
     )
     found, _ = run_blocks(program, task, lambda done: None)
     write_chunk(path, group, members, found)

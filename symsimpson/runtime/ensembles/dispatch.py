@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,6 @@ __all__ = ["run_ensemble"]
 def run_ensemble(
     program: Program,
     request: Request,
-    reduce: Mapping[str, Any] | None,
     store: Any,
     threads: int | None,
     client: Any,
@@ -46,8 +45,8 @@ def run_ensemble(
         At Ctrl-C, with what is done.
     """
     read_failure(on_failure)
-    program = _telling(program, request, reduce, store)
-    task = read_task(program, request, reduce, threads, progress, on_disk=store is not None)
+    program = _telling(program, request, store)
+    task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
     found, stopped = _run(program, task, store, client)
     if not stopped:
@@ -57,22 +56,21 @@ def run_ensemble(
     return found
 
 
-def _telling(program: Program, request: Request, reduce: Any, store: Any) -> Program:
+def _telling(program: Program, request: Request, store: Any) -> Program:
     """Return the program whose ensembles carry along what they are asked for.
 
     Raises
     ------
     InputError
-        If that cannot be stored, or both are asked for.
+        If both are asked for.
     """
-    telling = any(one.of_variations for one in read_reductions(program, reduce))
+    telling = any(one.of_variations for one in read_reductions(program, request.reduce))
     if request.varied or telling:
         refuse_retimed(program, "derivatives of ensembles")
-    if request.varied and (telling or store is not None):
-        other = "reductions that tell of variations" if telling else "a store"
+    if request.varied and telling:
         raise InputError(
-            f"tangents and sensitivities of an ensemble do not go with {other}.\n"
-            "Leave out one of them."
+            "tangents and sensitivities of an ensemble do not go with reductions that tell of "
+            "variations.\nLeave out one of them."
         )
     if telling:
         return varied_program(program, ())

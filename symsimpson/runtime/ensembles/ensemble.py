@@ -12,6 +12,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate_members
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.differentiated import Differentiated
@@ -19,6 +20,7 @@ from symsimpson.runtime.results.quantities import Quantities
 from symsimpson.runtime.results.states import States, with_units
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.tables import dataframe, write
+from symsimpson.runtime.results.work import named_parts
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -36,6 +38,8 @@ RESERVED = (
     "status",
     "steps",
     "newton_iterations",
+    "variations",
+    "work_values",
     "member",
     "time",
     "coord",
@@ -99,6 +103,7 @@ class Ensemble(Quantities, Differentiated):
     store: str | None = None
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau: Floats | None = None
+    work_values: NDArray[Any] | None = field(default=None, repr=False)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -163,6 +168,32 @@ class Ensemble(Quantities, Differentiated):
         return [*self.reduced, *self.parameters]
 
     @property
+    def work(self) -> dict[str, NDArray[Any]]:
+        """The work of each force since the start, and of all under "total", in the shape of t.
+
+        Raises
+        ------
+        InputError
+            If it was not recorded.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.damped_pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, record="work")
+        >>> many.work["total"].shape
+        (2,)
+        """
+        if self.program.header.conservative:
+            return named_parts(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
+        if self.work_values is None:
+            raise InputError(
+                "this ensemble did not record the work of forces.\n"
+                "Ask for it: stepper.ensemble(..., record='work')."
+            )
+        return named_parts(self.program, self.work_values)
+
+    @property
     def message(self) -> str:
         """The outcome in words."""
         counts = {code: int((self.status == code).sum()) for code in Status}
@@ -196,6 +227,10 @@ class Ensemble(Quantities, Differentiated):
             return found.set_coords(list(coordinates))
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
+        if self.variations is not None:
+            variables["variations"] = ((*dims[:-1], "state", "variation"), self.variations)
+        if self.work_values is not None:
+            variables["work_values"] = ((*dims[:-1], "power"), self.work_values)
         for name, values in self.initial.items():
             variables[name] = (("member", "coord"), values)
         for name in ("status", "steps", "newton_iterations"):

@@ -23,6 +23,7 @@ from symsimpson.runtime.kernels.observed import read_reductions
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.recording import read_record
 from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.variations import read_tangents
 
@@ -32,13 +33,7 @@ MOST_THREADS = 1024
 
 
 def read_task(
-    program: Program,
-    request: Request,
-    reduce: Mapping[str, Any] | None,
-    threads: int | None,
-    progress: bool | None,
-    *,
-    on_disk: bool,
+    program: Program, request: Request, threads: int | None, progress: bool | None, *, on_disk: bool
 ) -> Task:
     """Read the arguments of ``ensemble``.
 
@@ -73,7 +68,7 @@ def read_task(
                 f"{name} has {size} members, another argument has {members}.\n"
                 "Give each argument one row for each member, or one for all."
             )
-    stride, reductions = read_every(request.every), read_reductions(program, reduce)
+    stride, reductions = read_every(request.every), read_reductions(program, request.reduce)
     if retimed and any(one.kind == "mean" for one in reductions):
         raise InputError(
             f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
@@ -107,13 +102,14 @@ def read_task(
         count,
         stride,
         driving,
-        reductions,
         workers,
         progress,
         lanes,
         retimed,
         tangents=None if request.carried is None else _columns(program, request.carried),
         t_end=end,
+        record=read_record(program, request.record),
+        reductions=reductions,
     )
 
 

@@ -53,7 +53,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
                 warnings.simplefilter("ignore", ResolutionWarning)
                 warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
                 warnings.simplefilter("ignore", ConstraintWarning)
-                carried = _carrying(program, task)
+                carried = {"record": task.record, **_carrying(program, task)}
                 asked = task.of_member(member, program, every=every, **carried)
                 found = run(program, asked, on_failure="return")
         except InputError:
@@ -71,9 +71,12 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
 
 def _put(program: Program, task: Task, results: Results, member: Any, run: Trajectory) -> None:
     """Put what a single run has come to into the arrays of all."""
-    kept = run.t[:, None] if task.retimed else np.zeros((len(run), 0))
+    left = [run.t[:, None]] if task.retimed else []
     if run.variations is not None:
-        kept = run.variations.swapaxes(1, 2).reshape(len(run), -1)
+        left.append(run.variations.swapaxes(1, 2).reshape(len(run), -1))
+    if run.work_values is not None:
+        left.append(run.work_values)
+    kept = np.concatenate([np.zeros((len(run), 0)), *left], axis=1)
     whole = run.steps // run.every + 1 if run.every else 1  # behind them, the end if retimed
     if task.reductions:
         t, q, p = (x[:whole] for x in (run.t, run.q, run.p))

@@ -35,6 +35,8 @@ __all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_ch
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
+#: What an ensemble may have recorded beside its states.
+RECORDED = ("variations", "work_values")
 #: Steps of the trial that tells how long a step takes.
 TRIAL_STEPS = 2000
 
@@ -116,6 +118,7 @@ class Store:
             newton_iterations=iterations,
             reduced=watched,
             store=self.path,
+            **{name: group[name] for name in RECORDED if name in group},
         )
 
 
@@ -178,7 +181,9 @@ def _asked(program: Program, task: Task) -> dict[str, Any]:
         **task.said(),
         "given": task.given,
         "members": task.members,
-        "reduce": json.dumps([[r.name, r.kind, r.expression] for r in task.reductions]),
+        "tangents": None if task.tangents is None else task.tangents.tolist(),
+        "record": list(task.record),
+        "reduce": json.dumps([r.asked for r in task.reductions]),
         "initial states": hashlib.sha256(task.q0.tobytes() + task.other0.tobytes()).hexdigest(),
         "parameters": hashlib.sha256(task.parameters.tobytes()).hexdigest(),
     }
@@ -191,7 +196,7 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
 
     chunk = _chunk(program, task)
     one = task.part(slice(0, 1))
-    template = ensemble_of(program, one, **Results(one, program.n).columns()).to_xarray()
+    template = ensemble_of(program, one, **Results(one, program.header).columns()).to_xarray()
     about = {key: value for key, value in template.attrs.items() if key != "outcome"}
     group = zarr.create_group(
         place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
@@ -263,7 +268,9 @@ def run_missing(store: Store) -> bool:
 def write_chunk(path: str, group: Any, members: slice, found: Ensemble) -> None:
     """Write what some members came to, statuses last."""
     names, _ = names_in_dataset(found.reduced, found.parameters)
+    recorded = {name: getattr(found, name) for name in RECORDED}
     columns = {"q": found.q, "p": found.p}
+    columns |= {name: values for name, values in recorded.items() if values is not None}
     columns |= {names[name]: values for name, values in found.reduced.items()}
     columns |= {"steps": found.steps, "newton_iterations": found.newton_iterations}
     with said(path, "written"):

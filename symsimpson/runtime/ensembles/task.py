@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
 from symsimpson.runtime.ensembles.ensemble import Ensemble
-from symsimpson.runtime.kernels.observed import Reduction
+from symsimpson.runtime.kernels.recorders import Recorder, ordered
 from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.status import Status
+from symsimpson.runtime.runs.recording import recorders_of
 from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.spec import RunSpec
 
@@ -27,7 +28,6 @@ Floats = NDArray[np.float64]
 class Task(RunSpec):
     """The task of an ensemble, checked; arrays have a row for each member."""
 
-    reductions: tuple[Reduction, ...]
     threads: int
     progress: bool | None
     lanes: int
@@ -59,9 +59,10 @@ class Task(RunSpec):
             **more,
         )
 
-    def carried(self, n: int) -> int:
-        """Return how many numbers of variations are stored beside a state, or 1 for its time."""
-        return int(self.retimed) if self.tangents is None else 2 * n * self.tangents.shape[1]
+    def recorded(self, header: Header) -> tuple[Recorder, ...]:
+        """Return the recorders that leave numbers beside each state, in their order."""
+        count = None if self.tangents is None else self.tangents.shape[1]
+        return ordered(header, recorders_of(header, count, self.record, ()))
 
     @property
     def of_variations(self) -> bool:
@@ -107,13 +108,13 @@ def lanes_of_machine() -> int:
 class Results:
     """Arrays that threads fill, each its own rows; until then members count as interrupted."""
 
-    def __init__(self, task: Task, n: int) -> None:
-        shape = (task.members, task.stored, n)
+    def __init__(self, task: Task, header: Header) -> None:
+        shape, self._recorders = (task.members, task.stored, header.n), task.recorded(header)
         self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
         # status, steps, iterations
         self.codes = np.zeros((task.members, 3), dtype=np.int64)
         self.codes[:, 0] = Status.INTERRUPTED
-        self.recorded = np.full((task.members, task.stored, task.carried(n)), np.nan)
+        self.recorded = np.full((*shape[:2], sum(one.rows for one in self._recorders)), np.nan)
         #: Of a step that was taken last, in tau.
         self.part = np.zeros(task.members)
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
@@ -133,14 +134,21 @@ class Results:
             "newton_iterations": iterations,
             "reduced": reduced,
         }
-        kept = self.recorded if task.every else self.recorded[:, 0]
-        if task.tangents is not None:
-            found["variations"] = kept.reshape(*kept.shape[:-1], -1, 2 * q.shape[-1]).swapaxes(
-                -1, -2
-            )
+        recorded = self.recorded if task.every else self.recorded[:, 0]
+        ends = np.cumsum([one.rows for one in self._recorders])
+        left = {
+            one.kernel: recorded[..., end - one.rows : end]
+            for one, end in zip(self._recorders, ends, strict=True)
+        }
+        if "tangent" in left:
+            ways = left["tangent"]
+            shape = *ways.shape[:-1], -1, 2 * q.shape[-1]
+            found["variations"] = ways.reshape(shape).swapaxes(-1, -2)
+        if "work" in left:
+            found["work_values"] = left["work"]
         if task.retimed:
             whole = task.every * np.arange(task.stored) if task.every else steps
-            t = kept[..., 0]
+            t = left["clock"][..., 0]
             tau = task.h * whole + (0 if task.every else self.part)
             found |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
         return found

@@ -221,10 +221,14 @@ class Digits(Numbers):
             "FEW_ITERATIONS": max(16, self.digits),
             "ROUND_OFF": self._inner(self.context.mpf(10) ** (4 - 2 * self.digits)),
             "np": SimpleNamespace(
-                inf=self._inner(self.context.inf), int64=int, empty=self.zeros, zeros=self.zeros
+                inf=self._inner(self.context.inf), int64=int, empty=self._room, zeros=self._room
             ),
         }
         return bind(driver_text(), replaced)
+
+    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
+        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
+        return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         kernel(h, t, W)
@@ -284,6 +288,10 @@ class Arb(Digits):
         import flint
 
         return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
+
+    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
+        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
+        return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
 
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.

@@ -68,6 +68,11 @@ class Reduction(Observed):
     kind: str = KINDS[0]
 
     @property
+    def asked(self) -> list[str]:
+        """What was asked for, as files say it."""
+        return [self.name, self.kind, self.expression]
+
+    @property
     def of_variations(self) -> bool:
         """Whether it tells of variations of a motion."""
         return self.kind in OF_VARIATIONS
@@ -136,7 +141,7 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
     """Return what reduces quantities over the states of a run.
 
     From the ``first`` row on, which is behind all others, there are two for each: what it came to,
-    and the value at the state before; then how many states were looked at.
+    NaN at first, and the value at the state before; then how many states were looked at.
     """
     watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if not one.of_variations]
     if not watched:
@@ -172,12 +177,13 @@ def _reduced(kind: str, row: int, now: str, passed: str) -> list[str]:
             f"further = value if value {sign} {kept} else {kept}",
             f"{kept} = value if number == 0.0 else further",
         ]
-    # 1 behind the value of the state before: it has been positive
+    # it is NaN until the value is positive
     return [
-        "if number == 0.0:",
-        f"    {kept} = {now} if value > 0.0 else nan",
-        f"elif {kept} != {kept} and value > 0.0:",
-        f"    {kept} = {now} - ({passed}) * value / (value - {before})",
+        "if value > 0.0:",
+        "    if number == 0.0:",
+        f"        {kept} = {now}",
+        f"    elif {kept} != {kept}:",
+        f"        {kept} = {now} - ({passed}) * value / (value - {before})",
         f"{before} = value",
     ]
 
@@ -192,7 +198,7 @@ def _names(header: Header) -> list[str]:
 
 def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
     """Return the text of a kernel for each lane."""
-    functions = "acos, asin, atan, atan2, cos, cosh, exp, log, nan, sin, sinh, sqrt, tan, tanh"
+    functions = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
     return "\n".join(
         [
             f"from math import {functions}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from typing import Any
 
@@ -149,6 +150,11 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
+    works = None
+    if "work_values" in found:
+        works = np.ascontiguousarray(found["work_values"], dtype=np.float64)
+        if works.shape != (stored, program.header.powers):
+            raise ValueError(f"work has shape {works.shape}")
     return Trajectory(
         t=t,
         q=q,
@@ -165,4 +171,6 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         tau_values=tau if retimed else None,
         variations=ways,
         varied_by=varied,
+        work_values=works,
+        reduced={str(k): float(x) for k, x in json.loads(str(about.get("reduced", "[]")))},
     )

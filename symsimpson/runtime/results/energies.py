@@ -58,14 +58,14 @@ class Energies(Stored):
     def work(self) -> dict[str, NDArray[Any]]:
         """The work of each force since the start, and of all under "total", shape (N + 1,) each.
 
-        It is h sum_i b_i f_i.v_i over the nodes of all steps, which are computed again for it, and
-        is accurate to the order of the scheme. Behind a step that cannot be taken again, as in a
-        passage that was not resolved, it is NaN.
+        It is h sum_i b_i f_i.v_i over the nodes of all steps, and is accurate to the order of the
+        scheme. Steps are taken again for it, unless the run was asked to ``record`` it; behind one
+        that cannot be, as in a passage that was not resolved, it is NaN.
 
         Raises
         ------
         InputError
-            If only the last state is stored, or the scheme is explicit.
+            If only the last state is stored and work was not recorded, or the scheme is explicit.
 
         Examples
         --------

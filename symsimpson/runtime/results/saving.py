@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from typing import Any
 
@@ -39,6 +40,10 @@ def _dataset(run: Stored) -> Any:
         "parameter_values": run.parameter_values.tolist(),
         "sha256": digest_of(run),
     }
+    if run.work_values is not None:
+        found["work_values"] = (("time", "power"), run.work_values)
+    if run.reduced:
+        found.attrs["reduced"] = json.dumps(list(run.reduced.items()))
     if run.variations is not None:
         about = {"long_name": "variations of the state, then of what is varied"}
         found["variations"] = (("time", "state", "variation"), run.variations, about)
@@ -49,10 +54,12 @@ def _dataset(run: Stored) -> Any:
 
 def digest_of(run: Stored) -> str:
     """Return a digest of all that a trajectory is made of."""
-    about = (float(run.h), run.steps, run.every, run.status.name, run.message, run.program.source)
+    reduced = (dict(run.reduced),) if run.reduced else ()
+    outcome = run.status.name, run.message, run.program.source
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
-    variations = () if run.variations is None else (run.variations,)
+    beside = (x for x in (run.variations, run.work_values) if x is not None)
     arrays = (
         run.t,
         run.q,
@@ -61,7 +68,7 @@ def digest_of(run: Stored) -> str:
         run.newton_iterations,
         run.input_values,
         *tau,
-        *variations,
+        *beside,
     )
     for array in arrays:
         content.update(np.ascontiguousarray(array).tobytes())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ class Stored(Outcome, States):
     variations : ndarray, shape (N + 1, 2 n, k), or None
     varied_by : tuple of str or None
         Names that ``variations`` are derivatives by; None for those of the program.
+    work_values : ndarray, shape (N + 1, f), or None
+        The work of each force since the start, where it was recorded, then the integral of dL/dt.
     tau_values : ndarray or None
         The variable in which steps are fixed, where it is not the time.
     """
@@ -35,4 +38,6 @@ class Stored(Outcome, States):
     input_values: NDArray[Any]
     variations: NDArray[Any] | None
     varied_by: tuple[str, ...] | None
+    work_values: NDArray[Any] | None
     tau_values: NDArray[Any] | None
+    reduced: Mapping[str, float]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -52,6 +53,8 @@ class Trajectory(Energies, Differentiated):
         0 is success.
     message : str
         The outcome in words.
+    reduced : mapping from str to float
+        The quantities requested by ``reduce``.
 
     Examples
     --------
@@ -71,6 +74,8 @@ class Trajectory(Energies, Differentiated):
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau_values: NDArray[Any] | None = field(default=None, repr=False)
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
+    work_values: NDArray[Any] | None = field(default=None, repr=False)
+    reduced: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def _names_varied(self) -> tuple[str, ...]:

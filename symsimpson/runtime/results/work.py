@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.runtime.evaluating import evaluate
 from symsimpson.runtime.kernels.recorders import told, work
+from symsimpson.runtime.program import Program
 from symsimpson.runtime.results.stored import Stored
 from symsimpson.runtime.runs.driving import at_places, since
+from symsimpson.runtime.runs.recording import check_work
 from symsimpson.runtime.runs.run import FALLBACK_STRETCH, workspace
 
-__all__ = ["TOTAL", "integrals", "parts_of_work", "powers", "rough_parts"]
+__all__ = ["TOTAL", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
 
 #: The name of the sum of all forces.
 TOTAL = "total"
@@ -26,7 +28,7 @@ def powers(run: Stored) -> dict[str, Reals]:
     header = run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}
-    return _named(run, _powers_at(run))
+    return named_parts(run.program, _powers_at(run))
 
 
 def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
@@ -60,11 +62,11 @@ def _at_states(run: Stored, arriving: bool) -> Reals:
         return at_places(run.program, inputs, np.maximum(step, 0), place)
 
 
-def _named(run: Stored, found: Reals) -> dict[str, Reals]:
+def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
-    names = run.program.names.forces.shown
-    own = {name: found[:, k] for k, name in enumerate(names)}
-    return own | {TOTAL: sum(own.values(), 0 * run.t)}
+    names = program.names.forces.shown
+    own = {name: parts[..., k] for k, name in enumerate(names)}
+    return own | {TOTAL: sum(own.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
 
 
 def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
@@ -81,19 +83,15 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
-    if run.every is None:
+    if run.every is None and run.work_values is None:
         raise InputError(
             "a run that keeps its last state alone (every=None) does not tell what work was done."
-            "\nStore states on the way: every=1, or every=100."
+            "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
         )
-    if "work" not in header.functions:
-        raise InputError(
-            f"{program.scheme} is explicit: its steps have no nodes at which forces do work.\n"
-            "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
-        )
+    check_work(program)
     found = _integrated(run)
     lost = 0 * run.t if header.autonomous else found[:, -1]
-    return _named(run, found), lost
+    return named_parts(program, found), lost
 
 
 def rough_parts(run: Stored) -> Reals:
@@ -118,7 +116,9 @@ def _signed(run: Stored, parts: Reals) -> Reals:
 
 
 def _integrated(run: Stored) -> Reals:
-    """Return the integrals of powers over steps that are taken again, up to stored states."""
+    """Return the integrals of powers up to stored states, by steps taken again unless recorded."""
+    if run.work_values is not None:
+        return run.work_values
     numbers, header = run.program.numbers, run.program.header
     with numbers.working():
         return np.asarray(numbers.result(_added_up(run, header.powers)))

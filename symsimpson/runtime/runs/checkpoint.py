@@ -43,9 +43,9 @@ Floats = NDArray[np.float64]
 Content = TypeVar("Content")
 
 
-def buffered(every: int, stored: int, n: int) -> int:
-    """Return the number of states that a run keeps in memory."""
-    return min(stored, max(2, BUFFER // (8 * (2 * n + 2)))) if every else 1
+def buffered(every: int, stored: int, width: int) -> int:
+    """Return the number of states of so many numbers that a run keeps in memory."""
+    return min(stored, max(2, BUFFER // (8 * (width + 2)))) if every else 1
 
 
 def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
@@ -57,6 +57,9 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         "q0": run.rows("POSITION", program.n).tolist(),
         "p0": run.rows("MOMENTUM", program.n).tolist(),
         **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),
+        **({"tangents": spec.tangents.tolist()} if spec.tangents is not None else {}),
+        **({"record": list(spec.record)} if spec.record else {}),
+        **({"reduce": [x.asked for x in spec.reductions]} if spec.reductions else {}),
     }
 
 

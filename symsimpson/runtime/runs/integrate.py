@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from symsimpson.errors import ConvergenceError, InputError, Interrupted, StorageError
 from symsimpson.runtime.inputs import read_count, read_failure, refused_start
 from symsimpson.runtime.kernels.numbers import NOTHING
-from symsimpson.runtime.kernels.recorders import Recorder, tangents
+from symsimpson.runtime.kernels.recorders import Recorder
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.results.trajectory import Trajectory
 from symsimpson.runtime.runs.arrival import ROOM, STRIDE, Collected, last_part, with_end
 from symsimpson.runtime.runs.brief import make_ready
 from symsimpson.runtime.runs.checkpoint import Checkpoint, asked, buffered
 from symsimpson.runtime.runs.folds import look_at_folds
+from symsimpson.runtime.runs.recording import recorders_of
 from symsimpson.runtime.runs.resolution import (
     check_forces,
     check_start,
@@ -73,7 +74,8 @@ def integrate(
         if spec.t_end is not None:
             stored = min(stored, ROOM + 1)
         if checkpoint is not None:
-            stored = buffered(stride, stored, program.n)
+            width = sum(one.rows for one in _recorders(program, spec))
+            stored = buffered(stride, stored, 2 * program.n + width)
         run = new_run(program, spec, stride, stored)
         begin_run(program, run, spec)
         if count:
@@ -140,10 +142,6 @@ def new_run(
     InputError
         If they do not fit into memory.
     """
-    header = program.header
-    if spec.tangents is not None:
-        count = spec.tangents.shape[1] + len(header.varied_by or ())
-        recorders = (*recorders, tangents(header, count))
     try:
         return Run(
             program,
@@ -154,7 +152,7 @@ def new_run(
             stored,
             program.kernels.fallbacks,
             spec.inputs if inputs is None else inputs,
-            recorders,
+            recorders or _recorders(program, spec),
         )
     except (MemoryError, ValueError):
         raise InputError(
@@ -162,6 +160,14 @@ def new_run(
             "Store fewer: every=1000, or every=None for the last state only; or keep them on disk: "
             "checkpoint='run.ckpt'."
         ) from None
+
+
+def _recorders(program: Program, spec: RunSpec) -> tuple[Recorder, ...]:
+    """Return the recorders that a run is asked for."""
+    header, count = program.header, None
+    if spec.tangents is not None:
+        count = spec.tangents.shape[1] + len(header.varied_by or ())
+    return recorders_of(header, count, spec.record, spec.reductions)
 
 
 def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
@@ -196,6 +202,7 @@ def begin_run(program: Program, run: Run, spec: RunSpec) -> None:
         check_start(program, spec.t0, position, momentum, spec.parameters)
     if spec.tangents is not None:
         begin_variations(program, run, spec.tangents, velocity=spec.velocities)
+    run.look()
 
 
 def _singular_beside(run: Run, spec: RunSpec) -> bool:
@@ -248,7 +255,7 @@ def trajectory_of(
                 t, tau, q, p, iterations = with_end(
                     (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
                 )
-    variations = _variations(program, run, spec, more[0] if every else run.left()[None])
+    recorded = more[0] if every else run.left()[None]
     message = status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
@@ -274,7 +281,9 @@ def trajectory_of(
         program=program,
         parameter_values=values,
         input_values=result(spec.inputs),
-        variations=variations,
+        variations=_variations(program, run, spec, recorded),
+        work_values=result(recorded[:, run.columns("work")]) if spec.record else None,
+        reduced=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
     )
 

@@ -29,6 +29,8 @@ class Request(NamedTuple):
         Times, or quantities, that alone are kept.
     checkpoint
         A file to resume from.
+    record, reduce
+        What is added up over steps, and what values of states are reduced to.
     """
 
     q0: Any
@@ -46,11 +48,18 @@ class Request(NamedTuple):
     t_eval: Any = None
     save: Any = None
     checkpoint: Any = None
+    record: Any = None
+    reduce: Any = None
 
     @property
     def varied(self) -> bool:
         """Whether derivatives are asked for."""
         return self.tangents is not None or self.sensitivities is not None
+
+    @property
+    def recorded(self) -> bool:
+        """Whether something is recorded beside states."""
+        return self.varied or self.record is not None or self.reduce is not None
 
     @property
     def carried(self) -> Any:

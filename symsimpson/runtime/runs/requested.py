@@ -47,12 +47,17 @@ def run(
     """
     if request.t_eval is not None or request.save is not None:
         return _chosen(program, request, progress, on_failure)
-    plain = request.inputs is None and not request.varied and request.checkpoint is None
+    plain = request.inputs is None and not request.recorded and request.checkpoint is None
     if plain and progress is None and on_failure in ("raise", "return"):
         over = brief_run(program, request)
         if over is not None:
             return over
     if program.header.retimed and request.varied:
+        if request.checkpoint is not None:
+            raise InputError(
+                f"{program.system} is retimed, and a checkpoint keeps no derivatives in another "
+                "time.\nLeave out checkpoint, or tangents and sensitivities."
+            )
         names = _names_to_vary(program, request)
         return timed_run(program, read_run(program, request), names, progress, on_failure)
     program = differentiating(program, request)
@@ -92,13 +97,7 @@ def tangent_of_step(program: Program, request: Request, names: tuple[str, ...]) 
 
 
 def differentiating(program: Program, request: Request) -> Program:
-    """Return the program that carries along what a run is asked for.
-
-    Raises
-    ------
-    InputError
-        If that cannot be kept in a checkpoint.
-    """
+    """Return the program that carries along what a run is asked for."""
     if not request.varied:
         return program
     return varied_program(program, _names_to_vary(program, request))
@@ -110,11 +109,6 @@ def _names_to_vary(program: Program, request: Request) -> tuple[str, ...]:
     Raises
     ------
     InputError
-        If there is no such parameter, or derivatives cannot be kept in a checkpoint.
+        If there is no such parameter.
     """
-    if request.checkpoint is not None:
-        raise InputError(
-            "a checkpoint keeps states alone, and no derivatives of them.\n"
-            "Leave out checkpoint, or tangents and sensitivities."
-        )
     return read_varied(program, () if request.sensitivities is None else request.sensitivities)

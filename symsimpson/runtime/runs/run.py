@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.module.header import Header
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
+from symsimpson.runtime.kernels.observed import Reduction
 from symsimpson.runtime.kernels.recorders import Recorder, ordered, told
 from symsimpson.runtime.results.status import Status
 from symsimpson.runtime.runs.driving import NO_INPUTS
@@ -137,6 +138,24 @@ class Run:
     def _take_steps(self) -> Any:
         explicit = self.header.newton_unknowns == 0
         return self._driver("take_explicit_steps" if explicit else "take_steps")
+
+    def look(self) -> None:
+        """Let recorders of states look at that where the run begins."""
+        for one in self._recorders:
+            if one.text:
+                rows = self._column[one.first : one.first + one.room]
+                rows[:-1], rows[-1] = np.nan, 0.0
+        number = sum(one.of_states for one in self._recorders)
+        for kernel in self._kernels()[len(self._kernels()) - number :]:
+            self._driver("apply")(kernel, self.h, self.t0, self.W)
+
+    def reduced(self, reductions: Sequence[Reduction]) -> dict[str, float]:
+        """Return what observed values came to by now."""
+        first = next((x.first for x in self._recorders if x.kernel == "observe"), None)
+        if first is None:
+            return {}
+        rows = self._column[first : first + 2 * len(reductions) : 2].tolist()
+        return {one.name: value for one, value in zip(reductions, rows, strict=True)}
 
     def apply(self, kernel: str) -> None:
         """Call a kernel of the state where the run is."""

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.runtime.inputs import read_every, read_given, read_times, read_vector
+from symsimpson.runtime.kernels.observed import Reduction, read_reductions
 from symsimpson.runtime.runs.driving import read_driving
 from symsimpson.runtime.runs.held import allowed
+from symsimpson.runtime.runs.recording import read_record
 from symsimpson.runtime.runs.request import Request
 from symsimpson.runtime.runs.variations import read_tangents
 
@@ -44,6 +47,10 @@ class RunSpec:
         Variations of the initial state; those of parameters begin by themselves.
     t_end : number or None
         Where a run of unknown length ends; ``steps`` are then the most.
+    record : tuple of str
+        What is added up over steps.
+    reductions : tuple of Reduction
+        What values of states are reduced to.
     """
 
     q0: Reals
@@ -57,6 +64,8 @@ class RunSpec:
     inputs: Reals
     tangents: Reals | None = field(default=None, kw_only=True)
     t_end: Any = field(default=None, kw_only=True)
+    record: tuple[str, ...] = field(default=(), kw_only=True)
+    reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
 
     @property
     def velocities(self) -> bool:
@@ -102,5 +111,29 @@ def read_run(program: Program, request: Request) -> RunSpec:
         inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         return RunSpec(
-            q, second, given, values, h, t0, steps, stride, inputs, tangents=tangents, t_end=end
+            q,
+            second,
+            given,
+            values,
+            h,
+            t0,
+            steps,
+            stride,
+            inputs,
+            tangents=tangents,
+            t_end=end,
+            record=read_record(program, request.record),
+            reductions=_reductions(program, request.reduce),
         )
+
+
+def _reductions(program: Program, given: Any) -> tuple[Reduction, ...]:
+    """Read what values of the states of one run are reduced to."""
+    found = read_reductions(program, given)
+    for one in found:
+        if one.of_variations:
+            raise InputError(
+                f"reduce[{one.name!r}] is {one.kind!r}, which ensembles tell.\n"
+                "Ask for that of one motion: stepper.lyapunov."
+            )
+    return found
