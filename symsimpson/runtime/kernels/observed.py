@@ -69,7 +69,7 @@ class Reduction(Observed):
 
     @property
     def asked(self) -> list[str]:
-        """What was asked for, as files say it."""
+        """The name, the kind and the expression, as files keep them."""
         return [self.name, self.kind, self.expression]
 
     @property

@@ -150,7 +150,7 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
-    works = None
+    works, reduced = None, json.loads(str(about.get("reduced", "[]")))
     if "work_values" in found:
         works = np.ascontiguousarray(found["work_values"], dtype=np.float64)
         if works.shape != (stored, program.header.powers):
@@ -172,5 +172,5 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         variations=ways,
         varied_by=varied,
         work_values=works,
-        reduced={str(k): float(x) for k, x in json.loads(str(about.get("reduced", "[]")))},
+        reduced_values=tuple((str(k), float(x)) for k, x in reduced),
     )

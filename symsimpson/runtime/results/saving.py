@@ -42,8 +42,8 @@ def _dataset(run: Stored) -> Any:
     }
     if run.work_values is not None:
         found["work_values"] = (("time", "power"), run.work_values)
-    if run.reduced:
-        found.attrs["reduced"] = json.dumps(list(run.reduced.items()))
+    if run.reduced_values:
+        found.attrs["reduced"] = json.dumps(run.reduced_values)
     if run.variations is not None:
         about = {"long_name": "variations of the state, then of what is varied"}
         found["variations"] = (("time", "state", "variation"), run.variations, about)
@@ -54,7 +54,7 @@ def _dataset(run: Stored) -> Any:
 
 def digest_of(run: Stored) -> str:
     """Return a digest of all that a trajectory is made of."""
-    reduced = (dict(run.reduced),) if run.reduced else ()
+    reduced = (run.reduced_values,) if run.reduced_values else ()
     outcome = run.status.name, run.message, run.program.source
     about = (float(run.h), run.steps, run.every, *outcome, *reduced)
     content = hashlib.sha256(repr(about).encode())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,8 @@ class Stored(Outcome, States):
         Names that ``variations`` are derivatives by; None for those of the program.
     work_values : ndarray, shape (N + 1, f), or None
         The work of each force since the start, where it was recorded, then the integral of dL/dt.
+    reduced_values : tuple of pairs
+        Names of observed quantities, and what they came to.
     tau_values : ndarray or None
         The variable in which steps are fixed, where it is not the time.
     """
@@ -40,4 +41,4 @@ class Stored(Outcome, States):
     varied_by: tuple[str, ...] | None
     work_values: NDArray[Any] | None
     tau_values: NDArray[Any] | None
-    reduced: Mapping[str, float]
+    reduced_values: tuple[tuple[str, float], ...]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -53,8 +52,6 @@ class Trajectory(Energies, Differentiated):
         0 is success.
     message : str
         The outcome in words.
-    reduced : mapping from str to float
-        The quantities requested by ``reduce``.
 
     Examples
     --------
@@ -75,7 +72,7 @@ class Trajectory(Energies, Differentiated):
     tau_values: NDArray[Any] | None = field(default=None, repr=False)
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     work_values: NDArray[Any] | None = field(default=None, repr=False)
-    reduced: Mapping[str, float] = field(default_factory=dict)
+    reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
@@ -99,6 +96,11 @@ class Trajectory(Energies, Differentiated):
     def tau(self) -> NDArray[Any]:
         """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
         return self.t - self.t[0] if self.tau_values is None else self.tau_values
+
+    @property
+    def reduced(self) -> dict[str, float]:
+        """The quantities requested by ``reduce``, by name."""
+        return dict(self.reduced_values)
 
     @property
     def E0(self) -> Any:

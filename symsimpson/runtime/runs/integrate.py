@@ -283,7 +283,7 @@ def trajectory_of(
         input_values=result(spec.inputs),
         variations=_variations(program, run, spec, recorded),
         work_values=result(recorded[:, run.columns("work")]) if spec.record else None,
-        reduced=run.reduced(spec.reductions),
+        reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
     )
 

@@ -1,4 +1,4 @@
-"""What a run records behind its steps, besides states: derivatives, work, observed values."""
+"""Requests for what a run records besides states: derivatives, work, observed values."""
 
 from __future__ import annotations
 

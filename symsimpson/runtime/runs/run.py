@@ -149,13 +149,13 @@ class Run:
         for kernel in self._kernels()[len(self._kernels()) - number :]:
             self._driver("apply")(kernel, self.h, self.t0, self.W)
 
-    def reduced(self, reductions: Sequence[Reduction]) -> dict[str, float]:
-        """Return what observed values came to by now."""
+    def reduced(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
+        """Return names of observed values, and what they came to by now."""
         first = next((x.first for x in self._recorders if x.kernel == "observe"), None)
         if first is None:
-            return {}
+            return ()
         rows = self._column[first : first + 2 * len(reductions) : 2].tolist()
-        return {one.name: value for one, value in zip(reductions, rows, strict=True)}
+        return tuple((one.name, value) for one, value in zip(reductions, rows, strict=True))
 
     def apply(self, kernel: str) -> None:
         """Call a kernel of the state where the run is."""

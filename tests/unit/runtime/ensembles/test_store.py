@@ -206,7 +206,7 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     monkeypatch.undo()
     program, states = stepper.program, np.zeros((3 * 10**6, 2))
     asked = Request(states, p0=[0, 0], h=0.02, steps=500)
-    task = read_task(program, asked, None, 1, False, on_disk=True)
+    task = read_task(program, asked, 1, False, on_disk=True)
     assert module._seconds(program, task) > 0
     monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
     assert module._chunk(program, task) == lanes_of_machine()
@@ -222,7 +222,7 @@ def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
     states = np.zeros((10**6, 2))
     steps = 5 * 10**6  # 160 TB: more than there are addresses
     asked = Request(states, p0=[0, 0], h=0.1, steps=steps, every=1)
-    given = stepper.program, asked, None, 1, False
+    given = stepper.program, asked, 1, False
     with pytest.raises(ss.InputError, match=r"store='folder'"):
         read_task(*given, on_disk=False)
     assert read_task(*given, on_disk=True).stored == steps + 1
