@@ -341,7 +341,16 @@ class Walker(Functions):
             if not (left and builder.block.is_terminated):
                 builder.branch(frame.exit)
             builder.position_at_end(frame.exit)
+        if frame.freed and _has_array(frame.result):
+            raise GenerationError(f"{function.name} gives back an array; it frees those it makes.")
         values.release(frame.freed)
         if isinstance(frame.result, list):
             return [values.read(x) if isinstance(x, Slot) else x for x in frame.result]
         return values.read(frame.result) if isinstance(frame.result, Slot) else frame.result
+
+
+def _has_array(value: Any) -> bool:
+    """Return whether a result is an array, or has one in it."""
+    if isinstance(value, list):
+        return any(map(_has_array, value))
+    return isinstance(value, Array)

@@ -69,18 +69,18 @@ def begin_again(kernels, setting, q, p):
 
 
 @njit(**DRIVER_OPTIONS)
-def take(kernels, setting, count, state, driving, doubtful):
+def take(kernels, setting, count, state, driving, room, doubtful):
     """Take steps from a state, and leave there the one after them; tells whether all went well.
 
-    They are driven by inputs, the first one by those of a given number. Steps in doubt go well
-    where they may be ``doubtful``; they are not recovered here: that is rare, and would make this
-    slow to compile.
+    They are driven by inputs, the first one by those of a given number. Room is for their progress,
+    and where nothing is stored. Steps in doubt go well where they may be ``doubtful``; they are not
+    recovered here: that is rare, and would make this slow to compile.
     """
     (_, _, W, at), (q, p), (inputs, first) = setting, state, driving
     begin_again(kernels, setting, q, p)
-    progress, counted = np.zeros(4, dtype=np.int64), np.empty((1, 1), dtype=np.int64)
-    progress[3] = first
-    stores = np.empty((1, 1, 1)), np.empty((1, 1, 1)), np.empty((1, 1, 1)), counted
+    progress, nothing, counted = room
+    stores = nothing, nothing, nothing, counted
+    progress[0], progress[1], progress[3] = 0, 0, first
     if kernels[MODE] == EXPLICIT:
         take_explicit_steps(kernels, setting, progress, count, 0, stores, inputs)
     else:
@@ -109,6 +109,7 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
     (h, t, W, at), (q, p) = setting, states
     (start, whole, rest), (q_out, p_out, fine) = sought, found
     n, last = at[DIMENSION], len(start)
+    room = np.zeros(4, dtype=np.int64), np.empty((1, 1, 1)), np.empty((1, 1), dtype=np.int64)
     stored, done, well = -1, 0, True
     for i in range(last):
         if start[i] != stored or whole[i] < done:
@@ -119,7 +120,7 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
         if whole[i] > done and well:
             first, count = stored * every + done, whole[i] - done
             here, state = (h, now, W, at), (q_out[last], p_out[last])
-            well = take(kernels, here, count, state, (inputs, first), False)
+            well = take(kernels, here, count, state, (inputs, first), room, False)
             done = whole[i]
             now = t[stored] + h * done
         for a in range(n):
@@ -127,18 +128,18 @@ def between(kernels, setting, states, sought, found, every, inputs, rests):
         fine[i] = well
         if well and rest[i] != 0.0:
             part = rest[i], now, W, at
-            fine[i] = take(kernels, part, 1, (q_out[i], p_out[i]), (rests, i), False)
+            fine[i] = take(kernels, part, 1, (q_out[i], p_out[i]), (rests, i), room, False)
 
 
 @njit(**RARE)
-def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
+def part_of_step(kernels, energy, setting, ahead, asked, state, driving, near):
     """Go from a state to a time between that of it and ``ahead``, a step; leave the new one there.
 
     Returns the part of tau that leads there, and whether all went well. It is found by Newton's
     method, ``near`` as rounding is, with the rate that the energy's kernel tells; between a time
     before and one behind it.
     """
-    (h, now, W, at), (q, p) = setting, state
+    (h, now, W, at), (q, p), (inputs, room) = setting, state, driving
     n, time = at[DIMENSION], at[TIME]
     start_q, start_p = q.copy(), p.copy()
     part, low, high, left = 0.0, 0.0, h, asked - now
@@ -150,7 +151,7 @@ def part_of_step(kernels, energy, setting, ahead, asked, state, inputs, near):
         part += change
         for a in range(n):
             q[a], p[a] = start_q[a], start_p[a]
-        well = take(kernels, (part, now, W, at), 1, (q, p), (inputs, 0), False)
+        well = take(kernels, (part, now, W, at), 1, (q, p), (inputs, 0), room, False)
         later = W[time, 0]
         call(energy, part, later, W)
         before, left = left, asked - later
@@ -180,6 +181,7 @@ def states_at(kernels, energy, setting, states, sought, found, every, own):
     (start, asked, near), (q_out, p_out, part, fine) = sought, found
     inputs, parameters = own
     n, last, time = at[DIMENSION], len(start), at[TIME]
+    room = np.zeros(4, dtype=np.int64), np.empty((1, 1, 1)), np.empty((1, 1), dtype=np.int64)
     for i in range(last):
         k, now, ahead, well, more = start[i], t[start[i]], t[start[i]], True, True
         for row in range(parameters.shape[1]):
@@ -192,7 +194,7 @@ def states_at(kernels, energy, setting, states, sought, found, every, own):
                 for a in range(n):
                     q_out[last, a], p_out[last, a] = q_out[i, a], p_out[i, a]
                 step = h, now, W, at
-                well = take(kernels, step, 1, (q_out[last], p_out[last]), (inputs, 0), False)
+                well = take(kernels, step, 1, (q_out[last], p_out[last]), (inputs, 0), room, False)
                 ahead = W[time, 0]
                 more = well and (asked[i] - ahead) * h >= 0.0
                 if more:
@@ -202,6 +204,6 @@ def states_at(kernels, energy, setting, states, sought, found, every, own):
         if now != asked[i] and well:
             here, state = (h, now, W, at), (q_out[i], p_out[i])
             part[i], well = part_of_step(
-                kernels, energy, here, ahead, asked[i], state, inputs, near
+                kernels, energy, here, ahead, asked[i], state, (inputs, room), near
             )
         fine[i] = well

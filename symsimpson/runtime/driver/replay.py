@@ -41,6 +41,7 @@ def replay(kernels, setting, states, every, anew, out, inputs):
     (h, t, W, at), (q, p) = setting, states
     n, row, count = at[DIMENSION], at[RECORDED], out.shape[1]
     here_q, here_p = np.empty(n), np.empty(n)
+    room = np.zeros(4, dtype=np.int64), np.empty((1, 1, 1)), np.empty((1, 1), dtype=np.int64)
     for i in range(1, q.shape[0]):
         for a in range(n):
             here_q[a], here_p[a] = q[i - 1, a], p[i - 1, a]
@@ -48,7 +49,7 @@ def replay(kernels, setting, states, every, anew, out, inputs):
             for k in range(2 * count):
                 W[row + k, 0] = 0.0
         here, driving = (h, t[i - 1], W, at), (inputs, (i - 1) * every)
-        if not take(kernels, here, every, (here_q, here_p), driving, True):
+        if not take(kernels, here, every, (here_q, here_p), driving, room, True):
             return i
         if not reached(W, at, q[i - 1], q[i]):
             return i

@@ -231,6 +231,31 @@ def test_tuples_of_numbers_and_arrays_and_calls_that_are_not_made():
         assert all((a == b).all() for a, b in zip(first, second, strict=True))
 
 
+ESCAPING = """\
+import numpy as np
+from numba import njit
+
+@njit(inline="INLINE")
+def room(n):
+    return n, np.zeros(n)
+
+@njit()
+def function(n):
+    count, own = room(n)
+    return own[count - 1]
+"""
+
+
+def test_a_function_does_not_give_back_what_it_frees():
+    names, signature = {}, types.float64(types.int64)
+    exec(stub("function", 1), names)
+    names["walk_function"] = walking_function(
+        lambda: read_functions(ESCAPING), "function", signature, 128
+    )
+    with pytest.raises(GenerationError, match="room gives back an array"):
+        njit(signature)(names["function"])
+
+
 def statements(pick, depth=0):
     """Statements that read and write rows in all ways that there are, at random."""
     row, other = pick.randrange(20), pick.randrange(20)
