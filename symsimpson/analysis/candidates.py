@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.analysis.stability.frequency import largest_stable
 from symsimpson.api.stepper import Stepper
-from symsimpson.runtime.results.status import Status
+from symsimpson.program.status import Status
 
 __all__ = ["Found", "Wanted"]
 

@@ -24,17 +24,17 @@ from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.subject import SHORT, Subject, with_inputs
 from symsimpson.analysis.variants import in_tau
+from symsimpson.derivatives.equations import At, evaluate_equations
 from symsimpson.errors import InputError, SymsimpsonError
 from symsimpson.module.header import digest
-from symsimpson.runtime.equations import At, evaluate_equations
-from symsimpson.runtime.inputs import read_step
-from symsimpson.runtime.kernels.numbers import FLOAT64
+from symsimpson.program.numbers import FLOAT64
 from symsimpson.schemes.named import read_scheme
+from symsimpson.stepping.inputs import read_step
 from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
-    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["certify"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from symsimpson.runtime.results.html import verdict as coloured
+from symsimpson.results.html import verdict as coloured
 from symsimpson.support.markup import box, facts, table
 
 __all__ = ["certificate", "choice"]

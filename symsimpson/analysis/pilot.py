@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, StabilityWarning
-from symsimpson.runtime.results.status import Status
+from symsimpson.program.status import Status
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.matrices import slopes_of
-from symsimpson.runtime.kernels.digits import Digits, read_precision
-from symsimpson.runtime.program import new_program
-from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.driving import read_driving
-from symsimpson.runtime.runs.held import allowed
-from symsimpson.runtime.runs.run import Run, workspace
+from symsimpson.program.digits import Digits, read_precision
+from symsimpson.program.program import new_program
+from symsimpson.program.workspace import workspace
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.held import allowed
+from symsimpson.stepping.run import Run
 
 __all__ = ["Precise"]
 

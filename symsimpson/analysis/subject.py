@@ -15,12 +15,12 @@ from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import InputError
+from symsimpson.program.program import Findings
+from symsimpson.program.values import read_number
 from symsimpson.reference.extrapolation import extrapolate
 from symsimpson.reference.first_order import canonical
-from symsimpson.runtime.inputs import read_number
-from symsimpson.runtime.program import Findings
-from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.driving import read_driving
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.driving import read_driving
 
 __all__ = ["SHORT", "Subject", "with_inputs"]
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from symsimpson.analysis.choose import choose
 from symsimpson.analysis.remembered import remembered
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.results.sampled import Sampled, Saved
-from symsimpson.runtime.results.trajectory import Trajectory
+from symsimpson.results.sampled import Sampled, Saved
+from symsimpson.results.trajectory import Trajectory
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
 

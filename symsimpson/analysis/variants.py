@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from symsimpson.api.stepper import Stepper
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest, with_facts
-from symsimpson.runtime.program import new_program
+from symsimpson.program.program import new_program
 
 __all__ = ["in_tau", "oversolved", "rewritten"]
 

@@ -20,11 +20,11 @@ from symsimpson.mechanics.extended import extended
 from symsimpson.mechanics.points import points_of
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.runtime.kernels.numbers import Numbers
-from symsimpson.runtime.kernels.texts import kept_text
-from symsimpson.runtime.program import Program, Tools, new_program, read_program
-from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.checkpoint import read_asked
+from symsimpson.program.numbers import Numbers
+from symsimpson.program.program import Program, Tools, new_program, read_program
+from symsimpson.program.texts import kept_text
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.checkpoint import read_asked
 from symsimpson.schemes.named import read_scheme
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.calling import explained
@@ -124,7 +124,7 @@ def compile(
     found = read_scheme(scheme)
     numbers = None
     if precision is not None:
-        from symsimpson.runtime.kernels.digits import read_precision  # loads mpmath
+        from symsimpson.program.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
     return Stepper(_compiled(system, found, read_exploit(exploit), numbers, progress, None))

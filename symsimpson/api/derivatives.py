@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.api.stepping import Stepping
-from symsimpson.runtime.gradients import Wanted, gradient_of
-from symsimpson.runtime.results.chaos import Chaos
-from symsimpson.runtime.results.gradient import Gradient
-from symsimpson.runtime.results.linearisation import Linearisation
-from symsimpson.runtime.runs.chaos import lyapunov
-from symsimpson.runtime.runs.linearised import linearise
-from symsimpson.runtime.runs.request import Request, of_a_step
-from symsimpson.runtime.runs.requested import tangent_of_step
-from symsimpson.runtime.runs.variations import read_varied
+from symsimpson.derivatives.chaos import lyapunov
+from symsimpson.derivatives.gradients import Wanted, gradient_of
+from symsimpson.derivatives.linearised import linearise
+from symsimpson.results.chaos import Chaos
+from symsimpson.results.gradient import Gradient
+from symsimpson.results.linearisation import Linearisation
+from symsimpson.run.requested import tangent_of_step
+from symsimpson.stepping.request import Request, of_a_step
+from symsimpson.stepping.variations import read_varied
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.derivatives.equations import At, evaluate_curvature, evaluate_equations
 from symsimpson.errors import InputError
-from symsimpson.runtime.equations import At, evaluate_curvature, evaluate_equations
-from symsimpson.runtime.evaluating import evaluate_energy
-from symsimpson.runtime.program import Program
+from symsimpson.program.evaluating import evaluate_energy
+from symsimpson.program.program import Program
 from symsimpson.support.calling import explaining
 
 __all__ = ["Evaluator"]

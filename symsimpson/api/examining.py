@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from symsimpson.api.derivatives import Differentiating
 from symsimpson.api.evaluator import Parameters
 from symsimpson.errors import InputError
-from symsimpson.runtime.program import report_of
-from symsimpson.runtime.runs.request import Request
+from symsimpson.program.program import report_of
+from symsimpson.stepping.request import Request
 from symsimpson.support.calling import explaining
 from symsimpson.support.derivation import Report
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
-    from symsimpson.runtime.results.events import Events
+    from symsimpson.results.events import Events
 
 __all__ = ["Examining"]
 
@@ -89,8 +89,8 @@ class Examining(Differentiating):
         >>> bool(len(section) > 700), bool(abs(section["x"]).max() < 1e-15)
         (True, True)
         """
-        from symsimpson.runtime.results.events import read_zeros
-        from symsimpson.runtime.runs.section import poincare
+        from symsimpson.results.events import read_zeros
+        from symsimpson.run.section import poincare
 
         request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
         wanted = read_zeros(self.program, expression, direction, wrap)

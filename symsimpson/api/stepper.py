@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Parameters
 from symsimpson.api.examining import Examining
-from symsimpson.runtime.results.trajectory import Trajectory
-from symsimpson.runtime.runs.request import Request
-from symsimpson.runtime.runs.requested import run
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.requested import run
+from symsimpson.stepping.request import Request
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.ensembles.ensemble import Ensemble
-    from symsimpson.runtime.results.sampled import Sampled, Saved
+    from symsimpson.ensemble.ensemble import Ensemble
+    from symsimpson.results.sampled import Sampled, Saved
 
 __all__ = ["Stepper"]
 
@@ -47,7 +47,7 @@ class Stepper(Examining):
     """
 
     def _repr_html_(self) -> str:
-        from symsimpson.runtime.results.html import stepper
+        from symsimpson.results.html import stepper
 
         return stepper(self.program)
 
@@ -307,7 +307,7 @@ class Stepper(Examining):
         >>> found.q.shape, bool(abs(found.reduced["lowest"][0] + 0.1) < 1e-3)
         ((30, 1), True)
         """
-        from symsimpson.runtime.ensembles.dispatch import run_ensemble
+        from symsimpson.ensemble.dispatch import run_ensemble
 
         begin = q0, v0, p0, h, t_end, steps, t0
         asked = parameters, inputs, every, tangents, sensitivities

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from symsimpson.api.evaluator import Evaluator, Parameters, Reals
-from symsimpson.runtime.runs.driving import node_times
-from symsimpson.runtime.runs.request import Request, of_a_step
-from symsimpson.runtime.runs.requested import end_of_step
-from symsimpson.runtime.runs.spec import read_run
+from symsimpson.run.requested import end_of_step
+from symsimpson.stepping.driving import node_times
+from symsimpson.stepping.request import Request, of_a_step
+from symsimpson.stepping.spec import read_run
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.runs.loop import ControlLoop
+    from symsimpson.run.loop import ControlLoop
 
 __all__ = ["Stepping"]
 
@@ -137,7 +137,7 @@ class Stepping(Evaluator):
         >>> round(loop.t, 12), bool(abs(loop.q[0]) < 0.5)
         (1.0, True)
         """
-        from symsimpson.runtime.runs.loop import ControlLoop
+        from symsimpson.run.loop import ControlLoop
 
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
         request = Request(

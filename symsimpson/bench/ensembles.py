@@ -16,11 +16,11 @@ import symsimpson as ss
 from symsimpson.bench.contender import Contender
 from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
+from symsimpson.ensemble.blocks import run_blocks
+from symsimpson.ensemble.members import read_task
+from symsimpson.program.machine import available_threads, lanes_of_machine
 from symsimpson.reference import canonical
-from symsimpson.runtime.ensembles.blocks import run_blocks
-from symsimpson.runtime.ensembles.members import read_task
-from symsimpson.runtime.ensembles.task import available_threads, lanes_of_machine
-from symsimpson.runtime.runs.request import Request
+from symsimpson.stepping.request import Request
 
 __all__ = ["report"]
 

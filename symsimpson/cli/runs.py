@@ -17,7 +17,7 @@ from symsimpson.support.files import check_folder, written_beside
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
     from symsimpson.mechanics.system import MechanicalSystem
-    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["film", "plot", "run"]
 
@@ -27,7 +27,7 @@ END = 10.0
 
 def run(options: argparse.Namespace) -> int:
     """Integrate, and tell what came of it."""
-    from symsimpson.runtime.results.tables import check_kind
+    from symsimpson.results.tables import check_kind
 
     if options.out:
         check_kind(Path(options.out))

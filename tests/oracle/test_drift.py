@@ -7,7 +7,7 @@ from support.forms import limited
 import symsimpson as ss
 from symsimpson.api.stepper import Stepper
 from symsimpson.codegen import pipeline
-from symsimpson.runtime.program import new_program
+from symsimpson.program.program import new_program
 
 pytestmark = pytest.mark.slow
 

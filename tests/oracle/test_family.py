@@ -12,10 +12,10 @@ from support.workspace import new_workspace
 import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_float, bind_mpmath
+from symsimpson.program.digits import MOST_BY_STAGES
 from symsimpson.reference import canonical
-from symsimpson.runtime.kernels.digits import MOST_BY_STAGES
-from symsimpson.runtime.runs.run import Run
 from symsimpson.schemes.named import read_scheme
+from symsimpson.stepping.run import Run
 
 PENDULUM, TOP = ss.systems.double_pendulum(), ss.systems.lagrange_top()
 

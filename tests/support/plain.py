@@ -11,9 +11,9 @@ import numpy as np
 from numba.core import event
 
 from symsimpson.module.binding import MATH, bind
-from symsimpson.runtime.driver.compiled import driver_text
-from symsimpson.runtime.kernels.compiled import Kernels
-from symsimpson.runtime.kernels.numbers import Numbers
+from symsimpson.program.compiled import Kernels
+from symsimpson.program.driver import driver_text
+from symsimpson.program.numbers import Numbers
 
 #: Kernels by their address, which is none of the machine.
 _kernels = [None]
@@ -171,6 +171,6 @@ class _Refusing(event.Listener):
 @contextlib.contextmanager
 def plain(monkeypatch):
     """Run kernels of steppers that are made meanwhile in Python, and refuse to compile."""
-    monkeypatch.setattr("symsimpson.runtime.program.FLOAT64", PLAIN)
+    monkeypatch.setattr("symsimpson.program.program.FLOAT64", PLAIN)
     with event.install_listener("numba:compiler_lock", _Refusing()):
         yield

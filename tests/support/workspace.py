@@ -9,7 +9,7 @@ import numpy as np
 from numba import cfunc
 
 from symsimpson.graph.evaluate import line_value
-from symsimpson.runtime.kernels.vectors import vector_bits
+from symsimpson.program.machine import vector_bits
 from symsimpson.walk.kernels import stubs, walking
 
 TABLES = {

@@ -22,7 +22,7 @@ from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.program import Program
+    from symsimpson.program.program import Program
 
 __all__ = [
     "fastest_rotation",

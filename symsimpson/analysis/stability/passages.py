@@ -22,12 +22,12 @@ from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Value
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
-from symsimpson.runtime.runs.request import Request
-from symsimpson.runtime.runs.requested import run as run_again
+from symsimpson.run.requested import run as run_again
+from symsimpson.stepping.request import Request
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.program import Program
-    from symsimpson.runtime.results.trajectory import Trajectory
+    from symsimpson.program.program import Program
+    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["at_pole", "regular_box", "unresolved_pole"]
 

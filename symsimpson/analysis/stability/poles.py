@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from symsimpson.api.compiling import compile as compile_system
 from symsimpson.api.stepper import Stepper
 from symsimpson.errors import ResolutionWarning
+from symsimpson.program.status import Status
 from symsimpson.reference import FirstOrder, rk4
-from symsimpson.runtime.results.status import Status
 from symsimpson.schemes.scheme import Scheme
 from symsimpson.systems import lagrange_top, spherical_pendulum
 

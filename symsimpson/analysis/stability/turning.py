@@ -14,7 +14,7 @@ from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
-    from symsimpson.runtime.program import Program
+    from symsimpson.program.program import Program
 
 __all__ = ["LARGEST_TURN", "fastest_turn", "warn_of_turning"]
 

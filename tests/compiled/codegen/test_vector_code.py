@@ -12,8 +12,8 @@ import symsimpson as ss
 from symsimpson.codegen.pipeline import source
 from symsimpson.module.binding import bind_float
 from symsimpson.module.interface import NEWTON
-from symsimpson.runtime.driver.compiled import driver
-from symsimpson.runtime.runs.driving import NO_INPUTS
+from symsimpson.program.driver import driver
+from symsimpson.program.workspace import NO_INPUTS
 
 
 def kernels(text, lanes):

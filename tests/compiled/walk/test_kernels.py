@@ -17,7 +17,7 @@ from symsimpson.discrete.reductions import read_exploit
 from symsimpson.module.binding import bind
 from symsimpson.module.definitions import redefined
 from symsimpson.module.interface import LOOKED_AT
-from symsimpson.runtime.kernels import cache, compiled
+from symsimpson.program import cache, compiled
 from symsimpson.schemes.named import read_scheme
 from symsimpson.systems import EVERY
 from symsimpson.walk.text import ARGUMENTS, read_text

@@ -24,7 +24,7 @@ from symsimpson.codegen.weighted import WeightedRows
 from symsimpson.discrete.equations import DiscreteEquations, discretise
 from symsimpson.module.definitions import definitions, redefined
 from symsimpson.module.header import SIGNED, digest
-from symsimpson.runtime.program import new_program
+from symsimpson.program.program import new_program
 
 PENDULUM = ss.systems.double_pendulum()
 

@@ -19,7 +19,7 @@ from symsimpson.analysis.stability import (
 )
 from symsimpson.analysis.variants import oversolved, rewritten
 from symsimpson.api.stepper import Stepper
-from symsimpson.runtime.program import new_program
+from symsimpson.program.program import new_program
 
 PENDULUM = ss.systems.double_pendulum()
 H = 0.1 / 512

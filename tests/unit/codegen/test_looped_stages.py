@@ -6,8 +6,8 @@ import sympy as sp
 from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.runtime.runs.request import Request
-from symsimpson.runtime.runs.requested import differentiating
+from symsimpson.run.requested import differentiating
+from symsimpson.stepping.request import Request
 
 H = 0.0625
 

@@ -12,7 +12,7 @@ from symsimpson.module import interface
 from symsimpson.module.blocks import BLOCKS, TOLD
 from symsimpson.module.definitions import redefined
 from symsimpson.module.header import SIGNED, digest, read_header, with_facts
-from symsimpson.runtime.driver.compiled import driver_text
+from symsimpson.program.driver import driver_text
 
 TEXT = source(ss.systems.pendulum(), "midpoint")
 DRIVEN = source(ss.systems.driven_cart_pole(), "midpoint")

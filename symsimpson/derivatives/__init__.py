@@ -1,0 +1,1 @@
+"""Derivatives of runs, and what is found with them."""

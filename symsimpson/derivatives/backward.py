@@ -1,0 +1,250 @@
+"""A run there, and derivatives of its cost back again.
+
+The way there is cut into segments of about sqrt(N) steps where the records of all would take too
+much memory: the workspace is kept where each begins, and on the way back each is run once more, to
+the same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import isqrt
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.derivatives.costs import Measured, StateCost, pull_velocities
+from symsimpson.program.recorders import steps
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import workspace
+from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.stepping.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["Backward", "Objective", "Way", "differentiate_back"]
+
+Reals = NDArray[Any]
+#: Records of all steps are kept where they have no more numbers than this: 64 MB.
+RECORDED = 8_000_000
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The objective of a run: costs of its last state and of samples on the way.
+
+    Attributes
+    ----------
+    end : StateCost or None
+        A cost of the last state.
+    samples : tuple of Measured
+        Each costs the sum of the squares by which the run differs from it.
+    every : int
+        Steps between samples.
+    """
+
+    end: StateCost | None
+    samples: tuple[Measured, ...]
+    every: int
+
+
+@dataclass
+class Backward:
+    """The cost of a run, and its derivatives.
+
+    Attributes
+    ----------
+    value : number
+    state : ndarray, shape (2 n,)
+        By q0 and p0, or by q0 and v0 where the run began with velocities.
+    parameters : ndarray, shape (k,)
+        By what is varied.
+    by_step : ndarray, shape (N, k, s), or (N, k, 1) where inputs are held
+        By what is varied, of inputs: through each step and node.
+    """
+
+    value: Any
+    state: Reals
+    parameters: Reals
+    by_step: Reals
+
+
+def differentiate_back(
+    program: Program,
+    spec: RunSpec,
+    objective: Objective,
+    inputs: Sequence[int],
+    progress: bool | None,
+) -> Backward:
+    """Run, and carry the derivatives of the cost back to the start.
+
+    Parameters
+    ----------
+    program : Program
+        One that differentiates its steps.
+    spec : RunSpec
+    objective : Objective
+    inputs : sequence of int
+        Which of what is varied are inputs.
+    progress : bool or None
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+        As for a run.
+    """
+    numbers = program.numbers
+    with numbers.working():
+        way = Way(program, spec, progress)
+        back = _Back(program, spec, objective, inputs)
+        back.leave_end(way)
+        for first, records, q, p in way.segments():
+            back.carry(first, records, q, p)
+        return back.arrived(way)
+
+
+class Way:
+    """The way there: a run that was made, and can be made again from places on it."""
+
+    def __init__(self, program: Program, spec: RunSpec, progress: bool | None) -> None:
+        header, count = program.header, spec.steps
+        recorder = steps(header)
+        whole = count * recorder.rows <= RECORDED
+        self.piece = max(1, count if whole else isqrt(count))
+        self._count = count
+        self._run = run = new_run(program, spec, 1, self.piece + 1, recorders=(recorder,))
+        begin_run(program, run, spec)
+        self.q0, self.p0 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
+        if count:
+            look_at_step(program, run, spec)
+        self._places: list[tuple[list[int], Reals]] = []
+        with run.watched(count, progress):
+            while run.step < count and run.alive:
+                if run.step:
+                    run.forget()
+                self._places.append((run.position(), run.W[:, 0].copy()))
+                run.advance(min(run.step + self.piece, count))
+        if run.status is not Status.SUCCESS:
+            trajectory = trajectory_of(program, run, count, run.status, spec, run.stored(), 0)
+            raise_failure(run, trajectory, trajectory)
+        self.q1, self.p1 = (run.rows(x, program.n).copy() for x in ("POSITION", "MOMENTUM"))
+
+    def segments(self) -> Iterator[tuple[int, Reals, Reals, Reals]]:
+        """Go back over the segments: the number of the first step, records, and states."""
+        run = self._run
+        for i, (position, kept) in reversed(list(enumerate(self._places))):
+            first = i * self.piece
+            last = min(first + self.piece, self._count)
+            if last < self._count:  # the last one is still there
+                run.put_back(position, kept)
+                run.store(0)
+                run.advance(last)
+            yield first, run.recorded[: last - first + 1], *run.stored()[:2]
+
+
+class _Back:
+    """The way back: derivatives of the cost by the state, and what they give on the way."""
+
+    def __init__(
+        self, program: Program, spec: RunSpec, objective: Objective, inputs: Sequence[int]
+    ) -> None:
+        header, numbers = program.header, program.numbers
+        self.program, self._spec, self._objective = program, spec, objective
+        self._kernels = list(map(program.kernels.address, ("prepare", "adjoint")))
+        self._W = workspace(header, numbers, spec.parameters)
+        varied, self._nodes = len(header.varied_by or ()), header.nodes
+        self._value = numbers.zeros(())[()]
+        self._state = self._rows("ADJOINT", 2 * program.n)
+        self._parameters = numbers.zeros(varied)
+        #: Those through nodes, in all, and what rounding has taken from the sums.
+        self._totals = numbers.zeros((2, varied * self._nodes))
+        places = np.arange(varied * self._nodes).reshape(varied, self._nodes)
+        self._chosen = places[list(inputs)].ravel()
+        held = self._nodes if spec.inputs.shape[2] > 1 else 1
+        self._by_step = numbers.zeros((spec.steps, len(inputs), held))
+
+    def _rows(self, block: str, count: int) -> Reals:
+        first = self.program.header.layout[block]
+        return self._W[first : first + count, 0]
+
+    def leave_end(self, way: Way) -> None:
+        """Begin with the cost of the last state."""
+        cost, spec = self._objective.end, self._spec
+        if cost is None:
+            return
+        numbers = self.program.numbers
+        t = numbers.read([spec.t0 + spec.h * spec.steps])
+        found = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
+        self._value = self._value + found.value[0]
+        self._state += found.state[0]
+        self._parameters = self._parameters + found.parameters[0]
+
+    def carry(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
+        """Go back over the steps of a segment."""
+        spec, count = self._spec, len(records) - 1
+        header, numbers = self.program.header, self.program.numbers
+        slopes = numbers.zeros((count, len(self._chosen)))
+        jumps = self._jumps(first, q, p)
+        numbers.driver("carry_back")(
+            tuple(self._kernels),
+            (spec.h, spec.t0, self._W, header.told),
+            (header.layout["ADJOINT"], header.layout["COST_SLOPE"]),
+            first,
+            (records, jumps, spec.inputs),
+            self._totals,
+            self._chosen,
+            slopes,
+        )
+        by_node = slopes.reshape(count, len(self._chosen) // self._nodes, self._nodes)
+        held = self._by_step.shape[2] < self._nodes
+        self._by_step[first : first + count] = (
+            by_node.sum(axis=2, keepdims=True) if held else by_node
+        )
+
+    def _jumps(self, first: int, q: Reals, p: Reals) -> Reals:
+        """Return what samples add at the states behind the steps of a segment, (count, 2 n)."""
+        every, numbers = self._objective.every, self.program.numbers
+        if not self._objective.samples:
+            return numbers.zeros((0, 0))
+        jumps = numbers.zeros((len(q) - 1, 2 * self.program.n))
+        numbered = np.arange(first + 1, first + len(q))
+        here = np.flatnonzero(numbered % every == 0)
+        if here.size:
+            jumps[here] = self._sampled(numbered[here] // every, q[here + 1], p[here + 1])
+        return jumps
+
+    def _sampled(self, places: NDArray[np.int64], q: Reals, p: Reals) -> Reals:
+        """Add the samples at some states to the cost; return its derivatives by these states."""
+        spec, numbers = self._spec, self.program.numbers
+        t = spec.t0 + numbers.read(places * self._objective.every) * spec.h
+        found = numbers.zeros((len(places), 2 * self.program.n))
+        for samples in self._objective.samples:
+            slopes = samples.slopes(slice(places[0], places[-1] + 1), t, q, p, spec.parameters)
+            self._value = self._value + slopes.value.sum()
+            self._parameters = self._parameters + slopes.parameters.sum(axis=0)
+            found = found + slopes.state
+        return found
+
+    def arrived(self, way: Way) -> Backward:
+        """Return what there is at the start."""
+        spec, numbers = self._spec, self.program.numbers
+        q0, p0 = way.q0[None], way.p0[None]
+        if self._objective.samples:
+            self._state += self._sampled(np.zeros(1, dtype=np.int64), q0, p0)[0]
+        state = self._state.copy()
+        totals = self._totals[0] + self._totals[1]
+        through_nodes = totals.reshape(len(self._parameters), self._nodes)
+        parameters = self._parameters + through_nodes.sum(axis=1)
+        if spec.velocities:
+            t = numbers.read([spec.t0])
+            pulled, further = pull_velocities(self.program, t, q0, p0, state[None], spec.parameters)
+            state, parameters = pulled[0], parameters + further[0]
+        if "COST" in self.program.header.layout:
+            self._value = self._value + self._rows("COST", 1)[0]
+        result = numbers.result
+        return Backward(
+            numbers.single(self._value), result(state), result(parameters), result(self._by_step)
+        )

@@ -1,0 +1,203 @@
+"""Costs of states: expressions, their values and derivatives at many states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.module.quantity import SCALARS
+from symsimpson.program.evaluating import evaluate
+from symsimpson.program.observed import read_expression
+from symsimpson.program.values import read_array
+from symsimpson.program.workspace import workspace
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
+
+Reals = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """A quantity at states, and its derivatives.
+
+    Attributes
+    ----------
+    value : ndarray, shape (M,)
+    state : ndarray, shape (M, 2 n)
+        By q and p.
+    parameters : ndarray, shape (M, k)
+        By what is varied, at given q and p.
+    """
+
+    value: Reals
+    state: Reals
+    parameters: Reals
+
+    def times(self, factors: Reals) -> Slopes:
+        """Return the slopes of a cost whose derivatives by the quantity are these."""
+        one = factors[:, None]
+        return Slopes(self.value, one * self.state, one * self.parameters)
+
+
+class StateCost:
+    """A quantity of a state: an expression in q, p, v, parameters and t.
+
+    Parameters
+    ----------
+    program : Program
+        One that differentiates its steps.
+    what : str
+        Names it in messages.
+    expression : SymPy expression or str
+
+    Raises
+    ------
+    InputError
+        If it contains something else.
+    """
+
+    def __init__(self, program: Program, what: str, expression: Any) -> None:
+        import sympy as sp  # only who asks for gradients waits for it
+
+        found = read_expression(program, expression)
+        n, self.program = program.n, program
+        names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
+        names += [f"a_{j}" for j in range(len(program.parameters))] + ["t"]
+        symbols = {name: sp.Symbol(name, real=True) for name in names}
+        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
+        computed = {one.symbol: sp.Symbol(one.symbol) for one in SCALARS}
+        # the text was written anew from a list of what is allowed; numbers are what they say
+        self._expression = sp.sympify(
+            found.text, locals=symbols | functions | computed, rational=True
+        )
+        if self._expression.has(*computed.values()):
+            raise InputError(
+                f"{what} contains the energy, or a part of it, whose derivatives are not known "
+                "here.\nWrite it with coordinates, velocities and parameters."
+            )
+        self._moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
+        if self._moving and program.header.constraints:
+            raise InputError(
+                f"{what} contains velocities, whose derivatives are not known with constraints.\n"
+                "Write it with coordinates and momenta, or as running=."
+            )
+        self._symbols = list(symbols.values())
+        varied, own = program.header.varied_by or (), program.header.parameters
+        #: Which of the parameters are varied; inputs are none of them.
+        self._varied = [own.index(name) if name in own else None for name in varied]
+
+    @cached_property
+    def _evaluate(self) -> Callable[..., list[Reals]]:
+        import sympy as sp
+
+        class Whole(sp.Function):
+            """The largest whole number below: constant but where it jumps."""
+
+            def fdiff(self, argindex: int = 1) -> Any:
+                return sp.S.Zero
+
+        value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
+        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
+        numbers = self.program.numbers
+        return numbers.lambdified(self._symbols, [one.replace(Whole, sp.floor) for one in every])
+
+    def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
+        """Return the quantity at states, and its derivatives by q, p and what is varied.
+
+        Velocities are functions of (q, p) and the parameters: what depends on them is
+        differentiated through p = L_v(q, v).
+        """
+        program, n = self.program, self.program.n
+        numbers = program.numbers
+        v = evaluate(program, "start", "VELOCITY", n, t, q, p, values)
+        found = self._evaluate(*q.T, *p.T, *v.T, *values, t)
+        rows = [np.broadcast_to(numbers.read(row), len(q)) for row in found]
+        value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
+        by_velocity = np.stack(rows[2 * n + 1 : 3 * n + 1], axis=1)
+        zero = numbers.zeros(len(q))
+        own = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
+        parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
+        if self._moving:
+            # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
+            still = evaluate(program, "start", "VELOCITY", n, t, q, 0 * p, values)
+            mu = evaluate(program, "start", "VELOCITY", n, t, q, by_velocity, values) - still
+            given = np.concatenate([0 * q, -mu], axis=1)
+            pulled, further = pull_velocities(program, t, q, p, given, values)
+            state = state + np.concatenate([pulled[:, :n], mu], axis=1)
+            parameters = parameters + further
+        return Slopes(value, state, parameters)
+
+
+def pull_velocities(
+    program: Program, t: Reals, q: Reals, p: Reals, given: Reals, values: Reals
+) -> tuple[Reals, Reals]:
+    """Turn derivatives by q and p into those by q and v, and by what is varied at given q and v.
+
+    ``given`` has shape (M, 2 n), for as many states; the results have shapes (M, 2 n) and (M, k).
+    """
+    numbers, header = program.numbers, program.header
+    kernels = program.kernels
+    W = workspace(header, numbers, values)
+    varied, nodes = len(header.varied_by or ()), header.nodes
+    out, slopes = given.copy(), numbers.zeros((len(q), max(1, varied * nodes)))
+    addresses = tuple(map(kernels.address, ("prepare", "start", "start_adjoint")))
+    setting = numbers.read(1.0).item(), t, W, header.told
+    rows = header.layout["ADJOINT"], header.layout["COST_SLOPE"]
+    numbers.driver("pull_velocities")(addresses, setting, (q, p), rows, out, slopes)
+    return out, slopes[:, : varied * nodes : nodes]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measurements of a quantity: at each so-many-th state, NaN where there is none."""
+
+    quantity: StateCost
+    values: Reals
+
+    def slopes(self, place: slice, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
+        """Return the squares of what the quantity differs by, at some of these states."""
+        found, data = self.quantity.slopes(t, q, p, values), self.values[place]
+        known = data == data  # NaN differs from itself
+        off = np.where(known, found.value - data, 0 * found.value)
+        changed = found.times(2 * off)
+        return Slopes(off * off, changed.state, changed.parameters)
+
+
+def read_cost(program: Program, cost: Any) -> StateCost | None:
+    """Read a cost of the last state."""
+    return None if cost is None else StateCost(program, "cost", cost)
+
+
+def read_samples(
+    program: Program, samples: Mapping[Any, ArrayLike] | None, steps: int, every: int
+) -> tuple[Measured, ...]:
+    """Read samples by the expressions that they are of.
+
+    Raises
+    ------
+    InputError
+        If their number is not that of the states, or none is a number.
+    """
+    numbers, found = program.numbers, []
+    count = steps // every + 1
+    for expression, given in (samples or {}).items():
+        values = read_array(f"samples of {expression}", given, numbers)
+        if values.shape != (count,):
+            raise InputError(
+                f"samples of {expression} have shape {values.shape}, and there are {count} states, "
+                f"one after each {every} of {steps} steps, and the first.\n"
+                f"Pass {count} numbers, NaN where nothing was measured, or another every=."
+            )
+        if not numbers.finite(values).any():
+            raise InputError(f"samples of {expression}: none is finite.\nPass at least one number.")
+        found.append(Measured(StateCost(program, f"samples of {expression}", expression), values))
+    return tuple(found)

@@ -1,0 +1,194 @@
+"""The equations of a step at given nodes: residual, Jacobian, and second derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.module.matrices import equations_of, held_equations_of
+from symsimpson.program.values import read_array, read_number, read_vector
+from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.variations import read_varied, varied_program
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+    from symsimpson.program.program import Program
+
+__all__ = ["At", "evaluate_curvature", "evaluate_equations"]
+
+#: float64, or numbers of mpmath in an object array.
+Reals = NDArray[Any]
+
+
+class At(NamedTuple):
+    """A step whose control points are given, as users give them.
+
+    Attributes
+    ----------
+    q0, nodes, h, parameters, t, inputs, multipliers
+        As :meth:`Stepper.residual` takes them.
+    """
+
+    q0: ArrayLike
+    nodes: ArrayLike
+    h: Any
+    parameters: Mapping[Any, Any] | None
+    t: Any
+    inputs: Any = None
+    multipliers: ArrayLike | None = None
+
+
+def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, Reals]:
+    """Evaluate residual and Jacobian of a step at given nodes, and multipliers if they are given.
+
+    Raises
+    ------
+    InputError
+        If there are no equations, or arrays of other shapes.
+    """
+    header, numbers = program.header, program.numbers
+    _check_equations(program)
+    with numbers.working():
+        p = read_vector("p0", p0, program.names.coordinates, numbers)
+        step = _Step.read(program, at)
+        step.evaluate("equations", p)
+        found = (
+            equations_of(header, step.run)
+            if at.multipliers is None
+            else held_equations_of(header, step.run, step.h)
+        )
+        residual, jacobian = map(numbers.result, found)
+    return residual.ravel(), jacobian.reshape(residual.size, residual.size)
+
+
+def evaluate_curvature(
+    program: Program, at: At, weights: ArrayLike, constraint_weights: ArrayLike | None, wrt: Any
+) -> Reals:
+    """Evaluate second derivatives of weighted rows of a step.
+
+    Raises
+    ------
+    InputError
+        If there are no equations, or arrays of other shapes.
+    """
+    _check_equations(program)
+    names = read_varied(program, wrt, of_steps=True)
+    program = varied_program(program, names, second=True)
+    header, n, numbers = program.header, program.n, program.numbers
+    d, m = header.degree, len(header.constraints)
+    with numbers.working():
+        step = _Step.read(program, at)
+        rows = _shaped("weights", weights, (d + 1, n), numbers)
+        held = numbers.zeros((d + 1, m))
+        if constraint_weights is not None:
+            held = _shaped("constraint_weights", constraint_weights, (d + 1, m), numbers)
+        step.run.rows("ROW_WEIGHT", (d + 1) * (n + m))[:] = np.concatenate([rows, held], axis=None)
+        step.evaluate("curvature", numbers.zeros(n))
+        size = header.layout["HESSIAN_SIZE"]
+        matrix = numbers.result(step.run.rows("HESSIAN", size**2)).reshape(size, size)
+        # derivatives by a parameter go through all nodes, those by an input through each
+        before = (d + 1) * n + d * m
+        groups = list(range(before))
+        for j, name in enumerate(names):
+            nodes = range(before + j * header.nodes, before + (j + 1) * header.nodes)
+            groups += nodes if name in header.inputs else nodes[:1]
+        for axis in (0, 1):
+            matrix = np.add.reduceat(matrix, groups, axis=axis)
+        return np.asarray((matrix + matrix.T) / 2)  # sums over nodes have another order there
+
+
+def _check_equations(program: Program) -> None:
+    """Refuse steps that are explicit.
+
+    Raises
+    ------
+    InputError
+    """
+    if "equations" not in program.header.functions:
+        raise InputError(
+            f"{program.scheme} is explicit: a step has no equations to evaluate.\n"
+            "Ask a stepper of another scheme, as 'simpson'."
+        )
+
+
+def _shaped(name: str, value: ArrayLike, shape: tuple[int, int], numbers: Numbers) -> Reals:
+    """Read an array of this shape.
+
+    Raises
+    ------
+    InputError
+    """
+    array = read_array(name, value, numbers)
+    if array.shape != shape:
+        raise InputError(
+            f"{name} has shape {array.shape}, expected {shape}.\n"
+            "Pass a row for each control point X_0, ..., X_d."
+        )
+    return array
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step whose control points and multipliers are given."""
+
+    program: Program
+    run: Run
+    q: Reals
+    h: Any
+    t: Any
+    inputs: Reals
+
+    @classmethod
+    def read(cls, program: Program, at: At) -> _Step:
+        """Read a step, and put its path into a workspace.
+
+        Raises
+        ------
+        InputError
+        """
+        header, n, numbers = program.header, program.n, program.numbers
+        d, m = header.degree, len(header.constraints)
+        q = read_vector("q0", at.q0, program.names.coordinates, numbers)
+        h, t = read_number("h", at.h, numbers), read_number("t", at.t, numbers)
+        points = read_array("nodes", at.nodes, numbers)
+        if points.shape != (d, n):
+            raise InputError(
+                f"nodes has shape {points.shape}, expected ({d}, {n}).\n"
+                "Pass the inner control points and q1, one row each."
+            )
+        mu = at.multipliers
+        mu = None if mu is None else read_array("multipliers", mu, numbers)
+        if mu is not None and (mu.shape != (d, m) or not m):
+            raise InputError(
+                f"multipliers has shape {mu.shape}, but {program.system} has {m} constraints and "
+                f"{program.scheme} {d} points at which they pull.\nPass shape ({d}, {m}): those "
+                "at X_0, ..., X_(d-1); none to a system without constraints."
+            )
+        run = Run(program, program.values(at.parameters), h, h * 0, 0, 1)
+        run.rows("INCREMENT", d * n)[:] = (points - q).ravel()
+        if mu is not None:
+            run.rows("INCREMENT", d * (n + m))[d * n :] = (mu * h).ravel()
+        return cls(program, run, q, h, t, read_driving(program, at.inputs, h, 1))
+
+    def evaluate(self, kernel: str, p: Reals) -> None:
+        """Call a kernel for it, with a momentum at its start."""
+        program, run = self.program, self.run
+        numbers, layout = program.numbers, program.header.layout
+        run.rows("POSITION", program.n)[:] = self.q
+        run.rows("MOMENTUM", program.n)[:] = p
+        numbers.driver("evaluate")(
+            (program.kernels.address("prepare"), 0, program.kernels.address(kernel)),
+            self.h,
+            run.W,
+            program.header.told,
+            (numbers.read([self.t]), self.q[None, :], p[None, :]),
+            layout["RESIDUAL"],
+            numbers.zeros((1, 0)),
+            self.inputs,
+        )

@@ -1,0 +1,130 @@
+"""The gradient of a cost of a run: what was asked for, read; and brought into its shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.derivatives.backward import Objective, differentiate_back
+from symsimpson.derivatives.costs import read_cost, read_samples
+from symsimpson.errors import InputError
+from symsimpson.program.values import read_count
+from symsimpson.results.gradient import Gradient
+from symsimpson.stepping.driving import Samples, given_inputs, steps_a_period
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.spec import RunSpec, read_run
+from symsimpson.stepping.variations import read_varied, refuse_retimed, varied_program
+from symsimpson.support.names import spelled
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+    from symsimpson.program.program import Program
+
+__all__ = ["Wanted", "gradient_of"]
+
+Reals = NDArray[Any]
+#: The initial state, by what was given of it.
+STATE = ("q", "v", "p")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A cost, and what to differentiate it by.
+
+    Attributes
+    ----------
+    cost, running : expression or None
+        Of the last state, and along the path.
+    samples : mapping from expression to values, or None
+    every : int
+        Steps between samples.
+    wrt : sequence of str or symbols
+    """
+
+    cost: Any
+    running: Any
+    samples: Mapping[Any, Any] | None
+    every: Any
+    wrt: Sequence[Any]
+
+
+def gradient_of(
+    program: Program, request: Request, wanted: Wanted, progress: bool | None
+) -> Gradient:
+    """Return the cost of a run and its derivatives.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    refuse_retimed(program, "gradients of costs")
+    several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
+    asked = [spelled(one) for one in (wanted.wrt if several else [wanted.wrt])]
+    names = [name for name in asked if name not in STATE]
+    _check(wanted, asked, velocities=request.v0 is not None)
+    program = varied_program(program, read_varied(program, names), wanted.running)
+    spec = read_run(program, request)
+    every = read_count("every", wanted.every, least=1)
+    objective = Objective(
+        read_cost(program, wanted.cost),
+        read_samples(program, wanted.samples, spec.steps, every),
+        every,
+    )
+    header = program.header
+    varied = header.varied_by or ()
+    of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
+    found = differentiate_back(program, spec, objective, of_inputs, progress)
+    given = given_inputs(program, request.inputs) if of_inputs else {}
+    n, parts = program.n, {}
+    for name in asked:
+        if name in STATE:
+            parts[name] = found.state[:n] if name == "q" else found.state[n:]
+            continue
+        own = varied[names.index(name)]
+        if own in header.inputs:
+            slopes = found.by_step[:, of_inputs.index(names.index(name))]
+            key = program.inputs[header.inputs.index(own)]
+            parts[name] = _of_input(key, slopes, given[key], spec, program.numbers)
+        else:
+            parts[name] = np.asarray(found.parameters[names.index(name)])
+    return Gradient(found.value, parts)
+
+
+def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
+    """Refuse a cost of nothing, and derivatives by a state that was not given."""
+    if wanted.cost is None and wanted.running is None and not wanted.samples:
+        raise InputError(
+            "there is no cost to differentiate.\nPass cost= of the last state, running= along "
+            "the path, or samples= that the run is to come near to."
+        )
+    if not asked:
+        raise InputError("wrt is empty.\nName what to differentiate by: wrt=('q', 'l1').")
+    wrong, right = ("p", "v") if velocities else ("v", "p")
+    if wrong in asked:
+        raise InputError(
+            f"wrt names {wrong!r}, and the run begins with {right}0.\n"
+            f"Pass {wrong}0, or differentiate by {right!r}."
+        )
+    if len(set(asked)) < len(asked):
+        raise InputError(f"wrt is {', '.join(asked)}.\nName each only once.")
+
+
+def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numbers) -> Reals:
+    """Bring the derivatives through steps and nodes, shape (N, s), into the shape of an input."""
+    if isinstance(given, Samples):
+        values = np.asarray(given.values)
+        if not values.ndim:
+            return np.asarray(slopes.sum())
+        starts = np.arange(0, spec.steps, steps_a_period(name, given.period, spec.h, numbers))
+        found = 0 * np.resize(slopes[0], values.shape)
+        found[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
+        return found
+    shape = np.shape(given)
+    if not shape:
+        return np.asarray(slopes.sum())
+    own = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)
+    return own.reshape(shape)

@@ -1,0 +1,1 @@
+"""The compiled loop over steps: one text, walked once for a machine."""

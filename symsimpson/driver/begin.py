@@ -1,0 +1,79 @@
+"""Ways to begin: at a state, with other kernels, with variations of the state.
+
+Compiled behind the text of the driver, whose names it uses.
+"""
+
+import numpy as np
+from numba import njit, types
+
+from symsimpson.driver.solving import DRIVER_OPTIONS, LANES, RARE, call
+from symsimpson.driver.steps import SET, SETTING, SIGNATURES, TOLD_ROWS, WORKSPACE, keep, put_back
+from symsimpson.module.interface import *
+
+#: Parameters, positions, and momenta or velocities.
+START_OF_RUN = types.UniTuple(types.float64[::1], 3)
+SIGNATURES |= {
+    "begin_growth": types.void(WORKSPACE, TOLD_ROWS, types.float64[:, ::1]),
+    "begin": types.void(SET, types.int64, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+    "begin_anew": types.void(SET, types.int64, SETTING, START_OF_RUN),
+    "switch": types.void(SET, types.float64, types.float64, WORKSPACE, TOLD_ROWS),
+}
+
+
+@njit(**DRIVER_OPTIONS)
+def begin(kernels, legendre, h, t, W, at):
+    """Begin at the q and p (or, with the address of legendre, the q and v) in the workspace."""
+    for lane in range(LANES):
+        W[at[ACTIVE], lane] = 1.0
+        W[at[STATUS], lane] = 0.0
+        W[at[CONTRACTION], lane] = 1.0
+        W[at[LARGEST_SQUARED], lane] = 0.0
+        W[at[ITERATIONS], lane] = 0.0
+    call(kernels[PREPARE], h, t, W)
+    if legendre != 0:
+        call(legendre, h, t, W)
+    call(kernels[START], h, t, W)
+
+
+@njit(**DRIVER_OPTIONS)
+def begin_anew(kernels, legendre, setting, start):
+    """Begin in a workspace in which another run may have been, with parameters, q and p, or v."""
+    (h, t, W, at), (parameters, q, other) = setting, start
+    second = at[MOMENTUM] if legendre == 0 else at[VELOCITY]
+    for row in range(W.shape[0]):
+        W[row, 0] = 0.0
+    for k in range(parameters.size):
+        W[at[PARAMETER] + k, 0] = parameters[k]
+    for a in range(at[DIMENSION]):
+        W[at[POSITION] + a, 0] = q[a]
+        W[second + a, 0] = other[a]
+    begin(kernels, legendre, h, t, W, at)
+
+
+@njit(**RARE)
+def switch(kernels, h, t, W, at):
+    """Go on with other kernels of the same layout, from the state and the predicted increments."""
+    first, last = at[INCREMENT], at[STATE_END]
+    increments = np.empty((last - first, LANES))
+    for lane in range(LANES):
+        keep(W, first, last, lane, increments)
+        W[at[STATUS], lane] = 0.0
+    call(kernels[PREPARE], h, t, W)
+    call(kernels[START], h, t, W)
+    for lane in range(LANES):
+        put_back(W, first, last, lane, increments)
+        put_back(W, last, 2 * last - first, lane, increments)  # they are the predicted ones too
+
+
+@njit(**RARE)
+def begin_growth(W, at, directions):
+    """Begin variations of a state, orthonormal columns, and what tells how they grow."""
+    size, count = directions.shape
+    product = at[GROWN] + 2 * count + 4
+    for lane in range(LANES):
+        for row in range(at[GROWN], product + count * count):
+            W[row, lane] = 0.0
+        for j in range(count):
+            W[product + j * (count + 1), lane] = 1.0
+            for a in range(size):
+                W[at[TANGENT] + j * size + a, lane] = directions[a, j]

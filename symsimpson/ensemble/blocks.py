@@ -1,0 +1,165 @@
+"""Many trajectories at once: members are lanes of blocks, blocks are spread over threads."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.derivatives.chaos import directions
+from symsimpson.ensemble.arrivals import take_last_parts
+from symsimpson.ensemble.ensemble import Ensemble
+from symsimpson.ensemble.singles import PAIR, RENEWAL, run_singly
+from symsimpson.ensemble.task import Results, Task, ensemble_of
+from symsimpson.errors import InputError
+from symsimpson.program.observed import KINDS
+from symsimpson.program.program import Program
+from symsimpson.program.recorders import Recorder, growth, ordered, told
+from symsimpson.stepping.recording import recorders_of
+
+__all__ = ["run_blocks"]
+
+#: A thread comes back from compiled code after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: Numbers in a line of the cache.
+CACHE_LINE = 8
+#: Steps of a block before their cost is known.
+FIRST_BUDGET = 2000
+
+Floats = NDArray[np.float64]
+
+
+def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tuple[Ensemble, bool]:
+    """Run members in blocks, on threads of our own; tells whether Ctrl-C stopped it."""
+    results = Results(task, program.header)
+    work_off = _prepared(program, task, results)
+    lanes = task.lanes
+    blocks = -(-task.members // lanes)
+    queue = _Queue(blocks, task.threads)
+    threads = max(1, min(task.threads, blocks))
+
+    def work() -> None:
+        while (chunk := queue.next()) is not None:
+            work_off(*chunk, queue, lambda done: count(done * lanes))
+
+    _wait([work] * threads, queue)
+    if task.t_end is not None:
+        take_last_parts(program, task, results)
+    stopped = queue.stopped or run_singly(program, task, results)
+    return ensemble_of(program, task, **results.columns()), stopped
+
+
+class _Queue:
+    """Hands out chunks of blocks, larger ones first; stopped by Ctrl-C."""
+
+    def __init__(self, blocks: int, threads: int) -> None:
+        self._lock, self._first, self._last = threading.Lock(), 0, blocks
+        self._threads = threads
+        self.stopped = False
+
+    def next(self) -> tuple[int, int] | None:
+        """Return the first and the last block of a chunk, None if there are none left."""
+        with self._lock:
+            left = self._last - self._first
+            if left <= 0 or self.stopped:
+                return None
+            size = max(1, min(1024, left // (4 * self._threads)))
+            self._first += size
+            return self._first - size, self._first
+
+
+def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
+    """Run functions in threads until they are done or stopped by Ctrl-C."""
+    with ThreadPoolExecutor(len(work)) as pool:
+        running: list[Future[None]] = []
+        try:
+            for one in work:
+                running.append(pool.submit(one))
+            while wait(running, timeout=0.1).not_done:
+                pass
+        except KeyboardInterrupt:
+            queue.stopped = True
+            wait(running)
+        for future in running:
+            future.result()
+
+
+def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
+    """Compile what is needed, and give a function that works off a chunk of blocks."""
+    header, lanes = program.header, task.lanes
+    numbers = program.numbers
+    kernels = numbers.kernels(program.source, header, lanes)
+    columns, slopes, count = np.zeros((0, 0)), 0, None
+    growing: tuple[Recorder, ...] = ()
+    if task.tangents is not None:
+        columns, count = task.tangents, task.tangents.shape[1]
+        changed = header.varied_by and task.velocities
+        slopes = kernels.address("momentum_slopes") if changed else 0
+    if task.of_variations:
+        if header.constraints:
+            raise InputError(
+                f"{program.system} has constraints, and ensembles do not tell how variations that "
+                "these allow grow.\nAsk for single motions: stepper.lyapunov."
+            )
+        if task.steps < RENEWAL:
+            raise InputError(
+                f"a run of {task.steps} steps does not tell how variations grow.\n"
+                f"Take {RENEWAL} at least."
+            )
+        columns = directions(2 * header.n, PAIR)
+        growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
+    asked = recorders_of(header, count, task.record, task.reductions, growing)
+    called = ordered(header, asked)
+    observed = [(one.first, one.room) for one in called if one.kernel == "observe"] or [(0, 0)]
+    legendre = kernels.address("legendre") if task.velocities else 0
+    retime = kernels.address("retime") if header.retimed else 0
+    more = np.array([legendre, slopes, retime, *observed[0]], dtype=np.int64)
+    kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
+    step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
+    advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
+    width, room = sum(one.rows for one in called), sum(one.room for one in called)
+
+    def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
+        W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's
+        if len(columns):
+            W[header.layout["TANGENTS"]] = columns.shape[1]
+        if task.t_end is not None:
+            W[header.layout["TIME_END"]], W[header.layout["TIME_END"] + 1] = 1.0, task.t_end
+        cursor = np.array([first, 0, 0], dtype=np.int64)
+        buffer_q, buffer_p = (np.empty((task.stored, header.n, lanes)) for _ in "qp")
+        recorded = np.empty((task.stored, width, lanes))
+        counted = np.zeros((task.stored, lanes), dtype=np.int64)
+        lost = np.zeros(2 * lanes, dtype=np.int64)
+        budget = FIRST_BUDGET
+        while cursor[0] < last and not queue.stopped:
+            before, start = cursor[0], time.perf_counter()
+            advance_blocks(
+                step,
+                more,
+                (task.h, task.t0, W, at),
+                cursor,
+                (last, budget, task.steps, task.every),
+                (task.q0, task.other0, task.parameters, task.inputs, columns),
+                (buffer_q, buffer_p, recorded, counted, lost),
+                (results.q, results.p, results.codes, results.recorded, kinds, results.seen),
+            )
+            spent = time.perf_counter() - start
+            budget = max(1, int(budget * min(4.0, PATIENCE / max(spent, 1e-6))))
+            done(int(cursor[0] - before))
+
+    return work
+
+
+def _aligned(rows: int, lanes: int) -> Floats:
+    """Return rows of zeros that begin with a line of the cache: no vector lies across two.
+
+    It is worth its microseconds for many trajectories, not for one.
+    """
+    room = np.zeros(rows * lanes + CACHE_LINE)
+    first = -(room.__array_interface__["data"][0] // room.itemsize) % CACHE_LINE
+    return room[first : first + rows * lanes].reshape(rows, lanes)

@@ -1,0 +1,123 @@
+"""Where an ensemble is computed and kept: here or on a cluster, in memory or in a store."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from symsimpson.ensemble.arrivals import with_ends
+from symsimpson.ensemble.blocks import run_blocks
+from symsimpson.ensemble.cluster import check_client, run_on_cluster
+from symsimpson.ensemble.ensemble import Ensemble
+from symsimpson.ensemble.judged import look_at_ends, look_at_steps
+from symsimpson.ensemble.members import read_task
+from symsimpson.ensemble.store import open_store, run_missing
+from symsimpson.ensemble.task import Task
+from symsimpson.errors import InputError, Interrupted
+from symsimpson.program.observed import read_reductions
+from symsimpson.program.program import Program
+from symsimpson.run.requested import differentiating
+from symsimpson.stepping.inputs import read_failure
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.variations import refuse_retimed, varied_program
+from symsimpson.support.progress import Progress
+
+__all__ = ["run_ensemble"]
+
+
+def run_ensemble(
+    program: Program,
+    request: Request,
+    store: Any,
+    threads: int | None,
+    client: Any,
+    progress: bool | None,
+    on_failure: str,
+) -> Ensemble:
+    """Run an ensemble as requested; arguments are those of :meth:`Stepper.ensemble`.
+
+    Raises
+    ------
+    InputError
+        If no member could begin, or it cannot be kept or computed there.
+    Interrupted
+        At Ctrl-C, with what is done.
+    """
+    read_failure(on_failure)
+    program = _telling(program, request, store)
+    task = read_task(program, request, threads, progress, on_disk=store is not None)
+    look_at_steps(program, task)
+    found, stopped = _run(program, task, store, client)
+    if not stopped:
+        look_at_ends(program, task, found)
+    elif on_failure == "raise":
+        raise Interrupted(found.message, trajectory=found)
+    return found
+
+
+def _telling(program: Program, request: Request, store: Any) -> Program:
+    """Return the program whose ensembles carry along what they are asked for.
+
+    Raises
+    ------
+    InputError
+        If both are asked for.
+    """
+    telling = any(one.of_variations for one in read_reductions(program, request.reduce))
+    if request.varied or telling:
+        refuse_retimed(program, "derivatives of ensembles")
+    if request.varied and telling:
+        raise InputError(
+            "tangents and sensitivities of an ensemble do not go with reductions that tell of "
+            "variations.\nLeave out one of them."
+        )
+    if telling:
+        return varied_program(program, ())
+    return differentiating(program, request)
+
+
+def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:
+    if store is not None and task.retimed:
+        raise InputError(
+            f"{program.system} is retimed: its members have times of their own, and a store has "
+            "one row of times for all.\nLeave store out, and store few states of each."
+        )
+    if client is not None:
+        check_client(client, store)
+        if task.inputs.size:
+            raise InputError(
+                f"{program.system} has inputs, which a store does not hand to workers.\n"
+                "Run the ensemble on this machine: leave client out."
+            )
+    if store is None:
+        with Progress(task.members, task.progress) as progress:
+            if task.t_end is not None and task.every:
+                return _run_to_ends(program, task, progress.add)
+            return run_blocks(program, task, progress.add)
+    opened = open_store(store, program, task)
+    interrupted = run_missing(opened) if client is None else run_on_cluster(opened, client)
+    return opened.ensemble(), interrupted
+
+
+def _run_to_ends(
+    program: Program, task: Task, count: Callable[[int], None]
+) -> tuple[Ensemble, bool]:
+    """Store states on the way to ends that come after numbers of steps not known before.
+
+    They are known when all members have run once.
+    """
+    ends, stopped = run_blocks(program, replace(task, every=0), count)
+    if stopped:
+        return ends, stopped
+    steps = int(ends.steps.max()) + 1  # of the last one a part is taken
+    again = replace(task, steps=steps, reductions=())
+    try:
+        found, stopped = run_blocks(program, again, lambda done: None)
+    except MemoryError:
+        raise InputError(
+            f"{task.members} members with up to {again.stored} stored states of {2 * program.n} "
+            "numbers do not fit into memory.\nStore fewer: every=100, or every=None for the last "
+            "states only."
+        ) from None
+    return with_ends(found, ends, task.every), stopped

@@ -1,0 +1,388 @@
+"""Results of an ensemble, by member."""
+
+from __future__ import annotations
+
+import operator
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from itertools import chain, count
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.evaluating import evaluate_members
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.results.differentiated import Differentiated
+from symsimpson.results.quantities import Quantities
+from symsimpson.results.states import States, with_units
+from symsimpson.results.tables import dataframe, write
+from symsimpson.results.work import named_parts
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
+
+__all__ = ["Ensemble", "names_in_dataset", "spread"]
+
+Floats = NDArray[np.float64]
+
+#: Names that a dataset has for itself.
+RESERVED = (
+    "q",
+    "p",
+    "q0",
+    "v0",
+    "p0",
+    "status",
+    "steps",
+    "newton_iterations",
+    "variations",
+    "work_values",
+    "member",
+    "time",
+    "coord",
+)
+
+
+def spread(members: int, most: int) -> NDArray[np.int64]:
+    """Return so many members at most, spread over all."""
+    return np.unique(np.linspace(0, members - 1, min(members, most)).astype(np.int64))
+
+
+@explaining()
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble(Quantities, Differentiated):
+    """The results of the members of an ensemble.
+
+    ``energy``, ``v``, ``invariants``, ``tangent``, ``sensitivity`` and quantities by name are as
+    for one run, with a first axis of K members; ``ensemble[3]`` gives the states of one member.
+
+    Attributes
+    ----------
+    t : ndarray, shape (stored,)
+        Times of the stored states; of a retimed system those of each member, shape (K, stored), or
+        (K,) where only the last states are stored.
+    q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
+        NaN after the last state of a member that failed. If the ensemble went to a store, they
+        are Zarr arrays on disk, which give NumPy arrays when sliced.
+    status : ndarray of int, shape (K,)
+        A :class:`Status` for each member.
+    steps, newton_iterations : ndarray of int, shape (K,)
+    parameters : mapping from str to ndarray, shape (K,)
+    reduced : mapping from str to ndarray, shape (K,)
+        The quantities requested by ``reduce``.
+    initial : mapping from str to ndarray, shape (K, n)
+        The initial states of the members: q0, and v0 or p0.
+    store : path of the store, or None
+    tau : ndarray in the shape of t, or None
+        The time of the steps, if the system is retimed.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+    Ensemble(pendulum, simpson: 2 members, 1 states of each stored; 2 SUCCESS)
+    >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+    >>> many["theta"].shape, many.energy.shape, many[1].q.shape
+    ((2, 6), (2, 6), (6, 1))
+    """
+
+    t: Floats
+    q: Any
+    p: Any
+    status: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    newton_iterations: NDArray[np.int64]
+    parameters: Mapping[str, Floats]
+    reduced: Mapping[str, Floats]
+    initial: Mapping[str, Floats]
+    program: Program = field(repr=False)
+    store: str | None = None
+    variations: NDArray[Any] | None = field(default=None, repr=False)
+    tau: Floats | None = None
+    work_values: NDArray[Any] | None = field(default=None, repr=False)
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: int) -> States: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+        """Return a quantity of all members by its name, or the states of one member.
+
+        Names are those of a run, of what ``reduce`` asked for, and of parameters.
+
+        Raises
+        ------
+        UnknownNameError
+            With the names that there are; it is an InputError, and a KeyError.
+        IndexError
+            If there is no such member.
+        """
+        try:
+            member = None if isinstance(key, bool) else operator.index(key)
+        except TypeError:
+            member = None
+        if member is None:
+            return self._named(key)
+        if not -len(self) <= member < len(self):
+            raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
+        n = self.program.n
+        t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
+        if self.tau is not None:  # times of its own, up to its end
+            t = self.t[member].reshape(-1)
+            t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
+        return States(
+            t=t, q=q, p=p, program=self.program, parameter_values=self.parameter_values[member]
+        )
+
+    #: Iterating over quantities or over members: neither is what everybody expects.
+    __iter__ = None
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states per member; after a failure they are NaN."""
+        return int(self.q.shape[1]) if self.q.ndim == 3 else 1
+
+    @property
+    def parameter_values(self) -> Floats:
+        """Values of the parameters, a row for each member."""
+        columns = [self.parameters[name] for name in self.program.parameters]
+        return np.column_stack(columns) if columns else np.zeros((len(self), 0))
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        q, p = np.asarray(self.q), np.asarray(self.p)
+        t = np.zeros(1) if self.tau is not None else self.t  # where retimed, no time matters
+        return evaluate_members(self.program, kernel, block, count, t, q, p, self.parameter_values)
+
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        values = self.parameter_values
+        return self.t, np.asarray(self.q), values[:, None] if self.q.ndim == 3 else values
+
+    def _own(self, key: str) -> Any:
+        return self.reduced.get(key, self.parameters.get(key))
+
+    def _own_names(self) -> list[str]:
+        return [*self.reduced, *self.parameters]
+
+    @property
+    def work(self) -> dict[str, NDArray[Any]]:
+        """The work of each force since the start, and of all under "total", in the shape of t.
+
+        Raises
+        ------
+        InputError
+            If it was not recorded.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.damped_pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, record="work")
+        >>> many.work["total"].shape
+        (2,)
+        """
+        if self.program.header.conservative:
+            return named_parts(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
+        if self.work_values is None:
+            raise InputError(
+                "this ensemble did not record the work of forces.\n"
+                "Ask for it: stepper.ensemble(..., record='work')."
+            )
+        return named_parts(self.program, self.work_values)
+
+    @property
+    def message(self) -> str:
+        """The outcome in words."""
+        counts = {code: int((self.status == code).sum()) for code in Status}
+        return ", ".join(f"{count} {code.name}" for code, count in counts.items() if count)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` with dimensions member, time and coord.
+
+        Parameters are coordinates of the members. Needs xarray (the extra ``data``). What is in
+        a store stays there until it is asked for.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50)
+        >>> many.to_xarray()["q"].dims
+        ('member', 'coord')
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        own = self.program.names.parameters.own  # identifiers, as in a store
+        reduced, parameters = names_in_dataset(self.reduced, own)
+        coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
+        if self.store is not None:
+            found = xarray.open_zarr(self.store, chunks=None, consolidated=False)
+            return found.set_coords(list(coordinates))
+        dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
+        variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
+        if self.variations is not None:
+            variables["variations"] = ((*dims[:-1], "state", "variation"), self.variations)
+        if self.work_values is not None:
+            variables["work_values"] = ((*dims[:-1], "power"), self.work_values)
+        for name, values in self.initial.items():
+            variables[name] = (("member", "coord"), values)
+        for name in ("status", "steps", "newton_iterations"):
+            variables[name] = (("member",), getattr(self, name))
+        for name, values in self.reduced.items():
+            variables[reduced[name]] = (("member",), values)
+        named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}
+        named |= {"coord": list(self.program.coordinates), "member": np.arange(len(self))}
+        if self.tau is not None:
+            named |= {"t": (dims[:-1], self.t), "tau": (dims[:-1], self.tau)}
+        elif self.q.ndim == 3:
+            named["time"] = self.t
+        return with_units(xarray.Dataset(variables, named, self._about()), self.program.units)
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame``, a row for each stored state of each member.
+
+        The index is the member; columns are its parameters, what ``reduce`` asked for, t, and what
+        :meth:`Trajectory.to_pandas` has.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.to_pandas().shape
+        (12, 11)
+        """
+        return dataframe(self._table(), "member", self._about(), self.program.units)
+
+    def _table(self) -> dict[str, NDArray[Any]]:
+        shape = np.shape(self.energy)
+        own = {"member": np.arange(len(self)), **self.parameters, **self.reduced}
+        found = {
+            name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
+            for name, x in own.items()
+        }
+        columns = {"t": np.broadcast_to(self.t, shape), **self._columns()}
+        found |= {name: x for name, x in columns.items() if name not in own}
+        return {name: np.asarray(x).reshape(-1) for name, x in found.items()}
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the members in a file, of the kind that its ending says.
+
+        ``.nc`` (netCDF) and ``.zarr`` (a store of Zarr) hold what :meth:`to_xarray` gives; ``.csv``
+        and ``.parquet`` the table of :meth:`to_pandas`; ``.npz`` arrays t, q, p, status, and those
+        of parameters and of what ``reduce`` asked for.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a library is missing.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.save(pathlib.Path(tempfile.mkdtemp()) / "many.csv")
+        """
+        write(path, "ensemble", self._arrays, self._table, self.to_xarray, consolidated=None)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        names = ("t", "q", "p", "status", "steps", "newton_iterations")
+        arrays = {name: np.asarray(getattr(self, name)) for name in names}
+        arrays |= {f"parameter_{name}": x for name, x in self.parameters.items()}
+        return arrays | {f"reduced_{name}": x for name, x in self.reduced.items()}
+
+    def plot(self, name: str | None = None, *, most: int = 100, ax: Any = None) -> Any:
+        """Draw a quantity of the members over time, or a histogram where last states are stored.
+
+        Parameters
+        ----------
+        name : str, optional
+            As in ``ensemble["q1"]``; the first coordinate unless given.
+        most : int
+            So many members at most, spread over all.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> many = stepper.ensemble([[1.0], [2.0]], v0=[0.0], h=0.1, steps=50, every=10)
+        >>> many.plot("energy").get_ylabel()
+        'energy'
+        """
+        from symsimpson.plotting.states import plot_members
+
+        some = spread(len(self), max(1, most))
+        return plot_members(self, name or self.program.coordinates[0], some, ax=ax)
+
+    def _about(self) -> dict[str, Any]:
+        """Where the numbers come from."""
+        program = self.program
+        return {
+            "system": program.system,
+            "scheme": program.scheme,
+            "order": program.order,
+            "digest": program.header.digest,
+            "outcome": self.message,
+            "t_end": float(np.nanmax(self.t)),
+        }
+
+    def __len__(self) -> int:
+        return self.status.size
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import ensemble
+
+        return ensemble(self)
+
+    def __repr__(self) -> str:
+        program = self.program
+        return (
+            f"Ensemble({program.system}, {program.scheme}: {len(self)} members, "
+            f"{self.stored} states of each stored; {self.message})"
+        )
+
+
+def names_in_dataset(
+    reduced: Iterable[str], parameters: Iterable[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return names under which quantities of a user's naming stand in a dataset.
+
+    A name that is taken already gets a prefix; one that is no identifier, which might name a
+    path, gives way to a number.
+    """
+    taken = set(RESERVED)
+    found: list[dict[str, str]] = []
+    for prefix, names in (("reduced", reduced), ("parameter", parameters)):
+        chosen: dict[str, str] = {}
+        for k, name in enumerate(names):
+            choices = chain((name, f"{prefix}_{name}"), (f"{prefix}_{i}" for i in count(k)))
+            chosen[name] = next(x for x in choices if x.isidentifier() and x not in taken)
+            taken.add(chosen[name])
+        found.append(chosen)
+    return found[0], found[1]

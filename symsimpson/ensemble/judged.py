@@ -1,0 +1,125 @@
+"""Judgement of the steps of an ensemble, before its members run and behind it."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.ensemble.blocks import run_blocks
+from symsimpson.ensemble.ensemble import Ensemble, spread
+from symsimpson.ensemble.task import Task
+from symsimpson.errors import InputError, ResolutionWarning, StabilityWarning, SymsimpsonError
+from symsimpson.module.quantity import velocities_by
+from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.run.requested import run
+from symsimpson.run.resolution import FEWEST, LAST_LIMIT
+from symsimpson.support.calling import warn
+
+__all__ = ["look_at_ends", "look_at_steps"]
+
+#: Of so many members, spread over all, the step is looked at, and the energy at the end.
+LOOKED_AT, MEASURED = 8, 256
+#: So many of those whose energy changed most are run once more, each by itself.
+AGAIN = 2
+#: A run of more steps than this keeps some of its states alone.
+WHOLE = 100_000
+
+Floats = NDArray[np.float64]
+
+
+def look_at_steps(program: Program, task: Task) -> None:
+    """Warn of steps that do not resolve what is fast at the start of some members."""
+    tools, system = program.tools, program.declared
+    if tools is None or system is None:
+        return
+    for member in spread(task.members, LOOKED_AT):
+        q, other, values = task.q0[member], task.other0[member], task.parameters[member]
+        key = task.h, values.tobytes()
+        if key in program.findings.checked_steps:
+            continue
+        v = other
+        if not task.velocities:
+            v = evaluate(
+                program,
+                velocities_by(program.header),
+                "VELOCITY",
+                program.n,
+                np.full(1, task.t0),
+                q[None],
+                other[None],
+                values,
+            )[0]
+        inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            own = np.concatenate([values, inputs])
+            tools.check_step(program, system, q, v, own, task.h, task.t0)
+        for warning in told:
+            if issubclass(warning.category, StabilityWarning):
+                warn(f"member {member}: {warning.message}", warning.category)
+                return
+
+
+def look_at_ends(program: Program, task: Task, found: Ensemble) -> None:
+    """Say why, where no member could begin; warn of members whose motion was not resolved.
+
+    Raises
+    ------
+    InputError
+        If no member could begin.
+    """
+    status = np.asarray(found.status[:])
+    if (status == Status.BAD_INPUT).all():
+        _refuse(program, task)
+    if task.steps < FEWEST or task.of_variations:
+        return
+    some = spread(task.members, MEASURED)
+    some = some[status[some] == Status.SUCCESS]
+    left = _energies_left(program, task, found, some)
+    worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
+    for member in worst:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            every = 1 if task.steps <= WHOLE else None
+            run(program, task.of_member(member, program, every=every), None, False, "return")
+        for warning in told:
+            if issubclass(warning.category, ResolutionWarning):
+                warn(f"member {member}, as others may: {warning.message}", ResolutionWarning)
+                return
+
+
+def _refuse(program: Program, task: Task) -> None:
+    """Raise what a run of the first member raises."""
+    try:
+        run(program, task.of_member(0, program), progress=False)
+    except InputError as error:
+        raise InputError(f"no member could begin. Of the first: {error}") from None
+    except SymsimpsonError:
+        return
+
+
+def _energies_left(
+    program: Program, task: Task, found: Ensemble, some: NDArray[np.int64]
+) -> Floats:
+    """Return how far energies are from those at the start, in units of the kinetic energy."""
+    if not some.size:
+        return np.zeros(0)
+    part = replace(task.part(some), steps=0, every=0, reductions=(), tangents=None, t_end=None)
+    begun, _ = run_blocks(program, part, lambda done: None)
+    last = (slice(None), -1) if task.every else (slice(None),)
+    ends: list[Any] = [np.asarray(x[:][some])[last] for x in (found.q, found.p)]
+    q, p = (np.stack([a, b], axis=1) for a, b in zip((begun.q, begun.p), ends, strict=True))
+    t = task.t0 + task.h * np.array([0.0, task.steps])
+    values = np.array(part.parameters)
+    energies = evaluate_members(program, "energy", "ENERGY", 2, t, q, p, values)
+    change = np.abs(energies[:, 1, 0] - energies[:, 0, 0])
+    scale = energies[..., 1].max(axis=1)
+    with np.errstate(all="ignore"):
+        left = np.where(scale > 0, change / scale, 0.0)
+    return np.where(np.isfinite(left), left, 0.0)

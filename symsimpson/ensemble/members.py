@@ -1,0 +1,187 @@
+"""Check what an ensemble is asked for, once, before anything is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.ensemble.task import Task, lanes_for
+from symsimpson.errors import InputError
+from symsimpson.program.machine import available_threads
+from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.observed import read_reductions
+from symsimpson.program.program import Program
+from symsimpson.program.values import read_array, read_parameters, whole_number
+from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.held import allowed
+from symsimpson.stepping.inputs import read_every, read_given, read_times
+from symsimpson.stepping.recording import read_record
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.variations import read_tangents
+
+__all__ = ["read_task"]
+
+MOST_THREADS = 1024
+
+
+def read_task(
+    program: Program, request: Request, threads: int | None, progress: bool | None, *, on_disk: bool
+) -> Task:
+    """Read the arguments of ``ensemble``.
+
+    Raises
+    ------
+    InputError
+        If they make no sense, or what is to be stored does not fit into memory.
+    """
+    if not program.numbers.compiled:
+        raise InputError(
+            "an ensemble runs in double precision, and this stepper has another precision.\n"
+            "Compile one without precision."
+        )
+    retimed = program.header.retimed
+    h, count, t0, end = read_times(request, FLOAT64, retimed=retimed)
+    how = "Pass initial velocities v0=... or initial momenta p0=..., of shape (K, n)."
+    second, other0 = read_given("an ensemble", how, request)
+    names = ("q0", second)
+    states = [
+        _states(name, given, program)
+        for name, given in zip(names, (request.q0, other0), strict=True)
+    ]
+    columns = _parameters(program, request.parameters)
+    sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
+    sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
+    driving = read_driving(program, request.inputs, h, count, max(sizes.values(), default=1))
+    sizes |= {"inputs": len(driving)} if len(driving) > 1 else {}
+    members = max(sizes.values(), default=1)
+    for name, size in sizes.items():
+        if size != members:
+            raise InputError(
+                f"{name} has {size} members, another argument has {members}.\n"
+                "Give each argument one row for each member, or one for all."
+            )
+    stride, reductions = read_every(request.every), read_reductions(program, request.reduce)
+    if retimed and any(one.kind == "mean" for one in reductions):
+        raise InputError(
+            f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
+            "Store states, every=..., and take the mean of them."
+        )
+    workers = _threads(threads)
+    lanes = lanes_for(program.header)
+    stored = count // stride + 1 if stride and end is None else 1
+    try:
+        values = np.empty((members, len(program.parameters)))
+        shape = (members, program.n)
+        q, other = (np.array(np.broadcast_to(x, shape), order="C") for x in states)
+        room = lanes if on_disk else members
+        np.empty((2, room, stored, program.n))  # is there room?
+    except (MemoryError, ValueError):
+        raise InputError(
+            f"{members} members with the states that every={request.every!r} stores do not fit "
+            "into memory.\nStore fewer: every=1000, or every=None for the last states only; or let "
+            "them go to disk: store='folder'."
+        ) from None
+    for k, name in enumerate(program.parameters):
+        values[:, k] = columns[name]
+    q, other = allowed(program, q, other, second, values, t0)
+    return Task(
+        q,
+        other,
+        second,
+        values,
+        h,
+        t0,
+        count,
+        stride,
+        driving,
+        workers,
+        progress,
+        lanes,
+        retimed,
+        tangents=None if request.carried is None else _columns(program, request.carried),
+        t_end=end,
+        record=read_record(program, request.record),
+        reductions=reductions,
+    )
+
+
+def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
+    """Return variations of the state, and behind them those of what is varied, which begin at 0."""
+    varied = len(program.header.varied_by or ())
+    own = read_tangents(program, tangents)
+    return np.ascontiguousarray(np.concatenate([own, np.zeros((len(own), varied))], axis=1))
+
+
+def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
+    names = program.names.coordinates
+    if isinstance(value, Mapping):
+        rows = names.in_order(name, value)
+        columns = [
+            read_array(f"{name} of {q}", x, FLOAT64) for q, x in zip(names.shown, rows, strict=True)
+        ]
+        try:
+            value = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        except ValueError:
+            sizes = ", ".join(f"{q} {x.shape}" for q, x in zip(names.shown, columns, strict=True))
+            raise InputError(
+                f"{name} has columns of different shapes: {sizes}.\n"
+                "Give each coordinate one number, or one for each member."
+            ) from None
+    states = read_array(name, value, FLOAT64)
+    n = len(names)
+    if states.ndim not in (1, 2) or states.shape[-1] != n or states.size == 0:
+        raise InputError(
+            f"{name} has shape {states.shape}, expected (K, {n}) or ({n},): one row for each "
+            f"member with a number for each of {', '.join(names.shown)}.\n"
+            "A single coordinate needs a column: x[:, None]."
+        )
+    if not np.isfinite(states).all():
+        row = int(np.argmin(np.isfinite(np.atleast_2d(states)).all(axis=1)))
+        raise InputError(
+            f"{name} is not finite for member {row}.\n"
+            "A run must begin at a finite state. Look where the number comes from."
+        )
+    return states
+
+
+def _parameters(
+    program: Program, given: Mapping[Any, Any] | None
+) -> dict[str, NDArray[np.float64]]:
+    """Read parameter values, one or K of each."""
+    program.check_given(given)
+    names = program.names.parameters
+    found = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
+    if given is not None and not isinstance(given, Mapping):
+        raise InputError(
+            f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        )
+    for key, value in (given or {}).items():
+        column = read_array(f"parameter {key}", value, FLOAT64)
+        if column.ndim > 1 or column.size == 0:
+            raise InputError(
+                f"parameter {key} has shape {column.shape}, expected () or (K,).\n"
+                "Pass one number, or one for each member."
+            )
+        for extreme in (column.min(), column.max()):  # signs and names, as for a single run
+            read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
+        found[names.shown[names.found(key)]] = column
+    if program.names.idle:
+        places = enumerate(zip(found.values(), program.defaults, strict=True))
+        changed = [i for i, (x, default) in places if (x != default).any()]
+        program.names.warn_of_idle(program.system, changed)
+    return found
+
+
+def _threads(threads: int | None) -> int:
+    if threads is None:
+        return available_threads()
+    number = whole_number(threads) or 0
+    if not 1 <= number <= MOST_THREADS:
+        raise InputError(
+            f"threads is {threads!r}, not a whole number from 1 to {MOST_THREADS}.\n"
+            "Leave it out to use all processors."
+        )
+    return number

@@ -1,0 +1,292 @@
+"""Ensembles on disk: a Zarr store holds what was asked for, and what was found chunk by chunk.
+
+The store is made up front and says all that is to be computed: initial states, parameters, times
+and the generated module. A chunk of members is written when it is done, its statuses last; until
+then they read INTERRUPTED. So whoever opens the store knows what is missing and how to compute it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from symsimpson.ensemble.blocks import run_blocks
+from symsimpson.ensemble.ensemble import Ensemble, names_in_dataset
+from symsimpson.ensemble.task import Results, Task, ensemble_of
+from symsimpson.errors import InputError, StorageError, SymsimpsonError
+from symsimpson.module.header import digest
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.support.extras import library
+from symsimpson.support.files import check_folder, read_path
+from symsimpson.support.progress import Progress
+
+__all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_chunk"]
+
+#: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
+CHUNK_SECONDS = 0.5
+CHUNK_BYTES = 2**26
+#: What an ensemble may have recorded beside its states.
+RECORDED = ("variations", "work_values")
+#: Steps of the trial that tells how long a step takes.
+TRIAL_STEPS = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Store:
+    """An ensemble on disk.
+
+    Attributes
+    ----------
+    path : str
+    group : zarr.Group
+    program : Program
+    task : Task
+    chunk : int
+        Members of a chunk.
+    """
+
+    path: str
+    group: Any
+    program: Program
+    task: Task
+    chunk: int
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks."""
+        return -(-self.task.members // self.chunk)
+
+    def members(self, chunk: int) -> slice:
+        """Return the members of a chunk."""
+        return members_of(chunk, self.chunk, self.task.members)
+
+    def size(self, chunk: int) -> int:
+        """Count the members of a chunk."""
+        members = self.members(chunk)
+        return int(members.stop - members.start)
+
+    def missing(self) -> Iterator[int]:
+        """Return the chunks that are not done, or of which something is damaged or gone."""
+        for chunk in range(self.chunks):
+            members = self.members(chunk)
+            try:
+                status = self.group["status"][members]
+                done = not (status == Status.INTERRUPTED).any() and self._whole(members, status)
+            except (OSError, ValueError, RuntimeError):
+                done = False
+            if not done:
+                yield chunk
+
+    def _whole(self, members: slice, status: Any) -> bool:
+        """Return whether all that was written of some members can be read.
+
+        What is gone reads as the value of what was never written.
+        """
+        good = status == Status.SUCCESS
+        states = (self.group[name][members][good] for name in "qp")
+        counted = (self.group[name][members] for name in ("steps", "newton_iterations"))
+        return all(np.isfinite(x).all() for x in states) and all(
+            (x != int(Status.INTERRUPTED)).all() or not self.task.steps for x in counted
+        )
+
+    def ensemble(self) -> Ensemble:
+        """Return what is in the store; states stay on disk."""
+        group, task, program = self.group, self.task, self.program
+        reduced, _ = names_in_dataset([r.name for r in task.reductions], program.parameters)
+        with said(self.path, "read"):
+            status, steps, iterations = (
+                group[x][:] for x in ("status", "steps", "newton_iterations")
+            )
+            watched = {name: group[stored][:] for name, stored in reduced.items()}
+        return ensemble_of(
+            program,
+            task,
+            q=group["q"],
+            p=group["p"],
+            status=status,
+            steps=steps,
+            newton_iterations=iterations,
+            reduced=watched,
+            store=self.path,
+            **{name: group[name] for name in RECORDED if name in group},
+        )
+
+
+def members_of(chunk: int, size: int, members: int) -> slice:
+    """Return the members of a chunk of a certain size."""
+    return slice(chunk * size, min((chunk + 1) * size, members))
+
+
+def open_store(path: object, program: Program, task: Task) -> Store:
+    """Make a store for an ensemble, or open the one that was begun.
+
+    Raises
+    ------
+    InputError
+        If zarr or xarray is missing, or the folder holds something else.
+    StorageError
+        If it cannot be read or written.
+    """
+    library("xarray", "store=", "data")  # the store is laid out as a dataset
+    zarr = library("zarr", "store=", "data")
+    read_path("store", path)
+    place = os.fspath(cast("str | os.PathLike[str]", path))
+    if "://" not in place:
+        check_folder(Path(place), "store", "opened")
+        place = os.path.abspath(place)
+    asked = _asked(program, task)
+    with said(place, "opened"):
+        try:
+            group = zarr.open_group(place, mode="r")
+        except FileNotFoundError:
+            if (
+                "://" not in place
+                and os.path.exists(place)
+                and (os.path.isfile(place) or os.listdir(place))
+            ):
+                raise _other(place, "holds something that is no ensemble") from None
+            return _create(place, program, task, asked)
+        found: dict[str, Any] = dict(group.attrs)
+        if found.get("begun_by") != "symsimpson":
+            raise _other(place, "holds a dataset that is no ensemble of symsimpson")
+        if "asked" not in found:  # broken off while it was made: nothing is lost
+            return _create(place, program, task, asked)
+        differing = [key for key in asked if found["asked"].get(key) != asked[key]]
+        if differing:
+            raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
+        return Store(place, zarr.open_group(place, mode="r+"), program, task, found["chunk"])
+
+
+def _other(place: str, what: str) -> InputError:
+    return InputError(
+        f"store={place!r} {what}.\nNothing was changed there. Name a new folder, or repeat the "
+        "call that began the store: it goes on from what is done."
+    )
+
+
+def _asked(program: Program, task: Task) -> dict[str, Any]:
+    """Say what is to be computed, such that what is equal here has equal results."""
+    return {
+        "module": digest(program.source),
+        **task.said(),
+        "given": task.given,
+        "members": task.members,
+        "tangents": None if task.tangents is None else task.tangents.tolist(),
+        "record": list(task.record),
+        "reduce": json.dumps([r.asked for r in task.reductions]),
+        "initial states": hashlib.sha256(task.q0.tobytes() + task.other0.tobytes()).hexdigest(),
+        "parameters": hashlib.sha256(task.parameters.tobytes()).hexdigest(),
+    }
+
+
+def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> Store:
+    """Lay out a store; what was asked for is written last, when all else stands."""
+    import zarr
+    from zarr.codecs import ZstdCodec
+
+    chunk = _chunk(program, task)
+    one = task.part(slice(0, 1))
+    template = ensemble_of(program, one, **Results(one, program.header).columns()).to_xarray()
+    about = {key: value for key, value in template.attrs.items() if key != "outcome"}
+    group = zarr.create_group(
+        place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
+    )
+    given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
+    own = program.names.parameters.own
+    _, names = names_in_dataset([r.name for r in task.reductions], own)
+    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(own)}
+    for name, variable in template.variables.items():
+        integers, text = variable.dtype.kind == "i", variable.dtype.kind not in "if"
+        shape, chunks = variable.shape, variable.shape
+        if variable.dims[0] == "member":
+            shape, chunks = (task.members, *shape[1:]), (min(chunk, task.members), *chunks[1:])
+        array = group.create_array(
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=str if text else variable.dtype,
+            dimension_names=variable.dims,
+            compressors=[ZstdCodec(level=0, checksum=True)],
+            fill_value="" if text else int(Status.INTERRUPTED) if integers else np.nan,
+        )
+        if name in given or variable.dims[0] != "member":
+            array[:] = given.get(name, variable.values.astype(object) if text else variable.values)
+    group.attrs.update({"source": program.source, "asked": asked})
+    return Store(place, group, program, task, chunk)
+
+
+def _chunk(program: Program, task: Task) -> int:
+    """Choose how many members a chunk has."""
+    lanes = task.lanes
+    enough = int(CHUNK_SECONDS * task.threads / _seconds(program, task)) // lanes * lanes
+    room = CHUNK_BYTES // (16 * task.stored * program.n)
+    return max(1, min(max(enough, lanes), room, task.members))
+
+
+def _seconds(program: Program, task: Task) -> float:
+    """Estimate the time of one member, by a trial with a block of them."""
+    some = np.linspace(0, task.members - 1, task.lanes).astype(np.int64)
+    trial = replace(
+        task.part(some), steps=min(task.steps, TRIAL_STEPS), every=0, threads=1, reductions=()
+    )
+    seconds = []
+    for _ in range(2):  # the first compiles
+        begin = time.perf_counter()
+        run_blocks(program, trial, lambda done: None)
+        seconds.append(time.perf_counter() - begin)
+    return max(seconds[1], 1e-9) * task.steps / (trial.steps * task.lanes)
+
+
+def run_missing(store: Store) -> bool:
+    """Compute in this process what a store lacks; tells whether Ctrl-C stopped it."""
+    task = store.task
+    try:
+        with Progress(task.members, task.progress) as progress:
+            missing = list(store.missing())
+            progress.add(task.members - sum(map(store.size, missing)))
+            for chunk in missing:
+                part = task.part(store.members(chunk))
+                found, interrupted = run_blocks(store.program, part, progress.add)
+                if interrupted:
+                    return True
+                write_chunk(store.path, store.group, store.members(chunk), found)
+    except KeyboardInterrupt:
+        return True
+    return False
+
+
+def write_chunk(path: str, group: Any, members: slice, found: Ensemble) -> None:
+    """Write what some members came to, statuses last."""
+    names, _ = names_in_dataset(found.reduced, found.parameters)
+    recorded = {name: getattr(found, name) for name in RECORDED}
+    columns = {"q": found.q, "p": found.p}
+    columns |= {name: values for name, values in recorded.items() if values is not None}
+    columns |= {names[name]: values for name, values in found.reduced.items()}
+    columns |= {"steps": found.steps, "newton_iterations": found.newton_iterations}
+    with said(path, "written"):
+        for name, values in (columns | {"status": found.status}).items():
+            group[name][members] = values
+
+
+@contextmanager
+def said(path: str, what: str) -> Iterator[None]:
+    """Turn failures of files into errors that say where."""
+    try:
+        yield
+    except SymsimpsonError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        raise StorageError(
+            f"{path}: the store cannot be {what}: {type(error).__name__}: {error}\n"
+            "Check space and permissions. The same call goes on from what is done."
+        ) from error

@@ -1,0 +1,157 @@
+"""Tasks of ensembles, and arrays for their results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.ensemble.ensemble import Ensemble
+from symsimpson.module.header import Header
+from symsimpson.program.machine import lanes_of_machine
+from symsimpson.program.program import Program
+from symsimpson.program.recorders import Recorder, ordered
+from symsimpson.program.status import Status
+from symsimpson.stepping.recording import recorders_of
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.spec import RunSpec
+
+__all__ = ["Results", "Task", "ensemble_of", "lanes_for"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Task(RunSpec):
+    """The task of an ensemble, checked; arrays have a row for each member."""
+
+    threads: int
+    progress: bool | None
+    lanes: int
+    retimed: bool = False
+
+    @property
+    def members(self) -> int:
+        """Number of members."""
+        return len(self.q0)
+
+    def inputs_of(self, member: Any) -> Floats | None:
+        """Return the inputs of a member as a run of its own takes them."""
+        own = self.inputs[min(member, len(self.inputs) - 1)]
+        return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
+
+    def of_member(self, member: Any, program: Program, **more: Any) -> Request:
+        """Return how a run of one member is asked for."""
+        names, header = program.parameters, program.header
+        values = dict(zip(names, self.parameters[member], strict=True))
+        return Request(
+            self.q0[member],
+            **{self.given: self.other0[member]},
+            h=self.h,
+            t_end=self.t_end,
+            steps=self.steps if self.t_end is None else None,
+            t0=self.t0,
+            parameters={name: values[name] for name in names if name not in header.from_start},
+            inputs=self.inputs_of(member),
+            **more,
+        )
+
+    def recorded(self, header: Header) -> tuple[Recorder, ...]:
+        """Return the recorders that leave numbers beside each state, in their order."""
+        count = None if self.tangents is None else self.tangents.shape[1]
+        return ordered(header, recorders_of(header, count, self.record, ()))
+
+    @property
+    def of_variations(self) -> bool:
+        """Whether variations of the motions are asked for."""
+        return any(r.of_variations for r in self.reductions)
+
+    @property
+    def times(self) -> Floats:
+        """Times of the stored states."""
+        stride, first = (self.every, 0) if self.every else (self.steps, 1)
+        count = np.arange(first, self.stored + first, dtype=np.float64)
+        return self.t0 + self.h * count * stride
+
+    def part(self, members: slice | NDArray[np.int64]) -> Task:
+        """Return the task of some of the members."""
+        return replace(
+            self,
+            q0=np.ascontiguousarray(self.q0[members]),
+            other0=np.ascontiguousarray(self.other0[members]),
+            parameters=np.ascontiguousarray(self.parameters[members]),
+            inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
+        )
+
+
+def lanes_for(header: Header) -> int:
+    """Return the number of lanes of a block.
+
+    Where Newton's method is unrolled, members side by side are two to four
+    times as fast with it as one after the other with nodes as lanes; where it is not, the other way
+    round, by far.
+    """
+    return 1 if header.by_stages and not header.unrolled else lanes_of_machine()
+
+
+class Results:
+    """Arrays that threads fill, each its own rows; until then members count as interrupted."""
+
+    def __init__(self, task: Task, header: Header) -> None:
+        shape, self._recorders = (task.members, task.stored, header.n), task.recorded(header)
+        self.q, self.p = np.full(shape, np.nan), np.full(shape, np.nan)
+        # status, steps, iterations
+        self.codes = np.zeros((task.members, 3), dtype=np.int64)
+        self.codes[:, 0] = Status.INTERRUPTED
+        self.recorded = np.full((*shape[:2], sum(one.rows for one in self._recorders)), np.nan)
+        #: Of a step that was taken last, in tau.
+        self.part = np.zeros(task.members)
+        self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
+        self._task = task
+
+    def columns(self) -> dict[str, Any]:
+        """Return the arrays as an ensemble has them."""
+        task = self._task
+        status, steps, iterations = (column.copy() for column in self.codes.T)
+        q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
+        reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
+        found = {
+            "q": q,
+            "p": p,
+            "status": status,
+            "steps": steps,
+            "newton_iterations": iterations,
+            "reduced": reduced,
+        }
+        recorded = self.recorded if task.every else self.recorded[:, 0]
+        ends = np.cumsum([one.rows for one in self._recorders])
+        left = {
+            one.kernel: recorded[..., end - one.rows : end]
+            for one, end in zip(self._recorders, ends, strict=True)
+        }
+        if "tangent" in left:
+            ways = left["tangent"]
+            shape = *ways.shape[:-1], -1, 2 * q.shape[-1]
+            found["variations"] = ways.reshape(shape).swapaxes(-1, -2)
+        if "work" in left:
+            found["work_values"] = left["work"]
+        if task.retimed:
+            whole = task.every * np.arange(task.stored) if task.every else steps
+            t = left["clock"][..., 0]
+            tau = task.h * whole + (0 if task.every else self.part)
+            found |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
+        return found
+
+
+def ensemble_of(program: Program, task: Task, **found: Any) -> Ensemble:
+    """Return what a task came to as an ensemble, with what it was asked for."""
+    if not task.retimed:
+        found["t"] = task.times
+    return Ensemble(
+        parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),
+        initial={"q0": task.q0, task.given: task.other0},
+        program=program,
+        **found,
+    )

@@ -1,0 +1,126 @@
+"""The kernels of one module, compiled or loaded from the cache when first asked for."""
+
+from __future__ import annotations
+
+import time
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numba import cfunc
+from numba.core.errors import NumbaError
+from numpy.typing import NDArray
+
+from symsimpson.errors import GenerationError
+from symsimpson.module.definitions import redefined
+from symsimpson.module.header import Header
+from symsimpson.program.cache import compiled, location
+from symsimpson.program.machine import vector_bits
+from symsimpson.program.sets import KernelSets
+from symsimpson.walk.kernels import stubs, walker_digest, walking
+
+__all__ = ["Kernels", "not_walked"]
+
+#: Kernels that the walker refused in this process, and why: numba compiled them as they stand.
+not_walked: list[str] = []
+
+#: Runs begin with it: compiled beside the kernels of a step, because they share functions.
+_BEGIN = "legendre"
+#: What kernels call, where numba compiles it: there is no way in from Python.
+_INNER = "compiled = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)"
+#: The library's sine and cosine, which have a value for any angle.
+_ANY_ANGLE = """\
+from math import cos, sin
+
+
+@compiled
+def sincos(x):
+    return sin(x), cos(x)
+"""
+
+
+class Kernels(KernelSets):
+    """Addresses of compiled kernels, for so many lanes."""
+
+    def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
+        super().__init__(header, by_stages=header.by_stages and lanes == 1)
+        # names and values of parameters are no part of what is compiled, nor is the banner
+        changed = redefined(text, {"FACTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
+        self._lanes = lanes
+        self._text = changed[changed.index('"""') :]
+        self._single: dict[tuple[str, bool], int] = {}
+        self.seconds = 0.0  # spent on compiling, or on loading what is compiled
+
+    @property
+    def location(self) -> str:
+        """Where the code of a step is, in words."""
+        return location(self._key(self._text), self.fallbacks[0])
+
+    @cached_property
+    def _any_angle(self) -> str:
+        """The text with the library's sine and cosine."""
+        if not self.header.fast_sines:
+            return self._text
+        return redefined(self._text, {"sincos": _ANY_ANGLE.rstrip()})
+
+    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[int]:
+        """Return addresses of kernels that are compiled together; 0 for an empty name."""
+        if any_angle:
+            return self._addresses(self._any_angle, label, names)
+        *kernels, begin = self._addresses(self._text, label, [*names, _BEGIN])
+        self._single.setdefault((_BEGIN, False), begin)
+        return kernels
+
+    def joined(self, mode: int, kernels: list[int]) -> NDArray[np.int64]:
+        """Return mode and addresses."""
+        return np.array([mode, *kernels], dtype=np.int64)
+
+    def address(self, name: str, *, any_angle: bool = False) -> int:
+        """Return the address of one kernel; of one that takes any angle, if that is asked for."""
+        key = name, any_angle
+        if key == (_BEGIN, False):
+            self.set(self.fallbacks[0])
+        if key not in self._single:  # finding it among what is compiled takes the text's digest
+            text = self._any_angle if any_angle else self._text
+            label = f"{name}_any_angle" if any_angle else name
+            self._single[key] = self._addresses(text, label, [name])[0]
+        return self._single[key]
+
+    def observing(self, kernel: str, rows: int) -> int:
+        """Return the address of a further kernel, which is compiled with the module."""
+        text = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
+        return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
+
+    @staticmethod
+    def _key(text: str) -> str:
+        """Return all that the code of a text follows from."""
+        return f"{walker_digest()}\n{vector_bits()}\n{text}"
+
+    def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
+        bits = vector_bits()
+        some = [name for name in names if name]
+
+        def compile_kernels(module: ModuleType, keep: bool) -> tuple[list[Any], dict[str, int]]:
+            for name in some:
+                setattr(module, f"walk_{name}", walking(text, name, self._lanes, bits))
+            return _compiled(module, some, keep)
+
+        def by_numba(module: ModuleType, keep: bool) -> tuple[list[Any], dict[str, int]]:
+            return _compiled(module, some, keep)
+
+        start = time.perf_counter()
+        try:
+            found = compiled(self._key(text), label, compile_kernels, stubs(text, some))[1]
+        except (NumbaError, GenerationError) as error:
+            not_walked.append(f"{label}: {str(error)[-400:]}")
+            found = compiled(text, label, by_numba)[1]
+        self.seconds += time.perf_counter() - start
+        return [found[name] if name else 0 for name in names]
+
+
+def _compiled(module: ModuleType, names: list[str], keep: bool) -> tuple[list[Any], dict[str, int]]:
+    """Return kernels of a module, and their addresses."""
+    options = {**module.OPTIONS, "cache": keep}
+    kernels = [cfunc(module.SIGNATURE, **options)(getattr(module, name)) for name in names]
+    return kernels, {name: int(one.address or 0) for name, one in zip(names, kernels, strict=True)}

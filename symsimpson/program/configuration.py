@@ -1,0 +1,94 @@
+"""Versions and settings of this installation, for reports of bugs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+from collections.abc import Mapping
+from typing import Literal, overload
+
+from symsimpson.errors import InputError
+
+__all__ = ["show_config"]
+
+#: What results depend on; then what is only used where it is there.
+_NEEDED = ("symsimpson", "sympy", "numpy", "numba", "llvmlite", "mpmath")
+_OPTIONAL = ("scipy", "matplotlib", "plotly", "xarray", "zarr", "dask", "heyoka")
+
+Config = dict[str, Mapping[str, str | int]]
+
+
+@overload
+def show_config(mode: Literal["stdout"] = ...) -> None: ...
+
+
+@overload
+def show_config(mode: Literal["dicts"]) -> Config: ...
+
+
+def show_config(mode: str = "stdout") -> Config | None:
+    """Print versions, processor, vector width, threads and the folder of compiled code.
+
+    Parameters
+    ----------
+    mode : {"stdout", "dicts"}
+        Print it, or return it.
+
+    Returns
+    -------
+    dict or None
+        By group: "versions", "machine", "compiled code".
+
+    Raises
+    ------
+    InputError
+        If there is no such mode.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> list(ss.show_config("dicts"))
+    ['versions', 'machine', 'compiled code']
+    """
+    if mode not in ("stdout", "dicts"):
+        raise InputError(f"mode is {mode!r}.\nPass 'stdout' to print, or 'dicts' to be given it.")
+    # only who asks waits for the compiler
+    import llvmlite.binding as llvm
+
+    from symsimpson.program.cache import cache_folder
+    from symsimpson.program.machine import available_threads, lanes_of_machine, vector_bits
+
+    folder = cache_folder()
+    found: Config = {
+        "versions": {"python": platform.python_version(), **_versions()},
+        "machine": {
+            "system": platform.platform(),
+            "processor": llvm.get_host_cpu_name(),
+            "threads": available_threads(),
+            "vector bits": vector_bits(),
+            "members side by side": lanes_of_machine(),
+        },
+        "compiled code": {
+            "folder": str(folder),
+            "entries": sum(entry.is_dir() for entry in folder.iterdir()),
+        },
+    }
+    if mode == "dicts":
+        return found
+    for group, values in found.items():
+        print(group)
+        width = max(map(len, values))
+        for name, value in values.items():
+            print(f"  {name:{width}}  {value}")
+    return None
+
+
+def _versions() -> dict[str, str]:
+    found = {}
+    for name in (*_NEEDED, *_OPTIONAL):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            if name in _NEEDED:
+                found[name] = "no package metadata"
+    return found

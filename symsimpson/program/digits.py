@@ -1,0 +1,305 @@
+"""Any number of digits: the same module and the same driver, run by Python.
+
+mpmath is the reference; the balls of python-flint are faster. Both run the text of the compiled
+code; only the thresholds that name a rounding error are other ones.
+"""
+
+from __future__ import annotations
+
+import copyreg
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from fractions import Fraction
+from functools import cache, cached_property
+from types import SimpleNamespace
+from typing import Any, cast
+
+import mpmath
+import numpy as np
+from mpmath.libmp import from_man_exp, from_pickable, to_pickable
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.module.binding import bind, bind_arb, bind_mpmath
+from symsimpson.module.blocks import scratch
+from symsimpson.module.header import Header
+from symsimpson.module.interface import KERNELS
+from symsimpson.program.driver import driver_text
+from symsimpson.program.numbers import Numbers
+from symsimpson.program.sets import KernelSets
+from symsimpson.program.values import whole_number
+from symsimpson.support.extras import library
+from symsimpson.support.signals import undisturbed
+
+__all__ = ["read_precision"]
+
+FEWEST, MOST = 15, 10_000
+#: With more digits, quadratic convergence is worth its price; with few unknowns, always.
+MOST_BY_STAGES, FEWEST_BY_STAGES = 64, 5
+ARITHMETICS = ("mpmath", "arb")
+
+
+@cache
+def _numbers(digits: int, arithmetic: str) -> Digits:
+    return Arb(digits) if arithmetic == "arb" else Digits(digits)
+
+
+def read_precision(precision: Any, arithmetic: Any) -> Digits:
+    """Return the numbers of so many decimal digits.
+
+    Raises
+    ------
+    InputError
+        If there is no such precision or arithmetic, or python-flint is not installed.
+    """
+    if arithmetic not in ARITHMETICS:
+        raise InputError(
+            f"arithmetic is {arithmetic!r}.\nChoose 'mpmath', or 'arb' with python-flint."
+        )
+    digits = whole_number(precision) or 0
+    if not FEWEST <= digits <= MOST:
+        raise InputError(
+            f"precision is {precision!r}, not a number of decimal digits from {FEWEST} to "
+            f"{MOST}.\nPass precision=64, or None for compiled double precision."
+        )
+    if arithmetic == "arb":
+        library("flint", "arithmetic='arb' (python-flint)", "precise")
+    return _numbers(digits, arithmetic)
+
+
+class _Anything:
+    """Stands for the types that only a compiler asks for."""
+
+    def __getattr__(self, name: str) -> _Anything:
+        return self
+
+    def __getitem__(self, index: Any) -> _Anything:
+        return self
+
+    def __call__(self, *arguments: Any, **options: Any) -> _Anything:
+        return self
+
+
+class _Functions(KernelSets):
+    """Kernels as Python functions."""
+
+    def __init__(self, module: SimpleNamespace, header: Header, digits: int) -> None:
+        many = digits <= MOST_BY_STAGES and header.degree >= FEWEST_BY_STAGES
+        super().__init__(header, by_stages=header.by_stages and many)
+        self._module = module
+
+    @property
+    def location(self) -> str:
+        """Where the code of a step is, in words."""
+        return "none: Python, with numbers of many digits"
+
+    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+        """Return functions."""
+        return [self.address(name) if name else 0 for name in names]
+
+    def joined(self, mode: int, kernels: list[Any]) -> tuple[Any, ...]:
+        """Return mode and functions."""
+        return mode, *kernels
+
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        """Return a function, whose sines take any angle."""
+        return getattr(self._module, name)
+
+
+def _revive(digits: int, arithmetic: str, number: Any) -> Any:
+    """Return a number as it was, at home in the context for so many digits."""
+    return read_precision(digits, arithmetic).context.make_mpf(from_pickable(number))
+
+
+class Digits(Numbers):
+    """Numbers of mpmath, in a context of their own."""
+
+    compiled, stretch, arithmetic = False, 1, "mpmath"
+
+    def __init__(self, digits: int) -> None:
+        self.digits = digits
+        self.context = mpmath.mp.clone()
+        self.context.dps = digits
+        self.epsilon = 10.0 ** (1 - min(digits, 300))
+        # numbers of a cloned context are of a class that pickle does not find by its name
+        copyreg.pickle(self.context.mpf, self._reduced)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return read_precision, (self.digits, self.arithmetic)
+
+    def _reduced(self, number: Any) -> tuple[Any, ...]:
+        return _revive, (self.digits, self.arithmetic, to_pickable(number._mpf_))
+
+    def is_one(self, value: Any) -> bool:
+        """Return whether a value needs no conversion: none is trusted to."""
+        return False
+
+    def make_ready(self, kernels: KernelSets) -> None:
+        """Compile nothing."""
+
+    def read(self, value: Any) -> NDArray[Any]:
+        """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
+        given = np.array(value, dtype=object)
+        array = self.zeros(given.shape)
+        for index, one in np.ndenumerate(given):
+            array[index] = self._inner(self._number(one))
+        return array
+
+    def _number(self, value: Any) -> Any:
+        context = self.context
+        if type(value) is context.mpf:
+            return +value
+        if isinstance(value, Fraction):
+            return context.mpf(value.numerator) / value.denominator
+        if isinstance(value, np.integer):
+            return context.mpf(int(value))
+        if hasattr(value, "evalf") and hasattr(value, "free_symbols"):  # SymPy, if it is loaded
+            return context.mpf(str(value.evalf(self.digits + 10)))
+        found = context.convert(value if not hasattr(value, "as_tuple") else str(value))
+        if not isinstance(found, context.mpf):
+            raise TypeError(value)
+        return +found  # rounded to these digits, however many it came with
+
+    def _inner(self, number: Any) -> Any:
+        """Return a number as the kernels take it."""
+        return number
+
+    def zeros(self, shape: int | tuple[int, ...]) -> NDArray[Any]:
+        """Return an array of zeros."""
+        return np.full(shape, self._inner(self.context.zero), dtype=object)
+
+    def finite(self, array: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return which numbers are finite."""
+        finite = np.frompyfunc(lambda x: bool(self.context.isfinite(self._outer(x))), 1, 1)
+        return cast(NDArray[np.bool_], np.asarray(finite(array), dtype=bool))
+
+    def _outer(self, number: Any) -> Any:
+        """Return a number as a user gets it."""
+        return number
+
+    def counted(self, first: int, stop: int, stride: int) -> NDArray[Any]:
+        """Return whole numbers to multiply with."""
+        return np.array(range(first, stop, stride), dtype=object)
+
+    def lambdified(self, symbols: Sequence[Any], expressions: Sequence[Any]) -> Any:
+        """Return a function that takes numbers of arrays one by one."""
+        import sympy as sp
+
+        own = {name: getattr(self.context, name) for name in dir(self.context)}
+        single = sp.lambdify(symbols, expressions, [own, "mpmath"], cse=True)
+        outer, inner = np.frompyfunc(self._outer, 1, 1), np.frompyfunc(self._inner, 1, 1)
+
+        def every(*arguments: Any) -> list[NDArray[Any]]:
+            given = np.broadcast_arrays(*map(outer, arguments))
+            found = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
+            columns = zip(*found, strict=True)
+            return [inner(np.array(self._converted(x), dtype=object)) for x in columns]
+
+        return every
+
+    def _converted(self, column: Sequence[Any]) -> list[Any]:
+        return [self.context.convert(x) for x in column]
+
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
+        """Bind the kernels of a module."""
+        return _Functions(bind_mpmath(text, self.context, checking=True), header, self.digits)
+
+    def driver(
+        self, name: str, lanes: int = 1, *, renewing: bool = False, iterated: bool = True
+    ) -> Callable[..., Any]:
+        """Return a function of the driver, bound to these numbers."""
+        return cast(Callable[..., Any], getattr(self._driver, name))
+
+    @cached_property
+    def _driver(self) -> SimpleNamespace:
+        replaced = {
+            "njit": lambda **options: lambda function: function,
+            "types": _Anything(),
+            "call": self._call,
+            "AT_ONCE": 1,  # balls of python-flint grow in a call
+            "MOST_ITERATIONS": max(40, 5 * self.digits // 2),
+            "FEW_ITERATIONS": max(16, self.digits),
+            "ROUND_OFF": self._inner(self.context.mpf(10) ** (4 - 2 * self.digits)),
+            "np": SimpleNamespace(
+                inf=self._inner(self.context.inf), int64=int, empty=self._room, zeros=self._room
+            ),
+        }
+        return bind(driver_text(), replaced)
+
+    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
+        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
+        return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        kernel(h, t, W)
+
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """Put off Ctrl-C to the end of a step, which would be lost half done."""
+        return undisturbed()
+
+
+class Arb(Digits):
+    """Midpoints of the balls of python-flint."""
+
+    arithmetic = "arb"
+
+    def __init__(self, digits: int) -> None:
+        super().__init__(digits)
+        from flint import arb
+
+        self._arb = arb
+
+    def _inner(self, number: Any) -> Any:
+        sign, mantissa, exponent, _ = number._mpf_
+        if not mantissa:  # zero, or no finite number
+            return self._arb(str(number))
+        whole = int(mantissa)  # gmpy2 has integers of its own
+        return self._arb((-whole if sign else whole, exponent))
+
+    def _outer(self, number: Any) -> Any:
+        if not isinstance(number, self._arb):
+            return self.context.convert(number)
+        if not number.is_finite():
+            return self.context.nan
+        mantissa, exponent = number.mid().man_exp()
+        return self.context.make_mpf(from_man_exp(int(mantissa), int(exponent)))
+
+    def single(self, number: Any) -> Any:
+        """Return a number of mpmath."""
+        return self._outer(number)
+
+    def result(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Return numbers of mpmath."""
+        return cast(NDArray[Any], np.frompyfunc(self._outer, 1, 1)(array))
+
+    def kernels(self, text: str, header: Header, lanes: int = 1) -> _Functions:
+        """Bind the kernels of a module."""
+        with self.working():
+            module = bind_arb(text, checking=True)
+        passing = {row for rows in scratch(header.layout).values() for row in rows}
+        lasting = np.array([row for row in range(header.rows) if row not in passing])
+        for name in KERNELS:
+            if hasattr(module, name):
+                vars(getattr(module, name))["lasting"] = lasting, slice(header.rows, None)
+        return _Functions(module, header, self.digits)
+
+    def working(self) -> AbstractContextManager[Any]:
+        """Set the precision of python-flint, which is global, for a while."""
+        import flint
+
+        return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
+
+    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
+        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
+        return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
+
+    def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
+        """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.
+
+        What no other kernel reads may keep them.
+        """
+        kernel(h, t, W)
+        ball = self._arb
+        for lane in W.T:
+            for rows in getattr(kernel, "lasting", (slice(None),)):
+                lane[rows] = [x.mid() if type(x) is ball else x for x in lane[rows]]

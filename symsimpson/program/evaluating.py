@@ -1,0 +1,167 @@
+"""Kernels at given states: the energy and all else that follows from a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.observed import Observed, observing_kernel
+from symsimpson.program.values import read_array
+from symsimpson.program.workspace import NO_INPUTS, workspace
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "watching"]
+
+#: float64, or numbers of mpmath in an object array.
+Reals = NDArray[Any]
+
+
+def evaluate(
+    program: Program,
+    kernel: str,
+    block: str,
+    count: int,
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    values: Reals,
+    inputs: Reals = NO_INPUTS,
+    before: str = "",
+) -> Reals:
+    """Evaluate a kernel of the state at many states; shape (len(q), count).
+
+    ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
+    come ``before`` it.
+    """
+    header, numbers = program.header, program.numbers
+    with numbers.working():
+        W = workspace(header, numbers, numbers.read(values))
+        return evaluate_in(W, program, kernel, block, count, (t, q, p), inputs, before=before)
+
+
+def evaluate_members(
+    program: Program,
+    kernel: str,
+    block: str,
+    count: int,
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    values: Reals,
+) -> Reals:
+    """Evaluate a kernel of the state at states of many members, each with its own parameters.
+
+    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between;
+    gives shape (K, ..., count).
+    """
+    found = np.empty((*q.shape[:-1], count))
+    own, group = np.unique(values, axis=0, return_inverse=True)
+    for k, parameters in enumerate(own):
+        here = np.flatnonzero(group.ravel() == k)
+        some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
+        times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
+        rows = evaluate(program, kernel, block, count, times, some_q, some_p, parameters)
+        found[here] = rows.reshape(found[here].shape)
+    return found
+
+
+def evaluate_in(
+    W: Reals,
+    program: Program,
+    kernel: str,
+    block: str,
+    count: int,
+    states: tuple[Reals, Reals, Reals],
+    inputs: Reals = NO_INPUTS,
+    *,
+    before: str = "",
+) -> Reals:
+    """Evaluate a kernel at states (t, q, p), in a workspace that holds parameters.
+
+    Fast sines have no value for huge angles: there the library's are taken.
+    """
+    numbers, kernels, (t, q, p) = program.numbers, program.kernels, states
+    place = program.header.layout[block], count
+
+    def values(t: Reals, q: Reals, p: Reals, inputs: Reals, *, any_angle: bool) -> Reals:
+        address = kernels.address(kernel, any_angle=any_angle)
+        first = kernels.address(before, any_angle=any_angle) if before else 0
+        return _evaluated(program, W, (first, address), place, t, q, p, inputs)
+
+    found = values(t, q, p, inputs, any_angle=False)
+    if program.header.fast_sines and not numbers.all_finite(found):
+        again = ~numbers.finite(found).all(axis=1)
+        again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
+        if again.any():
+            own = inputs if inputs.shape[1] == 1 else inputs[:, again]
+            found[again] = values(t[again], q[again], p[again], own, any_angle=True)
+    return found
+
+
+def watching(
+    program: Program, found: Sequence[Observed], values: Reals
+) -> Callable[[Reals, Reals, Reals], Reals]:
+    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
+
+    Raises
+    ------
+    InputError
+        If the stepper has many digits.
+    """
+    header, numbers = program.header, program.numbers
+    kernels = program.kernels
+    kernel = kernels.observing(observing_kernel(header, found), len(found))
+    energy = kernels.address("energy") if any(one.energetic for one in found) else 0
+    W = workspace(header, numbers, numbers.read(values), more=len(found))
+    return lambda t, q, p: _evaluated(
+        program, W, (energy, kernel), (header.rows, len(found)), t, q, p
+    )
+
+
+def _evaluated(
+    program: Program,
+    W: Reals,
+    kernels: tuple[Any, Any],
+    block: tuple[int, int],
+    t: Reals,
+    q: Reals,
+    p: Reals,
+    inputs: Reals = NO_INPUTS,
+) -> Reals:
+    """Evaluate two kernels, the first of which may be 0; returns a block of so many rows."""
+    numbers, (first, count) = program.numbers, block
+    out = numbers.zeros((len(q), count))
+    addresses, states = (program.kernels.address("prepare"), *kernels), map(numbers.read, (t, q, p))
+    setting = numbers.read(1.0).item(), W, program.header.told
+    numbers.driver("evaluate")(addresses, *setting, tuple(states), first, out, inputs)
+    return numbers.result(out)
+
+
+def evaluate_energy(
+    program: Program,
+    given_q: ArrayLike,
+    given_p: ArrayLike,
+    parameters: Mapping[Any, Any] | None,
+    t: ArrayLike,
+) -> Reals:
+    """Evaluate the Hamiltonian at states of any origin."""
+    numbers, n = program.numbers, program.n
+    with numbers.working():
+        states = [read_array(name, x, numbers) for name, x in (("q", given_q), ("p", given_p))]
+        for name, state in zip("qp", states, strict=True):
+            if state.ndim != 2 or state.shape != (len(states[0]), n):
+                raise InputError(
+                    f"{name} has shape {state.shape}, expected (N, {n}).\n"
+                    "Pass one row for each state; q and p of equal length."
+                )
+        values = program.values(parameters)
+        times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
+    q, p = states
+    found: Reals = evaluate(program, "energy", "ENERGY", 1, times, q, p, values)
+    return found[:, 0]

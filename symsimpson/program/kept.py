@@ -1,0 +1,54 @@
+"""Answers on disk, under what they follow from: the same question is not asked again."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from symsimpson.errors import StorageError, SymsimpsonError
+from symsimpson.program.cache import cache_folder
+from symsimpson.support.files import written_beside
+
+__all__ = ["kept"]
+
+Answer = TypeVar("Answer")
+#: What a file may raise that is not there, not whole, or not what it should be.
+DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, SymsimpsonError)
+
+
+def kept(
+    kind: str,
+    question: str,
+    read: Callable[[Any], Answer],
+    make: Callable[[], Answer],
+    write: Callable[[Answer], Any],
+) -> Answer:
+    """Return the answer that was kept for the same question, or make it and keep it.
+
+    Parameters
+    ----------
+    kind : str
+        The folder of such answers, beside compiled code.
+    question : str
+        All that the answer follows from.
+    read : callable
+        Makes the answer of what JSON holds; raises an error of ``DAMAGE`` if that makes no sense.
+    make : callable
+    write : callable
+        Returns what is to be kept, for JSON; None if the answer is not worth it.
+    """
+    digest = hashlib.sha256(question.encode()).hexdigest()
+    place = cache_folder() / kind / f"{digest}.json"
+    with contextlib.suppress(*DAMAGE):
+        return read(json.loads(place.read_text(encoding="utf-8")))
+    made = make()
+    content = write(made)
+    if content is not None:
+        with contextlib.suppress(StorageError, OSError):  # a full disk keeps nothing
+            place.parent.mkdir(mode=0o700, exist_ok=True)
+            with written_beside(place, "answer") as whole:
+                whole.write_text(json.dumps(content), encoding="utf-8")
+    return made

@@ -1,0 +1,241 @@
+"""Quantities that are watched: expressions in, the text of a kernel out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.module.header import Header
+from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.program.reader import Reader
+from symsimpson.program.recorders import Recorder
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = [
+    "KINDS",
+    "Observed",
+    "Reduction",
+    "observers",
+    "observing_kernel",
+    "read_expression",
+    "read_reductions",
+    "reduce_values",
+]
+
+#: Ways to reduce values over the steps of a run, in the order of their numbers; then what
+#: variations of a motion tell, which are no values of states.
+KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali")
+OF_VARIATIONS = KINDS[4:]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A quantity.
+
+    Attributes
+    ----------
+    expression : str
+        The quantity as it was asked for.
+    text : str
+        The quantity as a Python expression in names of the kernel.
+    energetic : bool
+        Whether it contains the energy or velocities, which come from the kernel of the energy.
+    wrapped : tuple of int
+        Coordinates of which the turn between -pi and pi is meant.
+    rest : bool
+        Whether it is a rest alone, as ``Mod(q1, 2*pi)``, which never changes its sign.
+    """
+
+    expression: str
+    text: str
+    energetic: bool
+    wrapped: tuple[int, ...] = ()
+    rest: bool = False
+
+
+@dataclass(frozen=True)
+class Reduction(Observed):
+    """A quantity with a name, and what of its values is kept: one of ``KINDS``."""
+
+    name: str = ""
+    kind: str = KINDS[0]
+
+    @property
+    def asked(self) -> list[str]:
+        """The name, the kind and the expression, as files keep them."""
+        return [self.name, self.kind, self.expression]
+
+    @property
+    def of_variations(self) -> bool:
+        """Whether it tells of variations of a motion."""
+        return self.kind in OF_VARIATIONS
+
+
+def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
+    """Read an expression, a text or of SymPy; an equation means the difference of its sides.
+
+    Raises
+    ------
+    InputError
+        If it contains something else than arithmetic, functions and the names of coordinates,
+        momenta, velocities, parameters, t, energy and kinetic_energy.
+    """
+    reader = Reader(program, "the expression")
+    text = reader.read_any(expression)
+    return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
+
+
+def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
+    """Read a mapping from names to pairs of a kind and an expression.
+
+    Raises
+    ------
+    InputError
+        If a kind is unknown, or an expression contains something else than arithmetic, functions
+        and the names of coordinates, momenta, parameters, t, energy and kinetic_energy.
+    """
+    if given is None:
+        return ()
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"reduce is {type(given).__name__}, not a mapping.\n"
+            "Pass reduce={'highest': ('max', 'q1')}."
+        )
+    found = []
+    for name, pair in given.items():
+        kind = pair[0] if isinstance(pair, tuple) and len(pair) == 2 and not pair[1] else pair
+        if isinstance(kind, str) and kind in OF_VARIATIONS:
+            found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
+            continue
+        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in KINDS[:4]):
+            raise InputError(
+                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS[:4])} and "
+                "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); or one of "
+                f"{', '.join(OF_VARIATIONS)}."
+            )
+        reader = Reader(program, f"reduce[{name!r}]")
+        text = reader.read_any(pair[1])
+        told = reader.portable(pair[1], text)
+        found.append(Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0])))
+    return tuple(found)
+
+
+def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
+    """Write a kernel that puts the quantities into rows behind those of the module."""
+    places = enumerate(found, header.rows)
+    return _kernel(
+        "Quantities that are watched.",
+        _names(header),
+        (f"W[{row}, lane] = {one.text}" for row, one in places),
+    )
+
+
+def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tuple[Recorder, ...]:
+    """Return what reduces quantities over the states of a run.
+
+    From the ``first`` row on, which is behind all others, there are two for each: what it came to,
+    NaN at first, and the value at the state before; then how many states were looked at.
+    """
+    watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if not one.of_variations]
+    if not watched:
+        return ()
+    count = first + 2 * len(reductions)
+    names = _names(header)
+    now, passed = "t", "h"
+    if header.retimed:
+        names.append("t = W[TIME, lane]")
+        passed = "W[TIME, lane] - W[TIME + 2, lane]"
+    lines = [*names, f"number = W[{count}, lane]"]
+    for row, one in watched:
+        lines += [f"value = {one.text}", *_reduced(one.kind, row, now, passed)]
+    lines.append(f"W[{count}, lane] = number + 1.0")
+    body = ["if W[ACTIVE, lane] > 0.0:", *(f"    {line}" for line in lines)]
+    text = _kernel("Quantities that are watched, reduced over states.", [], body)
+    energy = (Recorder("energy", of_states=True),) if any(x.energetic for _, x in watched) else ()
+    rows = 2 * len(reductions) + 1
+    return *energy, Recorder("observe", first, room=rows, text=text, of_states=True)
+
+
+def _reduced(kind: str, row: int, now: str, passed: str) -> list[str]:
+    """Return lines that reduce a ``value`` into a row, where ``number`` values were before."""
+    kept, before = f"W[{row}, lane]", f"W[{row + 1}, lane]"
+    if kind == "mean":
+        return [
+            f"mean = {kept} + (value - {kept}) / (number + 1.0)",
+            f"{kept} = value if number == 0.0 else mean",
+        ]
+    if kind != "first":
+        sign = "<" if kind == "min" else ">"
+        return [
+            f"further = value if value {sign} {kept} else {kept}",
+            f"{kept} = value if number == 0.0 else further",
+        ]
+    # it is NaN until the value is positive
+    return [
+        "if value > 0.0:",
+        "    if number == 0.0:",
+        f"        {kept} = {now}",
+        f"    elif {kept} != {kept}:",
+        f"        {kept} = {now} - ({passed}) * value / (value - {before})",
+        f"{before} = value",
+    ]
+
+
+def _names(header: Header) -> list[str]:
+    """Return lines that give quantities of a state the names that expressions have for them."""
+    rows = [(f"{x.symbol}{i}", f"{x.block} + {i}") for x in VECTORS for i in range(header.n)]
+    rows += [(f"a_{i}", f"PARAMETER + {i}") for i in range(len(header.parameters))]
+    rows += [(x.symbol, x.block) for x in SCALARS]
+    return [f"{name} = W[{row}, lane]" for name, row in rows]
+
+
+def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
+    """Return the text of a kernel for each lane."""
+    functions = "acos, asin, atan, atan2, cos, cosh, exp, log, sin, sinh, sqrt, tan, tanh"
+    return "\n".join(
+        [
+            f"from math import {functions}",
+            "",
+            "",
+            "def observe(h, t, workspace):",
+            f'    """{doc}"""',
+            "    W = carray(workspace, (ROWS, LANES))",
+            "    for lane in range(LANES):",
+            *(f"        {line}" for line in (*names, *lines)),
+            "",
+        ]
+    )
+
+
+def reduce_values(
+    found: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
+) -> list[float]:
+    """Reduce values of quantities at the states of a run, shape (len(t), len(found)).
+
+    What variations tell is not known of states.
+    """
+    return [
+        float("nan")
+        if one.of_variations
+        else _first_crossing(t, value)
+        if one.kind == "first"
+        else float(getattr(value, one.kind)())
+        for one, value in zip(found, values.T, strict=True)
+    ]
+
+
+def _first_crossing(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:
+    positive = np.flatnonzero(value > 0)
+    if positive.size == 0:
+        return float("nan")
+    k = int(positive[0])
+    if k == 0:
+        return float(t[0])
+    return float(t[k] - (t[k] - t[k - 1]) * value[k] / (value[k] - value[k - 1]))

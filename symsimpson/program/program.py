@@ -1,0 +1,312 @@
+"""A module, compiled, with its names and the values of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.module.header import Header, read_header
+from symsimpson.module.syntax import check_structure
+from symsimpson.program.names import Names
+from symsimpson.program.numbers import FLOAT64, Numbers
+from symsimpson.program.sets import KernelSets
+from symsimpson.program.values import read_parameters
+from symsimpson.support.derivation import Derivation, Report
+from symsimpson.support.names import spelled
+
+__all__ = ["Findings", "Program", "Tools", "new_program", "read_program", "report_of"]
+
+#: float64, or numbers of mpmath in an object array.
+Reals = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Tools:
+    """Functions of layers above a program; it gets them from whoever makes it.
+
+    Attributes
+    ----------
+    certify : callable
+        Measures whether a stepper is what it should be.
+    check_step : callable
+        Takes a program, its system, q0, parameters and h, and warns of steps that are too large.
+    force_terms : callable
+        Takes a system, q, the values of parameters and inputs, and t; returns how large the terms
+        of each force are, which may cancel.
+    at_pole : callable
+        Takes a system and a run; returns at which singular point of the coordinates that ended.
+    unresolved_pole : callable
+        Takes a program, its system and a run; returns when that passed such a point unresolved.
+    kink_passed : callable
+        Takes a system, times, positions and values; returns when a force jumped at which root.
+    regular_box : callable
+        Takes a system, values, two corners and a time; returns a box without either.
+    points_of : callable
+        Takes a system, times, positions and values; returns where its points are, by name.
+    """
+
+    certify: Callable[..., Any]
+    check_step: Callable[..., None]
+    force_terms: Callable[..., Any]
+    at_pole: Callable[..., str]
+    unresolved_pole: Callable[..., Any]
+    kink_passed: Callable[..., Any]
+    regular_box: Callable[..., Any]
+    points_of: Callable[..., dict[str, Any]]
+
+
+@dataclass
+class Findings:
+    """Knowledge of a program that its runs have gathered, so that later ones need not.
+
+    Attributes
+    ----------
+    variants : dict
+        Programs that differentiate by these parameters and inputs, and a running cost.
+    checked_steps : set
+        Steps and values of parameters for which the limit of stability was looked at.
+    regular : dict
+        By values of parameters: a box of positions without singular points of the coordinates.
+    irregular : dict
+        How often such a box was not found.
+    prepared : list or None
+        Workspaces for short runs; None where states have to be looked at one by one.
+    long : set
+        Steps and lengths of runs that are not short, though it did not seem so.
+    """
+
+    variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
+    checked_steps: set[tuple[Any, bytes]] = field(default_factory=set)
+    regular: dict[bytes, tuple[Any, Any]] = field(default_factory=dict)
+    irregular: dict[bytes, int] = field(default_factory=dict)
+    prepared: list[Any] | None = None
+    long: set[tuple[float, float]] = field(default_factory=set)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Program:
+    """A module that is ready to run: what runs, ensembles, derivatives and results take.
+
+    Attributes
+    ----------
+    source, where : str
+        Text of the module, and its name in messages.
+    header : Header
+    numbers : Numbers
+        What is computed with.
+    kernels : KernelSets
+    names : Names
+        What users call things.
+    defaults : ndarray, shape (m,)
+        Values of the parameters, unless others are given.
+    given_defaults : mapping or None
+        The same as they were given, by names that users may pass.
+    default_inputs : mapping or None
+        Values of the inputs in runs that are given none.
+    declared : MechanicalSystem or None
+        The system that the module was generated from.
+    derivation : Derivation or None
+        Record of its generation.
+    tools : Tools or None
+    reference_state : mapping or None
+        A state to start from: q0, and v0 or p0.
+    differentiate : callable or None
+        Returns a program that also differentiates its steps by the named parameters and inputs.
+    findings : Findings
+    """
+
+    source: str
+    where: str
+    header: Header
+    numbers: Numbers
+    kernels: KernelSets
+    names: Names
+    defaults: Reals
+    given_defaults: Mapping[str, float] | None = None
+    default_inputs: Mapping[str, float] | None = None
+    declared: Any = None
+    derivation: Derivation | None = None
+    tools: Tools | None = None
+    reference_state: Mapping[str, Any] | None = None
+    differentiate: Callable[..., Program] | None = None
+    findings: Findings
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return self.header.n
+
+    @property
+    def system(self) -> str:
+        """Name of the system."""
+        return self.header.system
+
+    @property
+    def scheme(self) -> str:
+        """Name of the scheme."""
+        return self.header.scheme
+
+    @property
+    def order(self) -> int:
+        """Order of the scheme."""
+        return self.header.order
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates, as users know them."""
+        return self.names.coordinates.shown
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters, as users know them."""
+        return self.names.parameters.shown
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs, as users know them."""
+        return self.names.inputs.shown
+
+    @property
+    def invariants(self) -> tuple[str, ...]:
+        """Names of the quantities to watch, as users know them."""
+        return self.names.invariants.shown
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of quantities by name, as they were declared with the system."""
+        return dict(getattr(self.declared, "units", {}))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        state, defaults = self.reference_state, self.given_defaults
+        given = {
+            "defaults": defaults and dict(defaults),
+            "declared": self.declared,
+            "reference_state": state and dict(state),
+            "numbers": self.numbers,
+            "tools": self.tools,
+            "differentiate": self.differentiate,
+            "names": self.names,
+            "default_inputs": self.default_inputs,
+        }
+        return partial(new_program, self.source, self.where, **given), ()
+
+    def __repr__(self) -> str:
+        return f"Program({self.system}, {self.scheme})"
+
+    def values(self, given: Mapping[Any, Any] | None = None) -> Reals:
+        """Return values of all parameters, the defaults but for those that are given.
+
+        Raises
+        ------
+        InputError
+            If one is unknown, or not as it was declared.
+        """
+        if given is None:
+            return self.defaults.copy()
+        self.check_given(given)
+        values = read_parameters(
+            self.names.parameters, self.header.signs, self.defaults, given, self.numbers
+        )
+        if self.names.idle:
+            self.names.warn_of_idle(self.system, np.flatnonzero(values != self.defaults))
+        return values
+
+    def named_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:
+        """Return values of all parameters by name."""
+        return dict(zip(self.parameters, self.values(given).tolist(), strict=True))
+
+    def free_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:
+        """Return the values of those parameters that do not follow from the start."""
+        values, own = self.named_values(given), self.header.from_start
+        return {name: value for name, value in values.items() if name not in own}
+
+    def check_given(self, given: Mapping[Any, Any] | None) -> None:
+        """Refuse values of parameters that follow from the start of a run.
+
+        Raises
+        ------
+        InputError
+        """
+        own = self.header.from_start
+        if own and isinstance(given, Mapping) and not own.isdisjoint(map(spelled, given)):
+            raise InputError(
+                f"parameters give {', '.join(sorted(own))}, or one of them, which follow from the "
+                "start of a run.\nLeave them out: E0 is the energy there."
+            )
+
+
+def new_program(
+    source: str,
+    where: str,
+    *,
+    defaults: Mapping[str, float] | None = None,
+    numbers: Numbers | None = None,
+    names: Names | None = None,
+    declared: Any = None,
+    **more: Any,
+) -> Program:
+    """Return the program of a module's text; nothing is compiled or executed yet.
+
+    Parameters
+    ----------
+    source, where : str
+    defaults : mapping from str to float, optional
+        Default parameter values in the module's order, by the names that users may pass.
+    numbers : Numbers, optional
+        Double precision unless given.
+    names : Names, optional
+        What users call things, if another program knows.
+    declared : MechanicalSystem, optional
+    **more
+        Other attributes of :class:`Program`.
+
+    Raises
+    ------
+    StaleKernelError
+        If the text is no module of this version.
+    """
+    header = read_header(source, where)
+    numbers = numbers or FLOAT64
+    free = header.real_everywhere and not (header.constraints or header.inputs)
+    return Program(
+        source=source,
+        where=where,
+        header=header,
+        numbers=numbers,
+        kernels=numbers.kernels(source, header),
+        names=names or Names(header, declared, defaults),
+        defaults=numbers.read(header.defaults if defaults is None else list(defaults.values())),
+        given_defaults=defaults,
+        declared=declared,
+        findings=Findings(prepared=[] if free and numbers.compiled else None),
+        **more,
+    )
+
+
+def read_program(text: str, where: str, tools: Tools | None = None) -> Program:
+    """Return the program of a module from a file, once digest and structure are checked.
+
+    Raises
+    ------
+    StaleKernelError
+        If it is not a module that this version generated.
+    """
+    program = new_program(text, where, tools=tools)  # compares the digest, executes nothing
+    check_structure(text, where)
+    return program
+
+
+def report_of(program: Program) -> Report:
+    """Return how long deriving and compiling took, and how long the result is."""
+    derived, lines = program.derivation, len(program.source.splitlines())
+    seconds = {"compilation": float(getattr(program.kernels, "seconds", 0.0))}
+    if derived is None:
+        return Report(seconds, lines, None, "")
+    form = "unrolled" if derived.unrolled else "loops"
+    return Report({**derived.seconds, **seconds}, lines, derived.operations, form)

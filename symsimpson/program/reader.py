@@ -1,0 +1,280 @@
+"""Expressions of a user, texts or of SymPy, written in names of a kernel."""
+
+from __future__ import annotations
+
+import ast
+import re
+from itertools import chain
+from keyword import iskeyword
+from typing import TYPE_CHECKING, Any
+
+from symsimpson.errors import InputError
+from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.support.names import did_you_mean, spelled
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["Reader"]
+
+#: Functions, and how many arguments they take at least and at most.
+_FUNCTIONS = dict.fromkeys(
+    (
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "log",
+        "sqrt",
+        "abs",
+    ),
+    (1, 1),
+) | {"atan2": (2, 2), "min": (1, 50), "max": (1, 50)}
+_SPELLED = {"Abs": "abs", "Min": "min", "Max": "max"}
+_SIGNS: dict[type[ast.AST], str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "**",
+    ast.Mod: "%",
+}
+#: What the text of an expression is made of, beside names.
+SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
+OPERATORS = re.compile(r"[.+\-*/%(),]")
+#: Symbols of what a kernel computes before an expression is evaluated.
+COMPUTED = tuple(one.symbol for one in QUANTITIES.values() if one.symbol and one.kernel)
+LONGEST = 2000
+LARGEST = 10**300
+
+
+class Reader:
+    """Writes an expression anew from its syntax tree; what is not on the list is refused.
+
+    Names in it are those of a user, which Python need not take as names, or of the module.
+
+    Attributes
+    ----------
+    energetic : bool
+        Whether it contains the energy or velocities.
+    rest : bool
+        Whether it is a rest alone, as ``Mod(q1, 2*pi)``.
+    """
+
+    def __init__(self, program: Program, where: str) -> None:
+        self._where, self._header = where, program.header
+        self.energetic = self.rest = False
+        coordinates, parameters = program.names.coordinates, program.names.parameters
+        self._known = {"t": "t", "pi": "3.141592653589793"}
+        self._known |= {one.name: one.symbol for one in SCALARS}
+        alone = set(self._known) - {"pi"}
+        self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
+        of_state = {
+            f"{one.prefix}{q}": f"{one.symbol}{i}"
+            for one in reversed(VECTORS)  # names of coordinates come first
+            for q, i in coordinates.places.items()
+        }
+        self._double = set(parameters.places) & (alone | (of_state.keys() - coordinates.places))
+        self._known |= of_state
+        self._moving = set(coordinates.places)
+        shown = [one.shown(program.names) for one in VECTORS]
+        self._listed = [*chain(*shown), *parameters.shown]
+        self._listed += ["t", *(one.name for one in SCALARS), "pi"]
+        self._used: set[str] = set()
+        #: What stands for names that no text can have in it, and these names.
+        self._standing: dict[str, str] = {}
+
+    def read_any(self, expression: Any) -> str:
+        """Read a text, an expression of SymPy, or an equation."""
+        if hasattr(expression, "free_symbols") and hasattr(expression, "xreplace"):
+            expression = self._named_plainly(expression)
+        if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
+            left, right = expression.lhs, expression.rhs
+            return self.read(f"({left})" if right == 0 else f"({left}) - ({right})")
+        return self.read(str(expression))
+
+    def portable(self, expression: Any, text: str) -> str:
+        """Return an expression as it was given, or where only a user knows its names in others.
+
+        Those are the module's own; ``text`` is what was written of the expression.
+        """
+        own = {"q": self._header.coordinates, "a": self._header.parameters}
+        known = {"t": "t", "pi": self._known["pi"]} | {one.name: one.symbol for one in SCALARS}
+        for kind in "qpva":
+            before = f"{kind}_" if kind in "pv" else ""
+            names = own.get(kind, self._header.coordinates)
+            known |= {f"{before}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
+        if all(known.get(name) == self._known[name] for name in self._used):
+            return str(expression)
+
+        def name(found: re.Match[str]) -> str:
+            kind, place = found[1], int(found[2])
+            before = f"{kind}_" if kind in "pv" else ""
+            return before + own.get(kind, self._header.coordinates)[place]
+
+        return re.sub(r"\b([qpva])_(\d+)\b", name, text)
+
+    def _named_plainly(self, expression: Any) -> Any:
+        """Let plain symbols stand for all symbols, coordinates and velocities of an expression."""
+        import sympy as sp  # which whoever has such an expression has loaded
+        from sympy.core.function import AppliedUndef
+
+        rules, work, seen = {}, [expression], set()
+        while work:
+            node = work.pop()
+            if node in seen:
+                continue
+            seen.add(node)
+            velocity = (
+                isinstance(node, sp.Derivative)
+                and isinstance(node.expr, AppliedUndef)
+                and node.derivative_count == 1
+            )
+            if not velocity and not isinstance(node, (sp.Symbol, AppliedUndef)):
+                work += node.args
+                continue
+            name = spelled(node)
+            if name not in self._known:  # a text with it could be read as something else
+                raise self._refuse(f"it contains the unknown name {name!r}", name)
+            if not _plain(name) or velocity or isinstance(node, AppliedUndef):
+                rules[node] = sp.Symbol(self._stand_in(name))
+        return expression.xreplace(rules)
+
+    def _stand_in(self, name: str) -> str:
+        """Return a plain name that stands for a known one."""
+        if _plain(name):
+            return name
+        plain = f"symbol_{len(self._standing)}_"
+        while plain in self._known:
+            plain += "_"
+        self._standing[plain] = name
+        self._known[plain] = self._known[name]
+        for names in (self._moving, self._double):
+            if name in names:
+                names.add(plain)
+        return plain
+
+    def _with_stand_ins(self, text: str) -> str:
+        """Let plain names stand for those in a text that are none, the longest first."""
+        strange = sorted(filter(_strange, self._known), key=len, reverse=True)
+        if not strange:
+            return text
+        # a name that begins or ends with a letter is no part of a longer word
+        edges = {True: (r"(?<!\w)", r"(?!\w)"), False: ("", "")}
+        word = re.compile(r"\w")
+        pattern = "|".join(
+            edges[bool(word.match(name[0]))][0]
+            + re.escape(name)
+            + edges[bool(word.match(name[-1]))][1]
+            for name in strange
+        )
+        found: dict[str, str] = {}
+
+        def stand_in(match: re.Match[str]) -> str:
+            name = match[0]
+            if name not in found:
+                found[name] = self._stand_in(name)
+            return f" {found[name]} "
+
+        return re.sub(pattern, stand_in, text)
+
+    def read(self, text: str) -> str:
+        """Read a text."""
+        if len(text) > LONGEST:
+            raise self._refuse(f"it has {len(text)} characters, more than {LONGEST}")
+        try:
+            body = ast.parse(self._with_stand_ins(text).strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            raise self._refuse("it is no expression") from None
+        try:
+            written = self._write(body)
+        except RecursionError:
+            raise self._refuse("it is nested too deeply") from None
+        self.rest = isinstance(body, ast.BinOp) and isinstance(body.op, ast.Mod)
+        self.rest |= isinstance(body, ast.Call) and ast.unparse(body.func) == "Mod"
+        return written
+
+    def _refuse(self, why: str, name: str = "") -> InputError:
+        for plain, own in self._standing.items():
+            why = why.replace(plain, own)
+        hint = did_you_mean(name, self._listed) if name else ""
+        return InputError(
+            f"{self._where}: {why}.{hint}\nUse numbers, + - * / ** %, "
+            f"{', '.join(sorted(_FUNCTIONS))}, Mod, and the names {', '.join(self._listed)}."
+        )
+
+    def _write(self, node: ast.expr) -> str:
+        match node:
+            case ast.Constant(value=bool()):
+                raise self._refuse("it contains a truth value")
+            case ast.Constant(value=int() | float() as number):
+                if not -LARGEST < number < LARGEST:
+                    raise self._refuse("it contains a number that is too large")
+                return repr(float(number))
+            case ast.Name(id=name) if name in self._known:
+                self._check_single(name)
+                self._used.add(name)
+                self.energetic |= self._known[name].startswith(COMPUTED)
+                return self._known[name]
+            case ast.Call(
+                func=ast.Name(id="Derivative"),
+                args=[ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")]), ast.Name(id="t")],
+            ) if name in self._moving:
+                return self._write(ast.Name(id=f"v_{name}"))  # SymPy's velocity
+            case ast.Call(func=ast.Name(id=name), args=[ast.Name(id="t")], keywords=[]) if (
+                name in self._moving
+            ):
+                return self._write(ast.Name(id=name))  # SymPy writes q1(t)
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if (
+                _SPELLED.get(name, name) in _FUNCTIONS and arguments
+            ):
+                least, most = _FUNCTIONS[_SPELLED.get(name, name)]
+                if not least <= len(arguments) <= most:
+                    raise self._refuse(f"{name} is given {len(arguments)} arguments")
+                inner = ", ".join(map(self._write, arguments))
+                return f"{_SPELLED.get(name, name)}({inner})"
+            case ast.Call(func=ast.Name(id="Mod"), args=[left, right], keywords=[]):
+                return self._write(ast.BinOp(left, ast.Mod(), right))
+            case ast.Name(id=name):
+                raise self._refuse(f"it contains {name[:60]!r}", name)
+            case ast.UnaryOp(op=op, operand=operand) if isinstance(op, (ast.USub, ast.UAdd)):
+                sign = "-" if isinstance(op, ast.USub) else "+"
+                return f"({sign}{self._write(operand)})"
+            case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)) if (
+                abs(power) < 100
+            ):
+                return f"({self._write(left)} ** {power})"
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _SIGNS:
+                return f"({self._write(left)} {_SIGNS[type(op)]} {self._write(right)})"
+        raise self._refuse(f"it contains {ast.unparse(node)[:60]!r}")
+
+    def _check_single(self, name: str) -> None:
+        """Refuse a name that means a parameter and something else."""
+        if name in self._double:
+            raise self._refuse(f"{name!r} is a parameter, and the name of another quantity, too")
+
+
+def _plain(name: str) -> bool:
+    """Return whether Python takes a name as it is: other letters are another name's for it."""
+    return name.isascii() and name.isidentifier() and not iskeyword(name)
+
+
+def _strange(name: str) -> bool:
+    """Return whether a text can have a name in it that is no plain one, without being mistaken."""
+    if _plain(name) or not name.strip():
+        return False
+    if not SYNTAX.fullmatch(name) or iskeyword(name):
+        return True
+    if OPERATORS.search(name):
+        return False
+    try:
+        ast.parse(name.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        return True
+    return name.isidentifier()

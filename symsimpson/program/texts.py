@@ -1,0 +1,77 @@
+"""Texts of modules on disk, under what they follow from: deriving them again is skipped."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from functools import cache
+from importlib import resources
+from importlib.resources.abc import Traversable
+from typing import Any
+
+from symsimpson.program.kept import kept
+from symsimpson.support.derivation import Derivation
+
+__all__ = ["kept_text"]
+
+#: What the generator is made of.
+GENERATOR = ("graph", "mechanics", "schemes", "discrete", "codegen", "module")
+#: A derivation that took less, in seconds, is as soon done again as read.
+BRIEF = 0.1
+
+
+def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Derivation:
+    """Return the derivation that was kept for the same source, or make it and keep it.
+
+    Parameters
+    ----------
+    source : iterable of str
+        All that the text follows from, beside the generator itself.
+    derive : callable
+
+    Returns
+    -------
+    Derivation
+        Its stages took no time where it was kept.
+    """
+    return kept("texts", "\n".join([_generator(), *source]), _read, derive, _content)
+
+
+def _read(found: Any) -> Derivation:
+    text = found["text"]
+    if _digest(text) != found["sha256"]:
+        raise ValueError("the text does not have the digest that it names")
+    seconds = dict.fromkeys(map(str, found["stages"]), 0.0)
+    return Derivation(text, seconds, found["operations"], found["unrolled"] is True)
+
+
+def _content(made: Derivation) -> dict[str, Any] | None:
+    if sum(made.seconds.values()) <= BRIEF:
+        return None
+    return {
+        "text": made.text,
+        "sha256": _digest(made.text),
+        "operations": made.operations,
+        "unrolled": made.unrolled,
+        "stages": [*made.seconds],
+    }
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def _generator() -> str:
+    """Return what tells this generator from others, which may write other texts."""
+    package, digest = resources.files("symsimpson"), hashlib.sha256()
+    for name in GENERATOR:
+        for file in _files(package.joinpath(name)):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _files(place: Traversable) -> list[Traversable]:
+    if place.is_file():
+        return [place] if place.name.endswith(".py") else []
+    return [x for one in sorted(place.iterdir(), key=lambda x: x.name) for x in _files(one)]

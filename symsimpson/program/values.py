@@ -1,0 +1,140 @@
+"""Numbers and arrays as users give them, read and checked."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.support.names import Named
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+
+__all__ = [
+    "MOST_STEPS",
+    "read_array",
+    "read_count",
+    "read_number",
+    "read_parameters",
+    "read_vector",
+    "shortened",
+    "whole_number",
+]
+
+#: More steps than this cannot be counted exactly in a float.
+MOST_STEPS = 2**53
+
+
+def read_vector(name: str, value: Any, coordinates: Named, numbers: Numbers) -> NDArray[Any]:
+    """Read one finite number for each coordinate: in their order, or a mapping by name."""
+    vector = read_array(name, coordinates.in_order(name, value), numbers)
+    n = len(coordinates)
+    if vector.shape != (n,):
+        raise InputError(
+            f"{name} has shape {vector.shape}, expected ({n},): one number for each of "
+            f"{', '.join(coordinates.shown)}.\nThe order is that of the coordinates in the "
+            f"declaration; or name them: {{{coordinates.shown[0]!r}: ...}}."
+        )
+    if not numbers.all_finite(vector):
+        where = coordinates.shown[int(np.argmin(numbers.finite(vector)))]
+        raise InputError(
+            f"{name} is not finite for {where}: {value!r}.\n"
+            "A run must begin at a finite state. Look where the number comes from."
+        )
+    return vector
+
+
+def read_number(name: str, value: Any, numbers: Numbers) -> Any:
+    """Read one finite real number."""
+    if numbers.is_one(value):
+        return value
+    try:
+        array = numbers.read(value)
+    except (TypeError, ValueError, OverflowError):
+        array = None
+    if array is None or array.shape != () or not numbers.all_finite(array):
+        raise InputError(f"{name} is {shortened(value)}, not a finite real number.\nPass a number.")
+    return array.item()
+
+
+def read_array(name: str, value: Any, numbers: Numbers) -> NDArray[Any]:
+    """Read an array of real numbers of any shape."""
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        raise InputError(
+            f"{name} has masked entries, which have no value.\n"
+            "Fill them, or leave these members out: x.compressed(), x[~x.mask.any(axis=1)]."
+        )
+    try:
+        return numbers.read(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(
+            f"{name} is {shortened(value)}, not real numbers.\nPass a list or an array of floats."
+        ) from None
+
+
+def read_count(name: str, value: Any, least: int) -> int:
+    """Read a whole number."""
+    number = whole_number(value)
+    if number is None:
+        raise InputError(f"{name} is {value!r}, not a whole number.\nPass an int.")
+    if not least <= number <= MOST_STEPS:
+        raise InputError(f"{name} is {number}.\nPass a whole number from {least} to 2**53.")
+    return number
+
+
+def whole_number(value: Any) -> int | None:
+    """Return an int, None for what is no whole number; truth values are none."""
+    if type(value) is int:
+        return value
+    try:
+        return None if isinstance(value, (bool, np.bool_)) else operator.index(value)
+    except TypeError:
+        return None
+
+
+def read_parameters(
+    names: Named,
+    signs: tuple[str, ...],
+    defaults: NDArray[Any],
+    given: Mapping[Any, Any] | None,
+    numbers: Numbers,
+) -> NDArray[Any]:
+    """Merge run-time values, by symbol or by name, into the defaults."""
+    values = defaults.copy()
+    if given is None:
+        return values
+    if not isinstance(given, Mapping):
+        raise InputError(
+            f"parameters is {shortened(given)}, not a mapping.\nPass parameters={{'m': 1.0}}."
+        )
+    seen: set[int] = set()
+    for key, value in given.items():
+        slot = names.found(key)
+        name = names.shown[slot]
+        if slot in seen:
+            raise InputError(
+                f"parameter {name} is given twice, by name and by symbol.\nGive it once."
+            )
+        seen.add(slot)
+        number = read_number(f"parameter {name}", value, numbers)
+        if (signs[slot] == "positive" and number <= 0) or (
+            signs[slot] == "negative" and number >= 0
+        ):
+            raise InputError(
+                f"parameter {name} is declared {signs[slot]} and given as "
+                f"{float(number):g}.\nThe equations were simplified with that sign. "
+                "Change the value or the declaration."
+            )
+        values[slot] = number
+    return values
+
+
+def shortened(value: object) -> str:
+    """Return how a value is written, in some sixty characters."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,1 @@
+"""Results: states, what follows from them, and files."""

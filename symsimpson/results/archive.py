@@ -1,0 +1,176 @@
+"""Trajectories from files: netCDF and Zarr, by way of xarray."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import numpy as np
+
+from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
+from symsimpson.program.program import Program, read_program
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.results.saving import digest_of
+from symsimpson.results.tables import TABLES, check_kind
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.support.extras import library
+from symsimpson.support.files import read_path
+
+__all__ = ["open_trajectory"]
+
+#: What reads tables again.
+READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.read_parquet"}
+#: What a file must hold: variables, and attributes beside the dataset's own.
+VARIABLES = ("q", "p", "newton_iterations", "module")
+ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
+
+
+def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Open a trajectory that ``run.save`` wrote.
+
+    The module in the file is checked, as by :func:`symsimpson.load`, before anything of it runs.
+
+    Parameters
+    ----------
+    path : path
+        A ``.nc`` file or a ``.zarr`` store.
+
+    Returns
+    -------
+    Trajectory
+        With all that it had: energies, dense output, events.
+
+    Raises
+    ------
+    InputError
+        If the name ends otherwise, or a library is missing.
+    StorageError
+        If the file cannot be read, or holds no trajectory.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib, symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.nc"
+    >>> run.save(path)
+    >>> again = ss.open_trajectory(path)
+    >>> bool((again.q == run.q).all()), again.energy[3] == run.energy[3]
+    (True, np.True_)
+    """
+    where = read_path("the trajectory's file", path)
+    kind = check_kind(where)
+    if kind in TABLES:
+        raise InputError(
+            f"{where}: a {kind} file is a table, and holds no run that could go on.\nRead it with "
+            f"{READERS[kind]}; run.save('run.nc') or 'run.zarr' keeps all of a run."
+        )
+    if not where.exists():
+        raise StorageError(f"{where}: there is no such file.\nrun.save(path) makes one.")
+    xarray = library("xarray", "a trajectory in a file", "data")
+    try:
+        if kind == ".nc":
+            with xarray.open_dataset(where, engine="netcdf4", decode_times=False) as opened:
+                found = opened.load()
+        else:
+            found = xarray.open_zarr(
+                where, chunks=None, consolidated=False, decode_times=False
+            ).load()
+    except Exception as error:  # whatever a damaged file makes the libraries raise
+        raise StorageError(
+            f"{where}: the file cannot be read: {str(error)[:200]}.\n"
+            "It is damaged, or no trajectory."
+        ) from None
+    missing = [name for name in VARIABLES if name not in found]
+    missing += [name for name in ATTRIBUTES if name not in found.attrs]
+    if missing:
+        raise StorageError(
+            f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.\n"
+            "Open it with xarray to see what it holds."
+        )
+    try:
+        text = np.asarray(found["module"], dtype=np.uint8).tobytes().decode()
+        program = read_program(text, os.fspath(where))
+        run = _trajectory(found, program)
+        if digest_of(run) != found.attrs["sha256"]:
+            raise ValueError("its content does not have the digest that it names")
+        return run
+    except (StaleKernelError, InputError):
+        raise
+    except (SymsimpsonError, ValueError, TypeError, KeyError, OverflowError) as error:
+        raise StorageError(
+            f"{where}: the file contradicts itself: {error}.\nIt is damaged, or was edited."
+        ) from None
+
+
+def _trajectory(found: Any, program: Program) -> Trajectory:
+    """Put a trajectory together, of which all parts must fit."""
+    about = found.attrs
+    t = np.asarray(found["time"], dtype=np.float64)
+    q, p = (np.ascontiguousarray(found[name], dtype=np.float64) for name in "qp")
+    values = np.atleast_1d(np.asarray(about["parameter_values"], dtype=np.float64))
+    iterations = np.asarray(found["newton_iterations"], dtype=np.int64)
+    h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
+    stored = steps // every + 1 if every > 0 else 1
+    tau, retimed = t - t[0], program.header.retimed
+    if retimed:
+        tau = np.asarray(found["tau"], dtype=np.float64)
+        stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
+    shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
+    wanted = (
+        (stored,),
+        (stored, program.n),
+        (stored, program.n),
+        (stored,),
+        (len(program.parameters),),
+    )
+    if shapes != wanted or not np.isfinite(h) or h == 0:
+        raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
+    whole = steps // every + 1 if every > 0 else 0
+    exact = t[0] * (not retimed) + h * every * np.arange(whole)
+    own = (tau if retimed else t)[:whole]
+    if not np.abs(own - exact).max(initial=0) <= 16 * np.finfo(float).eps * np.abs(exact).max(
+        initial=0
+    ):
+        raise ValueError("times are not steps apart")
+    if retimed and not (np.diff(t) * h > 0).all():
+        raise ValueError("times do not go on")
+    inputs = NO_INPUTS
+    if program.inputs:
+        inputs = np.ascontiguousarray(found["inputs"], dtype=np.float64)[None]
+        if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(program.inputs):
+            raise ValueError(f"inputs have shape {inputs.shape[1:]}")
+        if inputs.shape[2] not in (1, len(program.header.input_places)):
+            raise ValueError(f"inputs have {inputs.shape[2]} nodes")
+    ways = varied = None
+    if "variations" in found:
+        ways = np.ascontiguousarray(found["variations"], dtype=np.float64)
+        if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * program.n):
+            raise ValueError(f"variations have shape {ways.shape}")
+        if "varied_by" in about:
+            varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
+    works, reduced = None, json.loads(str(about.get("reduced", "[]")))
+    if "work_values" in found:
+        works = np.ascontiguousarray(found["work_values"], dtype=np.float64)
+        if works.shape != (stored, program.header.powers):
+            raise ValueError(f"work has shape {works.shape}")
+    return Trajectory(
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=h,
+        steps=steps,
+        every=every or None,
+        status=Status[str(about["status"])],
+        message=str(about["message"]),
+        program=program,
+        parameter_values=values,
+        input_values=inputs,
+        tau_values=tau if retimed else None,
+        variations=ways,
+        varied_by=varied,
+        work_values=works,
+        reduced_values=tuple((str(k), float(x)) for k, x in reduced),
+    )

@@ -1,0 +1,122 @@
+"""Steppers and what they give, in HTML."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.support.markup import Markup, box, curves, facts, scatter
+
+__all__ = ["ensemble", "events", "states", "stepper", "trajectory", "verdict"]
+
+#: More coordinates than this are no picture each.
+DRAWN = 6
+GOOD, BAD = "#3a9e6b", "#d1495b"
+
+
+def stepper(program: Program) -> str:
+    """Show what was generated, and how a step is solved."""
+    values = ", ".join(f"{k} = {float(v):g}" for k, v in program.named_values().items())
+    solved = "explicit, or one matrix for all"
+    unknowns = program.header.newton_unknowns
+    if unknowns:
+        solved = "Newton's method with the exact Jacobian"
+        if program.header.by_stages:
+            solved = f"iterated over {program.header.layout['NODES']} stages; else {solved}"
+    lines = program.source.count("\n")
+    return box(
+        f"Stepper of {program.system}",
+        facts(
+            [
+                ("scheme", f"{program.scheme}, order {program.order}"),
+                ("coordinates", ", ".join(program.coordinates)),
+                ("parameters", values or "none"),
+                ("invariants", ", ".join(program.invariants) or "none declared"),
+                ("a step", solved),
+                ("Newton unknowns", unknowns or "none"),
+                ("module", f"{lines} lines; print(stepper.source) shows them"),
+                ("compiled code", program.kernels.location),
+            ]
+        ),
+    )
+
+
+def states(some: Any) -> str:
+    """Show states with a picture of each coordinate."""
+    return box(repr(some), facts(_drawn(some)))
+
+
+def events(found: Any) -> str:
+    """Show the states in which something happens."""
+    rows: list[tuple[str, Any]] = [("zeros of", found.expression)]
+    if found.status is not Status.SUCCESS:
+        rows.append(("the run", verdict(found.message, False)))
+    if len(found) > 1:
+        rows += [
+            (f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
+            for q in found.program.coordinates[:DRAWN]
+        ]
+    return box(repr(found), facts(rows))
+
+
+def trajectory(run: Any) -> str:
+    """Show how a run ended, with pictures."""
+    rows: list[tuple[str, Any]] = [
+        ("scheme", f"{run.program.scheme}, order {run.program.order}"),
+        ("steps", f"{run.steps} of h = {float(run.h):g}, {len(run)} states stored"),
+        ("status", verdict(run.status.name, run.success)),
+    ]
+    if not run.success:
+        rows.append(("message", run.message))
+    iterations = int(run.newton_iterations.sum())
+    if run.steps and iterations:
+        rows.append(("iterations a step", f"{iterations / run.steps:.2f}"))
+    constant = run.program.header.conservative
+    energy = np.asarray(run.energy_error if constant else run.energy, dtype=float)
+    if constant:
+        rows.append(("largest energy error", f"{np.abs(energy).max():.2g}"))
+    if len(run) > 1:
+        rows += _drawn(run)
+        rows.append(("energy error" if constant else "energy", curves(run.t, [energy])))
+    return box(f"Trajectory of {run.program.system}", facts(rows))
+
+
+def _drawn(some: Any) -> list[tuple[str, Any]]:
+    names = some.program.coordinates
+    if len(some) < 2:
+        return [(name, f"{float(some[name][0]):.6g}") for name in names[:DRAWN] if len(some)]
+    if len(names) > DRAWN:
+        return [(f"{names[0]}, ..., {names[-1]}", curves(some.t, list(some.q.T[:DRAWN])))]
+    return [(name, curves(some.t, [some[name]])) for name in names]
+
+
+def ensemble(found: Any) -> str:
+    """Show the outcome of many runs, with pictures of their ends."""
+    names = found.program.coordinates
+    good = bool((found.status == Status.SUCCESS).all())
+    rows: list[tuple[str, Any]] = [
+        ("scheme", f"{found.program.scheme}, order {found.program.order}"),
+        ("members", len(found)),
+        ("to t", f"{np.nanmax(found.t):g}, {found.stored} states of each stored"),
+        ("status", verdict(found.message, good)),
+    ]
+    if found.store is not None:
+        rows.append(("store", found.store))
+    elif len(found) > 1:
+        last = found.q[:, -1] if found.q.ndim == 3 else found.q
+        x, y = (last[:, 0], last[:, 1]) if len(names) > 1 else (np.arange(len(last)), last[:, 0])
+        what = f"{names[1]} over {names[0]}" if len(names) > 1 else f"{names[0]} of each member"
+        rows.append((f"ends: {what}", scatter(x, y)))
+    for name, values in found.reduced.items():
+        rows.append((name, curves(np.arange(len(values)), [np.sort(values)])))
+    return box(f"Ensemble of {found.program.system}", facts(rows))
+
+
+def verdict(text: str, good: bool) -> Markup:
+    """Return a text in green or red."""
+    import html
+
+    return Markup(f'<span style="color: {GOOD if good else BAD}">{html.escape(text)}</span>')

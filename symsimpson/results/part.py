@@ -1,0 +1,91 @@
+"""Some of the states of a run, with what the run knows of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.results.states import States
+from symsimpson.results.stored import Stored
+
+if TYPE_CHECKING:
+    from symsimpson.plotting.animate import Animation
+
+__all__ = ["Part"]
+
+#: What a run has a row of for each state, or a mapping of such rows.
+ROWS = (
+    "tau",
+    "newton_iterations",
+    "tangent",
+    "sensitivity",
+    "work",
+    "power",
+    "energy_balance",
+    "energy_error",
+    "shadow_energy",
+    "multipliers",
+    "constraint_error",
+    "constraint_forces",
+)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Part(States):
+    """Some of the states of a run; what the run knows of each of them is there, too.
+
+    Attributes are those of :class:`States`; ``tau``, ``newton_iterations``, ``tangent``,
+    ``sensitivity``, ``work``, ``power``, ``energy_balance``, ``energy_error``,
+    ``shadow_energy``, ``multipliers``, ``constraint_error`` and ``constraint_forces`` are rows of
+    those of the whole run.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> bool((run[3:5].energy_error == run.energy_error[3:5]).all())
+    True
+    """
+
+    _run: Any = field(repr=False)
+    _places: NDArray[np.int64] = field(repr=False)
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ROWS:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        found = getattr(self._run, name)
+        if isinstance(found, dict):
+            return {key: rows[self._places] for key, rows in found.items()}
+        return found[self._places]
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a quantity by its name, shape (N,), or some of the states."""
+        found = super().__getitem__(key)
+        return found if isinstance(found, np.ndarray) else part_of(self._run, self._places, key)
+
+    def at(self, t: ArrayLike) -> States:
+        """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""
+        return self._run.at(t)
+
+    def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
+        """Film this part of the run, as :meth:`Trajectory.animate`."""
+        from symsimpson.plotting.animate import animate
+
+        return animate(self, seconds=seconds, fps=fps)
+
+
+def part_of(run: Stored, places: NDArray[np.int64], key: Any) -> Part:
+    """Return some of the states at these places of a run."""
+    some = np.atleast_1d(places[key])
+    return Part(
+        t=run.t[some],
+        q=run.q[some],
+        p=run.p[some],
+        program=run.program,
+        parameter_values=run.parameter_values,
+        _run=run,
+        _places=some,
+    )

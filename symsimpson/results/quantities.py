@@ -1,0 +1,171 @@
+"""Quantities of states, by attribute and by name; of one run, or of all members of an ensemble."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import UnknownNameError
+from symsimpson.module.matrices import slopes_of
+from symsimpson.module.quantity import QUANTITIES, SCALARS, VECTORS
+from symsimpson.program.program import Program
+from symsimpson.support.names import did_you_mean, spelled
+
+__all__ = ["Quantities"]
+
+
+class Quantities:
+    """Quantities that follow from q and p of shape (..., n), computed when first asked for."""
+
+    t: NDArray[Any]
+    q: Any
+    p: Any
+    program: Program
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        """Return a block of rows at all states, shape (..., count)."""
+        raise NotImplementedError
+
+    def _of_table(self, name: str) -> NDArray[Any]:
+        """Return a quantity of the table; its numbers, if there are several, on the last axis."""
+        one = QUANTITIES[name]
+        assert one.kernel is not None
+        shown = one.shown(self.program.names)
+        if not shown:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        found = self._evaluated(one.kernel(self.program.header), one.block, len(shown))
+        return found if one.axis else found[..., 0]
+
+    @cached_property
+    def v(self) -> NDArray[Any]:
+        """Velocities, in the shape of q."""
+        return self._of_table("v")
+
+    @cached_property
+    def energy(self) -> NDArray[Any]:
+        """H, in the shape of q without the last axis."""
+        return self._energies[..., 0]
+
+    @cached_property
+    def kinetic_energy(self) -> NDArray[Any]:
+        """The part of H that is quadratic in p; what is left is the potential energy."""
+        return self._energies[..., 1]
+
+    @cached_property
+    def _energies(self) -> NDArray[Any]:
+        """H and its kinetic part, which stand in two rows, shape (..., 2)."""
+        return self._evaluated("energy", "ENERGY", 2)
+
+    @cached_property
+    def invariants(self) -> dict[str, NDArray[Any]]:
+        """The system's named invariants, each in the shape of the energy."""
+        names = self.program.invariants
+        if not names:
+            return {}
+        found = self._evaluated("invariants", "INVARIANT", len(names))
+        return {name: found[..., i] for i, name in enumerate(names)}
+
+    @cached_property
+    def points(self) -> dict[str, NDArray[np.float64]]:
+        """Where the points and bodies are that were declared as ``positions``, by name.
+
+        Of shape (..., 2) or (..., 3) for a point, (..., corners, 2 or 3) for a body.
+        """
+        program = self.program
+        if program.tools is None or not getattr(program.declared, "positions", None):
+            return {}
+        return program.tools.points_of(program.declared, *self._where())
+
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        """Return times, positions and values of parameters, of which the first axes agree."""
+        raise NotImplementedError
+
+    @cached_property
+    def multipliers(self) -> NDArray[Any]:
+        """Multipliers lambda of L - lambda.phi, shape (..., m): of the order of the scheme.
+
+        They are those that keep the acceleration of a state on the constraints; not the ones of a
+        step, which are of low order (Hairer, Lubich and Wanner, VII.1).
+        """
+        return self._of_table("multipliers")
+
+    @cached_property
+    def constraint_error(self) -> NDArray[Any]:
+        """phi(q) as it is written, shape (..., m): rounding alone."""
+        return self._held("CONSTRAINT")
+
+    @cached_property
+    def constraint_forces(self) -> NDArray[Any]:
+        """The generalised forces -Phi^T lambda of the constraints, in the shape of q."""
+        if not self.program.header.constraints:
+            return 0 * self.q
+        return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self.program.n)
+
+    def _held(self, block: str) -> NDArray[Any]:
+        """Return a block of what constraints have, a row for each."""
+        held = self.program.header.constraints
+        if not held:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        return self._evaluated("multipliers", block, len(held))
+
+    def _slopes(self) -> NDArray[Any]:
+        """Return Phi = dphi/dq, shape (..., m, n)."""
+        header = self.program.header
+        rows = self._evaluated("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"])
+        return slopes_of(header, rows)
+
+    def _own(self, key: str) -> Any:
+        """Return a quantity of a name that only this kind of result knows; None if it is none."""
+        return None
+
+    def _own_names(self) -> list[str]:
+        return []
+
+    def _named(self, key: Any) -> NDArray[Any]:
+        """Return a quantity by its name, a user's names first.
+
+        Raises
+        ------
+        UnknownNameError
+            With the names that there are.
+        """
+        names, key = self.program.names, spelled(key)
+        if key in names.coordinates.places:
+            return np.asarray(self.q[..., names.coordinates.places[key]])
+        if (found := self._own(key)) is not None:
+            return cast(NDArray[Any], found)
+        for one in QUANTITIES.values():
+            place = one.places(names).get(key.removeprefix(one.prefix))
+            if place is not None and key.startswith(one.prefix):
+                return np.asarray(getattr(self, one.name)[..., place])
+        watched = names.invariants
+        if key in watched.places:
+            return self.invariants[watched.shown[watched.places[key]]]
+        if key == "t" or key in {one.name for one in SCALARS}:
+            return cast(NDArray[Any], getattr(self, key))
+        if key in self.points:
+            return self.points[key]
+        every = [name for one in QUANTITIES.values() if one.axis for name in one.shown(names)]
+        every += [*watched.shown, *self._own_names(), *self.points, "t"]
+        every += [one.name for one in SCALARS]
+        raise UnknownNameError(
+            f"there is no {key!r}.{did_you_mean(key, every)} "
+            f"There are {', '.join(every[:-1])} and {every[-1]}."
+        )
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return numbers of stored quantities, invariants and points by name, as tables do."""
+        names, found = self.program.names, dict[str, NDArray[Any]]()
+        for one in (*VECTORS, *SCALARS):
+            value = np.asarray(getattr(self, one.name))
+            shown = one.shown(names)
+            found |= {name: value[..., k] if one.axis else value for k, name in enumerate(shown)}
+        found |= self.invariants
+        for name, place in self.points.items():
+            if place.ndim == self.energy.ndim + 1:  # no body of several corners
+                axes = "xyz"[: place.shape[-1]]
+                found |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
+        return found

@@ -1,0 +1,251 @@
+"""Parts of a long run: states at chosen times, or chosen quantities alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import UnknownNameError
+from symsimpson.module.quantity import SCALARS
+from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
+from symsimpson.program.program import Program
+from symsimpson.program.status import Status
+from symsimpson.results.outcome import Outcome
+from symsimpson.results.states import States, with_units
+from symsimpson.results.tables import dataframe, write
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
+from symsimpson.support.names import did_you_mean, spelled
+
+__all__ = ["Sampled", "Saved"]
+
+#: Quantities that have a number for each coordinate.
+VECTORS = tuple(one.name for one in WITH_COORDINATES)
+
+
+@explaining()
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Sampled(Outcome, States):
+    """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
+
+    Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
+    ``success``, its ``steps`` and ``h``. Of a run that failed, the times that it reached are there.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.pendulum())
+    >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25, 3.1])
+    >>> run
+    Sampled(pendulum, simpson: 3 states, 0 <= t <= 3.1)
+    >>> run.energy.shape, run.steps, run.success
+    ((3,), 31, True)
+    """
+
+    h: Any
+    steps: int
+    status: Status
+    message: str
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the states in a file, of the kind that its ending says.
+
+        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a library is missing.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> run = stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25, 3.1])
+        >>> run.save(pathlib.Path(tempfile.mkdtemp()) / "run.csv")
+        """
+        write(path, "result", self._arrays, self._table, self.to_xarray)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {name: getattr(self, name) for name in ("t", *VECTORS, *(x.name for x in SCALARS))}
+
+    def _about(self) -> dict[str, Any]:
+        return super()._about() | self._outcome()
+
+
+@explaining()
+@dataclass(frozen=True, eq=False, repr=False)
+class Saved(Outcome):
+    """Chosen quantities of a run; ``integrate(..., save=names)`` gives them.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+    values : mapping from str to ndarray
+        The quantities by name, shape (N,); (N, n) for q, p and v.
+    h : number
+    steps : int
+    status : Status
+    message : str
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> stepper = ss.compile(ss.systems.double_pendulum())
+    >>> kept = stepper.integrate([0.8, 1.0], p0=[0, 0], h=0.01, t_end=10, save=("q1", "energy"))
+    >>> kept
+    Saved(double_pendulum, simpson: q1, energy at 1001 times, SUCCESS)
+    >>> kept["q1"].shape
+    (1001,)
+    """
+
+    t: NDArray[Any]
+    values: Mapping[str, NDArray[Any]]
+    h: Any
+    steps: int
+    status: Status
+    message: str
+    program: Program
+
+    def __getitem__(self, name: Any) -> NDArray[Any]:
+        """Return a quantity by its name.
+
+        Raises
+        ------
+        UnknownNameError
+            If it was not saved.
+        """
+        key = spelled(name)
+        if key == "t":
+            return self.t
+        if key not in self.values:
+            raise UnknownNameError(
+                f"{key!r} was not saved.{did_you_mean(key, [*self.values])} "
+                f"There are t, {', '.join(self.values)}."
+            )
+        return self.values[key]
+
+    #: Iterating over names or over times: neither is what everybody expects.
+    __iter__ = None
+
+    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
+        """Draw quantities over time, all that have one number unless named; returns the axes.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["theta"])
+        >>> kept.plot().get_ylabel()
+        'theta'
+        """
+        from symsimpson.plotting.states import plot
+
+        single = [name for name, values in self.values.items() if values.ndim == 1]
+        return plot(self, (names, *more) if more else names or single, ax=ax)
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame`` of the quantities, with the times as index.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["q", "energy"])
+        >>> list(kept.to_pandas().columns)
+        ['theta', 'energy']
+        """
+        return dataframe(self._table(), "t", self._about(), self.program.units)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` with the dimension time, and coord for q, p and v.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["q", "energy"])
+        >>> kept.to_xarray()["q"].dims
+        ('time', 'coord')
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        variables = {}
+        for name, values in self.values.items():
+            own = ("coord",) if name in VECTORS else (f"axis_{name}", f"corner_{name}")
+            variables[name] = ("time", *own[: values.ndim - 1]), values
+        places = {"time": self.t, "coord": list(self.program.coordinates)}
+        return with_units(xarray.Dataset(variables, places, self._about()), self.program.units)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Keep the quantities in a file, of the kind that its ending says.
+
+        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, or a library is missing.
+        StorageError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> kept = stepper.integrate([1.0], v0=[0.0], h=0.1, steps=50, save=["theta"])
+        >>> kept.save(pathlib.Path(tempfile.mkdtemp()) / "theta.npz")
+        """
+        write(path, "result", self._arrays, self._table, self.to_xarray)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {"t": self.t, **self.values}
+
+    def _table(self) -> dict[str, NDArray[Any]]:
+        table = {"t": self.t}
+        for name, values in self.values.items():
+            if values.ndim == 1:
+                table[name] = values
+            elif values.ndim == 2:
+                prefix = "" if name == "q" else f"{name}_"
+                parts = self.program.coordinates if name in VECTORS else "xyz"[: values.shape[1]]
+                table |= {f"{prefix}{x}": values[:, k] for k, x in enumerate(parts)}
+        return table
+
+    def _about(self) -> dict[str, Any]:
+        program = self.program
+        return {"system": program.system, "scheme": program.scheme} | self._outcome()
+
+    def __repr__(self) -> str:
+        return (
+            f"Saved({self.program.system}, {self.program.scheme}: {', '.join(self.values)} at "
+            f"{self.t.size} times, {self.status.name})"
+        )
+
+
+def quantity(states: States, name: str) -> NDArray[Any]:
+    """Return a quantity of states by its name, "q", "p" and "v" among them."""
+    if name in VECTORS and name not in states.program.names.coordinates.places:
+        return np.asarray(getattr(states, name))
+    return np.asarray(states._named(name))

@@ -1,0 +1,75 @@
+"""Trajectories to files: netCDF and Zarr, by way of xarray, and tables."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from typing import Any
+
+import numpy as np
+
+from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.results.stored import Stored
+from symsimpson.results.tables import write
+
+__all__ = ["digest_of", "save"]
+
+
+def save(run: Stored, path: str | os.PathLike[str]) -> None:
+    """Write a trajectory to a file that it can be read from again, or a table of its states."""
+
+    def arrays() -> dict[str, Any]:
+        stored = (one.name for one in (*VECTORS, *SCALARS))
+        found = {name: getattr(run, name) for name in ("t", *stored)}
+        return found | {f"point_{name}": x for name, x in run.points.items()}
+
+    write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
+
+
+def _dataset(run: Stored) -> Any:
+    """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
+    found = run.to_xarray()
+    text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
+    found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    if run.input_values.size:
+        about = {"long_name": "inputs of steps, at their nodes"}
+        found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
+    found.attrs |= {
+        "every": run.every or 0,
+        "parameter_values": run.parameter_values.tolist(),
+        "sha256": digest_of(run),
+    }
+    if run.work_values is not None:
+        found["work_values"] = (("time", "power"), run.work_values)
+    if run.reduced_values:
+        found.attrs["reduced"] = json.dumps(run.reduced_values)
+    if run.variations is not None:
+        about = {"long_name": "variations of the state, then of what is varied"}
+        found["variations"] = (("time", "state", "variation"), run.variations, about)
+        if run.varied_by is not None:
+            found.attrs["varied_by"] = list(run.varied_by) or [""]
+    return found
+
+
+def digest_of(run: Stored) -> str:
+    """Return a digest of all that a trajectory is made of."""
+    reduced = (run.reduced_values,) if run.reduced_values else ()
+    outcome = run.status.name, run.message, run.program.source
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced)
+    content = hashlib.sha256(repr(about).encode())
+    tau = () if run.tau_values is None else (run.tau_values,)
+    beside = (x for x in (run.variations, run.work_values) if x is not None)
+    arrays = (
+        run.t,
+        run.q,
+        run.p,
+        run.parameter_values,
+        run.newton_iterations,
+        run.input_values,
+        *tau,
+        *beside,
+    )
+    for array in arrays:
+        content.update(np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()

@@ -1,0 +1,315 @@
+"""States at times, and all that follows from them."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.module.quantity import SCALARS, VECTORS
+from symsimpson.program.program import Program
+from symsimpson.results.quantities import Quantities
+from symsimpson.results.tables import dataframe
+from symsimpson.support.calling import explaining
+from symsimpson.support.extras import library
+
+__all__ = ["States"]
+
+
+def with_units(data: Any, units: Mapping[str, str]) -> Any:
+    """Return an ``xarray.Dataset`` with the units that are known.
+
+    Units of q, p and v stand in coordinates named ``units_q`` and so on, and in an attribute where
+    all are the same.
+    """
+    if "t" in units:
+        data["time"].attrs["units"] = units["t"]
+    for name, column in data.variables.items():
+        key = column.attrs.get("long_name", name) if name.startswith("invariant_") else name
+        key = key.removeprefix("point_")
+        if key in units and name != "coord":
+            data[name].attrs["units"] = units[key]
+    for name, prefix in ((one.name, one.prefix) for one in VECTORS):
+        own = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
+        if name in data and any(own):
+            data = data.assign_coords({f"units_{name}": ("coord", own)})
+            if len(set(own)) == 1:
+                data[name].attrs["units"] = own[0]
+    return data
+
+
+def attribute_name(name: str, own: str) -> str:
+    """Return a name if attributes of files may have it, else the name in the module."""
+    return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else own
+
+
+@explaining()
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class States(Quantities):
+    """States of one system at some times: part of a run, or places between its steps.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times.
+    q, p : ndarray, shape (N, n)
+        Positions and conjugate momenta.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+    >>> run[10:20]
+    Part(pendulum, simpson: 10 states, 1 <= t <= 1.9)
+    >>> run[10:20]["theta"].shape, run[-1].t
+    ((10,), array([5.]))
+    """
+
+    #: Whether one state follows another, so that a line may connect them.
+    _connected: ClassVar[bool] = True
+
+    t: NDArray[Any]
+    q: NDArray[Any]
+    p: NDArray[Any]
+    program: Program = field(repr=False)
+    parameter_values: NDArray[Any] = field(repr=False)
+
+    def __init__(self, **fields: Any) -> None:
+        self.__dict__.update(fields)  # a quarter of the time that setting each takes
+
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Values of the parameters that the run used, by name."""
+        return dict(zip(self.program.parameters, self.parameter_values.tolist(), strict=True))
+
+    @property
+    def y(self) -> NDArray[Any]:
+        """Positions and momenta as SciPy's ``solve_ivp`` gives states, shape (2 n, N)."""
+        return np.concatenate([self.q, self.p], axis=1).T
+
+    @overload
+    def __getitem__(self, key: str) -> NDArray[Any]: ...
+    @overload
+    def __getitem__(self, key: int | slice | NDArray[Any] | list[int]) -> States: ...
+    def __getitem__(self, key: Any) -> NDArray[Any] | States:
+        """Return a quantity by its name, shape (N,), or some of the states.
+
+        Names are those of the coordinates, ``p_`` and ``v_`` before them, of the invariants, and
+        "t", "energy" and "kinetic_energy". A whole number selects one state; a slice or an array of
+        numbers selects several, as in numpy.
+
+        Raises
+        ------
+        UnknownNameError
+            With the names that there are; it is an InputError, and a KeyError.
+        IndexError
+            If there is no such state.
+        """
+        if isinstance(key, (str, bool, float)) or hasattr(key, "free_symbols"):
+            return self._named(key)
+        some: Any = key
+        if not isinstance(key, (slice, np.ndarray, list)):
+            try:
+                number = operator.index(key)
+            except TypeError:
+                return self._named(key)
+            if not -len(self) <= number < len(self):
+                raise IndexError(f"there is no state {number}: there are {len(self)}, from 0 on")
+            some = [number]
+        return States(
+            t=self.t[some],
+            q=self.q[some],
+            p=self.p[some],
+            program=self.program,
+            parameter_values=self.parameter_values,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {f.name: getattr(self, f.name) for f in fields(self)}  # without what was computed
+
+    #: There is no iteration: over quantities or over states would be as natural.
+    __iter__ = None
+
+    def plot(self, names: str | Sequence[str] | None = None, *more: str, ax: Any = None) -> Any:
+        """Draw quantities over time.
+
+        Parameters
+        ----------
+        names : str or sequence of str, optional
+            As in ``run["q1"]``; all coordinates unless given.
+        *more : str
+            Further ones.
+        ax : matplotlib axes, optional
+            Axes to draw in; new ones, one for each unit of the system, unless given.
+
+        Returns
+        -------
+        matplotlib axes
+            The first ones.
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot("theta", "energy").get_xlabel()
+        't'
+        """
+        from symsimpson.plotting.states import plot
+
+        wanted = (names, *more) if more else names
+        return plot(self, wanted, connected=self._connected, ax=ax)
+
+    def plot_phase(self, x: str | None = None, y: str | None = None, *, ax: Any = None) -> Any:
+        """Draw one quantity over another.
+
+        Parameters
+        ----------
+        x, y : str, optional
+            As in ``run["q1"]``; the first coordinate, and the momentum of ``x``, unless given.
+        ax : matplotlib axes, optional
+            Drawn into; made if there are none.
+
+        Returns
+        -------
+        matplotlib axes
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_phase("theta", "v_theta").get_ylabel()
+        'v_theta'
+        """
+        from symsimpson.plotting.states import plot_phase
+
+        return plot_phase(self, x, y, connected=self._connected, ax=ax)
+
+    def plot_path(self, *, ax: Any = None) -> Any:
+        """Draw the paths of the system's ``positions``, into ``ax`` if given; returns the axes.
+
+        Raises
+        ------
+        InputError
+            If the system declares no positions, or matplotlib is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.plot_path().get_aspect()
+        1.0
+        """
+        from symsimpson.plotting.animate import plot_path
+
+        return plot_path(self, ax=ax)
+
+    def to_pandas(self) -> Any:
+        """Return a ``pandas.DataFrame`` of all quantities by name, with the times as index.
+
+        Positions, momenta, velocities, the energy, invariants and the coordinates of points.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> list(run.to_pandas().columns)
+        ['theta', 'p_theta', 'v_theta', 'energy', 'kinetic_energy', 'bob_x', 'bob_y']
+        """
+        return dataframe(self._table(), "t", self._about(), self.program.units)
+
+    def _table(self) -> dict[str, NDArray[Any]]:
+        return {"t": self.t, **self._columns()}
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` with dimensions time and coord.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> run = ss.compile(ss.systems.pendulum()).integrate([1.0], v0=[0.0], h=0.1, steps=50)
+        >>> run.to_xarray()["q"].dims
+        ('time', 'coord')
+        """
+        xarray = library("xarray", "to_xarray", "data")
+        variables: dict[str, Any] = {
+            one.name: (("time", "coord")[: 1 + bool(one.axis)], getattr(self, one.name), about)
+            for one in (*VECTORS, *SCALARS)
+            for about in [{"long_name": one.doc}]
+        }
+        for k, (name, values) in enumerate(self.invariants.items()):
+            variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
+        for name, place in self.points.items():
+            corner = ("corner_" + name,) * (place.ndim - 2)
+            about = {"long_name": f"place of {name}"}
+            variables[f"point_{name}"] = (("time", *corner, f"axis_{name}"), place, about)
+        variables |= self._further()
+        names = {"time": self.t, "coord": list(self.program.coordinates)}
+        return with_units(xarray.Dataset(variables, names, self._about()), self.program.units)
+
+    def _further(self) -> dict[str, Any]:
+        """Return variables of a dataset that a subclass has beside those of all states."""
+        return {}
+
+    def _about(self) -> dict[str, Any]:
+        """Return attributes of a dataset: system, scheme, order, digest and parameters."""
+        program = self.program
+        return {
+            "system": program.system,
+            "scheme": program.scheme,
+            "order": program.order,
+            "digest": program.header.digest,
+            **{
+                f"parameter {attribute_name(name, own)}": float(value)
+                for (name, value), own in zip(
+                    self.parameters.items(), program.names.parameters.own, strict=True
+                )
+            },
+        }
+
+    def _where(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+        return self.t, self.q, self.parameter_values
+
+    def _evaluated(self, kernel: str, block: str, count: int) -> NDArray[Any]:
+        from symsimpson.program.evaluating import evaluate
+
+        states = self.t, self.q, self.p
+        return evaluate(self.program, kernel, block, count, *states, self.parameter_values)
+
+    def __len__(self) -> int:
+        return self.t.size
+
+    def _repr_html_(self) -> str:
+        from symsimpson.results.html import states
+
+        return states(self)
+
+    def __repr__(self) -> str:
+        times = f"{len(self)} states"
+        if len(self):
+            times += f", {float(self.t[0]):g} <= t <= {float(self.t[-1]):g}"
+        return f"{type(self).__name__}({self.program.system}, {self.program.scheme}: {times})"

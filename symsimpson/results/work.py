@@ -1,0 +1,161 @@
+"""The work of forces along a run, and what the energy differs by from it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.evaluating import evaluate
+from symsimpson.program.program import Program
+from symsimpson.program.recorders import told, work
+from symsimpson.program.workspace import workspace
+from symsimpson.results.stored import Stored
+from symsimpson.stepping.driving import at_places, since
+from symsimpson.stepping.recording import check_work
+from symsimpson.stepping.run import FALLBACK_STRETCH
+
+__all__ = ["TOTAL", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
+
+#: The name of the sum of all forces.
+TOTAL = "total"
+Reals = NDArray[Any]
+
+
+def powers(run: Stored) -> dict[str, Reals]:
+    """Return the power of each force at the stored states, and of all."""
+    header = run.program.header
+    if header.conservative:
+        return {TOTAL: 0 * run.t}
+    return named_parts(run.program, _powers_at(run))
+
+
+def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
+    """Evaluate the power of each force, then dL/dt where something depends on t.
+
+    With the inputs of the step that begins at a state, or of the one that arrives there.
+    """
+    return evaluate(
+        run.program,
+        "power",
+        "POWER",
+        run.program.header.powers,
+        run.t,
+        run.q,
+        run.p,
+        run.parameter_values,
+        _at_states(run, arriving),
+    )
+
+
+def _at_states(run: Stored, arriving: bool) -> Reals:
+    """Return the inputs at stored states, which stand in the places of steps."""
+    numbers = run.program.numbers
+    last = max(run.steps - 1, 0)
+    number = np.arange(len(run)) * run.every if run.every else np.array([run.steps])
+    ended = (number > 0) if arriving else (number > last)
+    with numbers.working():
+        inputs = numbers.read(run.input_values)
+        place = numbers.read(ended.astype(int))[:, None]
+        step = number - 1 if arriving else np.minimum(number, last)
+        return at_places(run.program, inputs, np.maximum(step, 0), place)
+
+
+def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:
+    """Name the columns of forces, and add them up."""
+    names = program.names.forces.shown
+    own = {name: parts[..., k] for k, name in enumerate(names)}
+    return own | {TOTAL: sum(own.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
+
+
+def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
+    """Return the work of each force and of all, and the integral of dL/dt, up to stored states.
+
+    Each step is taken again: work is the integral h sum_i b_i f_i.v_i of the scheme, of its order.
+    Behind a step that cannot be taken again they are NaN.
+
+    Raises
+    ------
+    InputError
+        If only the last state is stored, or the scheme is explicit.
+    """
+    program, header = run.program, run.program.header
+    if header.conservative:
+        return {TOTAL: 0 * run.t}, 0 * run.t
+    if run.every is None and run.work_values is None:
+        raise InputError(
+            "a run that keeps its last state alone (every=None) does not tell what work was done."
+            "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
+        )
+    check_work(program)
+    found = _integrated(run)
+    lost = 0 * run.t if header.autonomous else found[:, -1]
+    return named_parts(program, found), lost
+
+
+def rough_parts(run: Stored) -> Reals:
+    """Integrate the powers at stored states by the trapezoidal rule: of forces, then of -dL/dt."""
+    begins = _powers_at(run)
+    ends = _powers_at(run, arriving=True) if run.input_values.size else begins
+    spans = np.diff(np.asarray(run.t, dtype=np.float64))[:, None]
+    means = np.asarray(begins[:-1] + ends[1:], dtype=np.float64) / 2
+    return _signed(run, np.concatenate([0 * means[:1], (spans * means).cumsum(axis=0)]))
+
+
+def parts_of_work(run: Stored) -> Reals:
+    """Return what each force did up to stored states, then the integral of -dL/dt."""
+    return _signed(run, np.asarray(_integrated(run), dtype=np.float64))
+
+
+def _signed(run: Stored, parts: Reals) -> Reals:
+    """Give dL/dt, the last of powers, the sign by which H follows it."""
+    if not run.program.header.autonomous:
+        parts[:, -1] *= -1
+    return parts
+
+
+def _integrated(run: Stored) -> Reals:
+    """Return the integrals of powers up to stored states, by steps taken again unless recorded."""
+    if run.work_values is not None:
+        return run.work_values
+    numbers, header = run.program.numbers, run.program.header
+    with numbers.working():
+        return np.asarray(numbers.result(_added_up(run, header.powers)))
+
+
+def _added_up(run: Stored, count: int) -> Reals:
+    """Take steps again, and add up so many integrals; NaN behind one that cannot be taken so.
+
+    Steps that the run took with more robust kernels are taken with these.
+    """
+    program, every = run.program, run.every
+    assert every is not None
+    numbers, header, kernels = program.numbers, program.header, program.kernels
+    W = workspace(header, numbers, numbers.read(run.parameter_values))
+    t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
+    out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
+    recorder, sets = work(header), kernels.fallbacks
+    at = told(header, (recorder,))
+    done, number = 0, 0
+    while done < len(run) - 1:
+        last = len(run) if number == 0 else min(len(run), done + 1 + FALLBACK_STRETCH)
+        some = slice(done, last)
+        reached: int = numbers.driver("replay")(
+            kernels.set(sets[number], (recorder,), again=True),
+            (h.item(), t[some], W, at),
+            (q[some], p[some]),
+            every,
+            False,
+            out[some],
+            since(inputs, done * every),
+        )
+        if reached > 1:
+            done, number = done + reached - 1, int(done + reached < last)
+        else:
+            number += 1
+        if number == len(sets):
+            out[done + 1 :] = numbers.read(np.nan)
+            break
+    return out

@@ -1,0 +1,1 @@
+"""Runs of all kinds, and what they came to."""

@@ -1,0 +1,282 @@
+"""Short runs of one stepper, one after another, in the same workspace.
+
+Most of a call for a few steps would go into reading what is asked for, and into making workspace
+and arrays. What is asked for in the plainest way, and goes as it should, is done here, by the same
+compiled functions; anything else is left to :func:`integrate`, which begins anew and says what is
+wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.program.numbers import FLOAT64
+from symsimpson.program.recorders import ordered, told
+from symsimpson.program.status import Status
+from symsimpson.program.values import MOST_STEPS
+from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.resolution import (
+    LIMIT,
+    SAMPLES,
+    count_looked_at,
+    each,
+    finer_stride,
+    sampling_stride,
+)
+from symsimpson.stepping.arrival import STRIDE, resolution
+from symsimpson.stepping.inputs import read_steps, read_times
+from symsimpson.stepping.request import Request
+from symsimpson.support.ahead import compiles_late
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["MOST_ROWS", "brief_run"]
+
+#: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
+#: where the number of steps is not known before.
+MOST_ROWS, MOST_TO_END = 2**18, 2**22
+#: What states are given as; of others somebody may have to be told something.
+PLAIN = (list, tuple, np.ndarray)
+DONE = Status.SUCCESS.message
+#: What is returned of a run with too many steps for this.
+TOO_LONG = -2
+
+Floats = NDArray[np.float64]
+#: h, t0 and the number of steps.
+Times = tuple[float, float, int]
+#: q and p at stored states, shape (2, N, n, 1); iterations, shape (N, 1).
+Stored = tuple[Floats, NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A run that is asked for in the plainest way: values of parameters, and where it begins."""
+
+    values: Floats
+    q: Floats
+    other: Floats
+    velocity: bool
+    every: int
+
+
+class Prepared:
+    """The inner means of a run: workspace, kernels, functions of the driver."""
+
+    def __init__(self, program: Program) -> None:
+        header, kernels = program.header, program.kernels
+        numbers = program.numbers
+        recorders = ordered(header, ())
+        self.W, self.told = workspace(header, numbers, program.defaults), told(header, recorders)
+        self.kernels = kernels.set(kernels.fallbacks[0], recorders)
+        self.legendre, self.energy = kernels.address("legendre"), kernels.address("energy")
+        iterated = header.newton_unknowns > 0
+        self.most = MOST_TO_END // header.rows
+        if header.retimed:
+            self.retime = kernels.address("retime")
+            self.run_to_end = numbers.driver("run_to_end", iterated=iterated)
+            self.sampled = room(self.most // STRIDE, program.n)
+            self.times = np.empty((self.most + 1, 1, 1))
+            return
+        self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
+        #: Where states go that are looked at and forgotten.
+        self.sampled = room(SAMPLES, program.n)
+
+    def run(
+        self, asked: Asked, times: Times, every: int, few: int, stored: Stored, end: Floats
+    ) -> int:
+        """Take steps, and return how many iterations they took; -1 if not all is well."""
+        h, t0, steps = times
+        count: int = self.run_briefly(
+            self.kernels,
+            (self.legendre if asked.velocity else 0, self.energy),
+            (h, t0, self.W, self.told),
+            (asked.values, asked.q, asked.other),
+            (steps, every, few, LIMIT),
+            (*stored, end),
+            NO_INPUTS,
+        )
+        return count
+
+    def arrive(
+        self,
+        asked: Asked,
+        times: tuple[float, float, float],
+        every: int,
+        few: int,
+        stored: Stored,
+        end: Floats,
+        told: Floats,
+    ) -> int:
+        """Take steps to an end, and return how many; less than 0 if not all is well.
+
+        ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
+        iterations; ``asked.values`` those of E0 and the first rate.
+        """
+        steps: int = self.run_to_end(
+            self.kernels,
+            (self.legendre if asked.velocity else 0, self.energy, self.retime),
+            (np.array([*times, resolution(FLOAT64)]), self.W, self.told),
+            (asked.values, asked.q, asked.other),
+            (self.most, every, few, LIMIT),
+            (stored[0], self.times, stored[1], end, told),
+            NO_INPUTS,
+        )
+        return steps
+
+
+def make_ready(program: Program) -> None:
+    """Compile all that a run may need, and a short one after it, so that no later one waits.
+
+    Programs that make many steppers for a run each set ``SYMSIMPSON_COMPILE=late``: then each
+    function is compiled when it is first called.
+    """
+    if compiles_late():
+        return
+    program.numbers.make_ready(program.kernels)
+    if program.findings.prepared == []:
+        program.findings.prepared.append(Prepared(program))
+
+
+def room(last: int, n: int) -> Stored:
+    """Return room for so many states behind the first."""
+    return np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)
+
+
+def read_plainly(value: Any, n: int) -> Floats | None:
+    """Return a list or an array of n doubles as an array; None if it is anything else."""
+    if type(value) not in PLAIN:
+        return None
+    try:
+        found = np.array(value)
+    except (TypeError, ValueError):
+        return None
+    return found if found.dtype.char == "d" and found.shape == (n,) else None
+
+
+def read_asked(program: Program, request: Request) -> Asked | None:
+    """Read what is asked for; None if it is not plain, or this step was not looked at before."""
+    v0, p0, every, n = request.v0, request.p0, request.every, program.n
+    one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
+    if program.findings.prepared is None or not one or not isinstance(request.h, float):
+        return None
+    if request.parameters and program.names.idle:  # which may be warned of, once
+        return None
+    values = program.values(request.parameters)
+    known = (request.h, values.tobytes()) in program.findings.checked_steps
+    if not known or not (every is None or 0 < every <= MOST_STEPS):
+        return None
+    q, other = read_plainly(request.q0, n), read_plainly(p0 if v0 is None else v0, n)
+    if q is None or other is None:
+        return None
+    return Asked(values, q, other, v0 is not None, every or 0)
+
+
+def brief_run(program: Program, request: Request) -> Trajectory | None:
+    """Run, and return what it has come to; None if it is not short, or something came up."""
+    asked, retimed = read_asked(program, request), program.header.retimed
+    if asked is None or (retimed and request.t_end is None):
+        return None
+    prepared = program.findings.prepared
+    assert prepared is not None
+    try:  # threads may do this at the same time
+        made = prepared.pop()
+    except IndexError:
+        made = Prepared(program)
+    found = (_to_end if retimed else _of_steps)(program, made, asked, request)
+    prepared.append(made)
+    return found
+
+
+def _of_steps(
+    program: Program, made: Prepared, asked: Asked, request: Request
+) -> Trajectory | None:
+    """Take a given number of steps."""
+    h, steps, t0 = read_steps(request, FLOAT64)
+    if not 0 < steps * program.header.rows <= MOST_ROWS:
+        return None
+    every, n = asked.every, program.n
+    stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
+    last = steps // stride if stride else 0
+    (Q, P), counts = stored = room(last, n) if every else made.sampled
+    end, few = np.empty((4, n)), count_looked_at(program, last)
+    count = made.run(asked, (h, t0, steps), stride, few, stored, end)
+    if count < 0 or (every == 1 and few and not _regular(program, asked, end)):
+        return None
+    if every:
+        t = t0 + np.arange(0.0, steps + 1.0, every) * h
+        Q, P, iterations = each(every // stride, Q[:, :, 0], P[:, :, 0], counts[:, 0])
+    else:
+        t, iterations = np.array([t0 + h * steps]), np.array([count])
+        Q, P = end[:1], end[1:2]
+    return _trajectory(program, asked, (t, Q, P, iterations), h, steps)
+
+
+def _regular(program: Program, asked: Asked, end: Floats) -> bool:
+    """Return whether a run kept away from singular points of the coordinates."""
+    if program.tools is None or program.declared is None:
+        return True
+    box = program.findings.regular.get(asked.values.tobytes())
+    return box is not None and bool((box[0] <= end[2]).all() and (end[3] <= box[1]).all())
+
+
+def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) -> Trajectory | None:
+    """Take as many steps as lead to a time, and a part of one."""
+    h, _, t0, t_end = read_times(request, FLOAT64, retimed=True)
+    key = h, t_end - t0
+    if key in program.findings.long:
+        return None
+    every, n = asked.every, program.n
+    stored = room(made.most // every, n) if every else made.sampled
+    end, told = np.empty((2, n)), np.empty(2)
+    few = SAMPLES - 1 if program.header.conservative else 0
+    steps = made.arrive(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
+    if steps < 0:
+        if steps == TOO_LONG:
+            program.findings.long.add(key)
+        return None
+    t, q, p = np.array([t_end]), end[:1], end[1:]
+    tau, iterations = np.array([h * steps + told[0]]), np.array([int(told[1])])
+    if every:
+        last = steps // every + 1
+        (Q, P), counts = stored
+        before = made.times[:last, 0, 0].copy()
+        far = int(t_end != before[-1])  # 0: the last stored state is that of the end
+        tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
+        t = np.append(before, t[:far])
+        q, p = (np.concatenate([x[:last, :, 0], y[:far]]) for x, y in ((Q, q), (P, p)))
+        iterations = np.append(counts[:last, 0], np.zeros(far, dtype=np.int64))
+    return _trajectory(program, asked, (t, q, p, iterations), h, steps, tau)
+
+
+def _trajectory(
+    program: Program,
+    asked: Asked,
+    states: tuple[Any, ...],
+    h: float,
+    steps: int,
+    tau: Floats | None = None,
+) -> Trajectory:
+    """Return a run that has come to its end, with these times, q, p and iterations."""
+    t, q, p, iterations = states
+    return Trajectory(
+        t=t,
+        q=q,
+        p=p,
+        newton_iterations=iterations,
+        h=h,
+        steps=steps,
+        every=asked.every or None,
+        status=Status.SUCCESS,
+        message=DONE,
+        program=program,
+        parameter_values=asked.values,
+        input_values=NO_INPUTS,
+        variations=None,
+        tau_values=tau,
+    )

@@ -1,0 +1,157 @@
+"""Runs of which chosen times or chosen quantities are kept alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.program import Program
+from symsimpson.program.values import read_array, read_number
+from symsimpson.results.sampled import Sampled, Saved, quantity
+from symsimpson.results.states import States
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.integrate import raise_failure
+from symsimpson.run.pieces import SLACK, Taken, by_pieces
+from symsimpson.stepping.inputs import read_failure, read_step
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.spec import RunSpec
+from symsimpson.support.names import spelled
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+
+__all__ = ["chosen_run", "last_time"]
+
+Reals = NDArray[Any]
+
+
+def chosen_run(
+    program: Program, spec: RunSpec, t_eval: Any, save: Any, progress: bool | None, on_failure: str
+) -> Sampled | Saved:
+    """Run, and keep the states at these times, or these quantities, or these there.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    read_failure(on_failure)
+    names = None if save is None else _read_names(save)
+    times = None if t_eval is None else _read_times(program, spec, t_eval)
+    sign, slack = (1 if spec.h > 0 else -1), SLACK * abs(spec.h)
+    done = 0
+
+    def take(piece: Trajectory, before: int) -> Taken:
+        nonlocal done
+        if times is None:
+            states: States = _stored(piece, before, spec)
+        else:
+            first, limit = done, sign * piece.t[-1] + slack
+            done = int(np.searchsorted((sign * times).astype(float), float(limit), "right"))
+            states = piece.at(times[first:done]) if done > first else piece[:0]
+        if names is None:
+            return states.t, states.q, states.p
+        return states.t, *(quantity(states, name) for name in names)
+
+    if names is not None:  # before anything is computed
+        _check_names(program, spec, names)
+    run, last, found = by_pieces(program, spec, take, progress)
+    columns = [np.concatenate(parts) for parts in zip(*found, strict=True)]
+    about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
+    about |= {"message": last.message, "program": program}
+    result: Sampled | Saved
+    if names is None:
+        t, q, p = columns
+        result = Sampled(t=t, q=q, p=p, parameter_values=last.parameter_values, **about)
+    else:
+        values = dict(zip(names, columns[1:], strict=True))
+        result = Saved(t=columns[0], values=values, **about)
+    if not last.success and on_failure == "raise":
+        raise_failure(run, last, result)
+    return result
+
+
+def last_time(program: Program, request: Request) -> tuple[Any, int | None]:
+    """Return the end of a run that goes as far as it must, and the number of its steps."""
+    numbers = program.numbers
+    with numbers.working():
+        step, start = read_step(request.h, numbers), read_number("t0", request.t0, numbers)
+        times = _as_times(request.t_eval, numbers)
+        far = (max if step > 0 else min)(times, default=start)
+        if program.header.retimed:
+            return far, None
+        return None, max(0, int(np.ceil(float((far - start) / step) - SLACK)))
+
+
+def _as_times(given: Any, numbers: Numbers) -> Reals:
+    """Read finite times in any order."""
+    times = np.atleast_1d(numbers.result(read_array("t_eval", given, numbers)))
+    if times.ndim > 1:
+        raise InputError(f"t_eval has shape {times.shape}.\nPass a list of times.")
+    if not np.isfinite(times.astype(float)).all():
+        raise InputError("t_eval holds times that are not finite.\nLeave them out.")
+    return times
+
+
+def _read_times(program: Program, spec: RunSpec, given: Any) -> Reals:
+    """Read times in the order of the run, within it."""
+    numbers = program.numbers
+    with numbers.working():
+        times = _as_times(given, numbers)
+    rough, sign = times.astype(float), 1 if spec.h > 0 else -1
+    if not (np.diff(sign * rough) >= 0).all():
+        back = "fall" if sign < 0 else "rise"
+        raise InputError(
+            f"the times in t_eval do not {back} all along.\nPass numpy.sort(times)"
+            f"{'[::-1], as h is negative' if sign < 0 else ''}."
+        )
+    first = float(spec.t0)
+    last = float(spec.t0 + spec.h * spec.steps if spec.t_end is None else spec.t_end)
+    slack = SLACK * abs(float(spec.h))
+    outside = (sign * (rough - first) < -slack) | (sign * (rough - last) > slack)
+    if outside.any():
+        raise InputError(
+            f"t_eval holds t = {rough[outside][0]:g}, which lies outside of the run, from "
+            f"{first:g} to {last:g}.\nIntegrate further, or leave it out."
+        )
+    return times
+
+
+def _read_names(save: Any) -> list[str]:
+    """Read names of quantities."""
+    single = isinstance(save, str) or hasattr(save, "free_symbols")
+    if not single and not isinstance(save, (Sequence, set, frozenset)):
+        raise InputError(
+            f"save is {type(save).__name__}, not a list of names.\n"
+            "Pass names of quantities as in run['energy']: save=('q', 'energy')."
+        )
+    names = list(dict.fromkeys(spelled(name) for name in ([save] if single else save)))
+    if not names:
+        raise InputError("save names nothing.\nPass names: save=('q', 'energy').")
+    return names
+
+
+def _check_names(program: Program, spec: RunSpec, names: list[str]) -> None:
+    """Refuse names of quantities that states do not have."""
+    q, t = spec.q0[None], np.array([spec.t0])
+    states = States(t=t, q=q, p=0 * q, program=program, parameter_values=spec.parameters)
+    for name in names:
+        quantity(states, name)
+
+
+def _stored(piece: Trajectory, before: int, spec: RunSpec) -> States:
+    """Return each so-many-th state of a run, of which a piece begins so many steps later."""
+    last, every = piece.steps, spec.every
+    if every:
+        places = np.arange(-before % every, last + 1, every)
+        places = places[(places > 0) | (before == 0)]
+        # the end of a run to a time is behind part of a step
+        if spec.t_end is not None and last == 1 and piece.t[1] == spec.t_end != piece.t[0]:
+            places = np.array([1])
+    else:
+        end = spec.steps == before + last or (spec.t_end is not None and piece.t[-1] == spec.t_end)
+        places = np.array([last] if end else [], dtype=np.int64)
+    return piece[places]

@@ -1,0 +1,102 @@
+"""Where constraints of a run follow from one another: linkages that fold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import ConstraintWarning
+from symsimpson.module.matrices import slopes_of
+from symsimpson.program.evaluating import evaluate_in
+from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.stepping.held import DEPENDENT, dependent
+from symsimpson.support.calling import warn
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+    from symsimpson.stepping.run import Run
+
+__all__ = ["SINGULAR", "close", "independence_of", "look_at_folds"]
+
+Reals = NDArray[Any]
+#: Where they are less independent than this, constraints follow from one another.
+SINGULAR = DEPENDENT**0.5
+
+
+def independence_of(pivots: Reals) -> NDArray[np.float64]:
+    """Return how far constraints are from following from one another at states one by one.
+
+    Parameters
+    ----------
+    pivots : ndarray, shape (..., N, m)
+        What is left of each constraint in HELD.
+
+    Returns
+    -------
+    ndarray, shape (..., N)
+        1 where each is held best, 0 where one follows from others.
+    """
+    # roots, as sizes of slopes are; each relative to its largest, since units may differ
+    sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
+    found: NDArray[np.float64] = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
+    return found
+
+
+def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return between which states one constraint may have followed from others."""
+    return np.asarray(independence[..., 1:] < np.abs(np.diff(independence, axis=-1)))
+
+
+def look_at_folds(
+    program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
+) -> Trajectory:
+    """Look at how independent the constraints were at states of a run.
+
+    Where one follows from others the run ended before; where that may have been so between two
+    states, it is warned of.
+    """
+    names = program.names.constraints.shown
+    if len(names) < 2 or not run.every or len(q) < 2:
+        return trajectory
+    header = program.header
+    t = run.t0 + run.h * np.minimum(np.arange(len(q)) * run.every, trajectory.steps)
+    pivots = evaluate_in(run.W, program, "multipliers", "HELD_PIVOT", len(names), (t, q, p))
+    independence = independence_of(pivots)
+    singular = np.flatnonzero(independence < SINGULAR)
+    who = f"{program.system}, {program.scheme}"
+    if singular.size:
+        bad = int(singular[0])
+        rows = evaluate_in(
+            run.W,
+            program,
+            "multipliers",
+            "CONSTRAINT_QQ",
+            header.layout["HELD_SIZE"],
+            (t[bad : bad + 1], q[bad : bad + 1], p[bad : bad + 1]),
+        )[0]
+        which = dependent(names, slopes_of(header, rows).astype(np.float64))
+        message = (
+            f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
+            f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
+        )
+        about = trajectory.__getstate__()
+        if trajectory.every is not None:
+            for name in ("t", "q", "p", "newton_iterations"):
+                about[name] = about[name][:bad]
+            about["steps"] = (bad - 1) * run.every
+        return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
+    near = np.flatnonzero(close(independence))
+    if run.every > 1 or not near.size:  # of states that are far apart nothing can be said
+        return trajectory
+    since = float(t[near[0] + 1])
+    message = (
+        f"{who}: about t={since:g} constraints come close to following from one another, and may "
+        "do so between two steps, as where bars of a linkage fold into a line. The linkage may "
+        f"continue along either branch, and h={float(run.h):g} does not resolve which.\nTake a "
+        "smaller h, or lengths at which the linkage does not fold."
+    )
+    warn(message, ConstraintWarning)
+    return Trajectory(**trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"})

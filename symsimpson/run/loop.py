@@ -1,0 +1,138 @@
+"""A run that is taken step by step, with inputs given as it goes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.request import of_a_step
+from symsimpson.stepping.spec import RunSpec
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["ControlLoop"]
+
+Reals = NDArray[Any]
+
+
+class ControlLoop:
+    """A run under way; made by :meth:`Stepper.start`.
+
+    Attributes
+    ----------
+    t : number
+        The time after the last step.
+    q, p, v : ndarray, shape (n,)
+        Positions, conjugate momenta and velocities there.
+    steps : int
+        Steps taken.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> loop = ss.compile(ss.systems.pendulum()).start([1.0], v0=[0.0], h=0.01)
+    >>> loop.step()
+    >>> loop.steps, loop.t
+    (1, 0.01)
+    """
+
+    def __init__(self, program: Program, spec: RunSpec) -> None:
+        self.program, self._spec = program, spec
+        numbers = program.numbers
+        nodes, count = len(program.header.input_places), len(program.inputs)
+        with numbers.working():
+            # one step's inputs: the driver takes them for all steps, and they change in between
+            self._inputs = numbers.zeros((1, 1, nodes or 1, count))
+            self._run = new_run(program, spec, 0, 1, self._inputs)
+            begin_run(program, self._run, spec)
+            look_at_step(program, self._run, spec)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        run = self._run
+        return _revived, (self.program, self._spec, run.position(), run.W[:, 0].copy())
+
+    def step(self, u: Any = None) -> None:
+        """Take a step.
+
+        Parameters
+        ----------
+        u : number, array_like or mapping, optional
+            The inputs of the step: of shape (m,), held over it; of shape (s, m), at its nodes; a
+            number for a single input; or a mapping from each of them. None for a system without
+            inputs.
+
+        Raises
+        ------
+        InputError
+            If an input is missing or not finite.
+        ConvergenceError
+            If the step could not be taken; the loop stays where it was.
+        """
+        program, run = self.program, self._run
+        numbers = program.numbers
+        with numbers.working():
+            self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
+            before = run.step
+            run.advance(before + 1)
+            if not run.alive:
+                ended = trajectory_of(
+                    program, run, before + 1, run.status, self._spec, run.stored(), 0
+                )
+                raise_failure(run, ended, ended)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps taken."""
+        return self._run.step
+
+    @property
+    def t(self) -> Any:
+        """The time after the last step."""
+        run = self._run
+        t = run.value("TIME") if run.header.retimed else run.t0 + run.h * run.step
+        return self.program.numbers.single(t)
+
+    @property
+    def q(self) -> Reals:
+        """Positions, shape (n,)."""
+        return self._state("POSITION")
+
+    @property
+    def p(self) -> Reals:
+        """Conjugate momenta, shape (n,)."""
+        return self._state("MOMENTUM")
+
+    @property
+    def v(self) -> Reals:
+        """Velocities, shape (n,)."""
+        from symsimpson.module.quantity import velocities_by
+        from symsimpson.program.evaluating import evaluate
+
+        program, run = self.program, self._run
+        numbers = program.numbers
+        with numbers.working():
+            t = numbers.read([run.t0 + run.h * run.step])
+            q, p = (run.rows(name, program.n)[None] for name in ("POSITION", "MOMENTUM"))
+            kernel = velocities_by(run.header)
+            return evaluate(program, kernel, "VELOCITY", program.n, t, q, p, run.parameters)[0]
+
+    def _state(self, block: str) -> Reals:
+        return self.program.numbers.result(self._run.rows(block, self.program.n).copy())
+
+    def __repr__(self) -> str:
+        program = self.program
+        return (
+            f"ControlLoop({program.system}, {program.scheme}: {self.steps} steps of "
+            f"h={float(self._run.h):g}, t = {float(self.t):g})"
+        )
+
+
+def _revived(program: Program, spec: RunSpec, position: list[int], column: Reals) -> ControlLoop:
+    """Return a loop where another one was: it goes on to the same bits."""
+    loop = ControlLoop(program, spec)
+    loop._run.put_back(position, column)
+    return loop

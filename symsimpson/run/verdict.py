@@ -1,0 +1,175 @@
+"""Verdicts on a run by its states: whether they are real, and whether steps resolved them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import ResolutionWarning
+from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.resolution import Sampled, look_at_energy
+from symsimpson.stepping.run import Run, Stored
+from symsimpson.support.calling import warn
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["looked_at"]
+
+#: Failures that a singular point of the coordinates explains, where the run has come to one.
+AT_POLES = (
+    Status.NOT_CONVERGED,
+    Status.DIVERGED,
+    Status.STEP_TOO_LARGE,
+    Status.SINGULAR_JACOBIAN,
+    Status.NOT_FINITE,
+)
+
+#: So many runs may show that a motion goes where there are singular points.
+TRIES = 3
+
+
+def looked_at(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+    """Look at the states of a run: all that it stored, or some that were kept for this.
+
+    Where the energy is no number, the run ended before; where the motion was not resolved, it is
+    warned of.
+    """
+    trajectory = _at_pole(program, trajectory)
+    if not trajectory.success and program.header.real_everywhere:
+        return trajectory
+    q, p, _, kept = stored
+    if trajectory.every is None and not program.header.real_everywhere:  # the last state, too
+        numbers = program.numbers
+        with numbers.working():
+            ends = [numbers.read(x[:1]) for x in (trajectory.q, trajectory.p)]
+        q, p = (np.concatenate(parts) for parts in zip((q, p), ends, strict=True))
+    energies = look_at_energy(program, run, trajectory, q, p)
+    if energies is not None and energies.first_not_real is not None:
+        ended = _ended_before(program, run, trajectory, (q, p, stored[2], kept), energies)
+        return _at_pole(program, ended)
+    if not trajectory.success:
+        return trajectory
+    message = _unresolved(program, run, trajectory, kept, energies)
+    if not message:
+        return trajectory
+    message = f"{program.system}, {program.scheme}: {message}"
+    warn(message, ResolutionWarning)
+    return replace(trajectory, message=f"{trajectory.message} {message}")
+
+
+def _unresolved(
+    program: Program, run: Run, trajectory: Trajectory, kept: NDArray[Any], energies: Sampled | None
+) -> str:
+    """Return what was not resolved, in words, or nothing."""
+    tools, system, h = program.tools, program.declared, float(run.h)
+    plain = run.W.dtype == np.float64 and not run.header.retimed
+    if tools is not None and system is not None and trajectory.every == 1 and plain:
+        passed = tools.unresolved_pole(program, system, trajectory)
+        if passed is not None:
+            return (
+                f"about t={passed[0]:g} the motion passes a singular point of the coordinates, "
+                f"near {passed[1]}, faster than steps of h={h:g} resolve: finer steps lead "
+                "elsewhere, and the states after it are unreliable.\nUse coordinates that are "
+                "regular there, such as Cartesian ones held by a constraint (see the guide to "
+                "constraints); a smaller h helps only where the passage is wide enough."
+            )
+        inputs = np.asarray(trajectory.input_values)[0, 0, 0]
+        values = [*map(float, trajectory.parameter_values), *map(float, inputs)]
+        jumped = tools.kink_passed(system, trajectory.t, trajectory.q, values)
+        if jumped is not None:
+            return (
+                f"about t={jumped[0]:g} the motion passes a zero of {jumped[1]}, where the force "
+                "jumps: no scheme keeps its order there, and energies do not tell.\nSmooth the "
+                "root, sqrt(... + epsilon**2), or trust what halving h leaves unchanged."
+            )
+        _remember_box(program, trajectory)
+    left = None if energies is None else energies.left_at
+    if left is None:
+        return ""
+    place, off = left
+    since = float(kept[place, 0] if run.header.retimed else run.t0 + h * (place * run.every))
+    energy, scale, but = "energy", "", ""
+    if not run.header.conservative:
+        energy, scale = "energy less the work of forces", " and this work"
+        but = ", unless damping makes the motion forget how it came there"
+    return (
+        f"from about t={since:g} on the {energy} is off by {off:.0%} of the kinetic energy{scale} "
+        "and does not come back. A fast part of the motion, such as a close encounter or a fast "
+        f"oscillation, was not resolved with h={h:g}; the states after it are unreliable{but}.\n"
+        "Take a smaller h, or a scheme of higher order."
+    )
+
+
+def _remember_box(program: Program, trajectory: Trajectory) -> None:
+    """Remember where short runs may go without being looked at one by one."""
+    key, q = trajectory.parameter_values.tobytes(), trajectory.q
+    if program.findings.prepared is None or program.findings.irregular.get(key, 0) >= TRIES:
+        return
+    tools, system = program.tools, program.declared
+    known = program.findings.regular.get(key)
+    if known is not None and not np.isfinite(known[0]).any():  # all of space is regular
+        return
+    low, high = q.min(axis=0), q.max(axis=0)
+    if known is not None:
+        low, high = np.minimum(low, known[0]), np.maximum(high, known[1])
+    assert tools is not None
+    values = list(map(float, trajectory.parameter_values))
+    box = tools.regular_box(system, values, low, high, float(trajectory.t[0]))
+    if box is None:
+        program.findings.irregular[key] = program.findings.irregular.get(key, 0) + 1
+    else:
+        program.findings.regular[key] = box
+
+
+def _at_pole(program: Program, trajectory: Trajectory) -> Trajectory:
+    """Say so where a run failed at a singular point of the coordinates."""
+    tools, system = program.tools, program.declared
+    if trajectory.status not in AT_POLES or tools is None or system is None:
+        return trajectory
+    where = tools.at_pole(system, trajectory)
+    if not where:
+        return trajectory
+    status = Status.COORDINATE_SINGULARITY
+    message = (
+        f"{program.system}, {program.scheme}: step {trajectory.steps} at "
+        f"t={float(trajectory.t[-1]):g} with h={float(trajectory.h):g} was not taken: near {where} "
+        f"the mass matrix is nearly singular. {status.message}"
+    )
+    return replace(trajectory, status=status, message=message)
+
+
+def _ended_before(
+    program: Program, run: Run, trajectory: Trajectory, stored: Stored, energies: Sampled
+) -> Trajectory:
+    """Return a run that ended before the first state at which the energy is no number."""
+    q, p, _, kept = stored
+    bad = energies.first_not_real
+    assert bad is not None
+    about = trajectory.__getstate__()
+    result, good = program.numbers.result, max(bad - 1, 0)
+    done, at = good * run.every, min(bad * run.every, trajectory.steps)
+    retimed, where = run.header.retimed, run.t0 + run.h * at
+    if retimed:
+        where = kept[min(bad, len(kept) - 1), 0]
+    if trajectory.every is None:
+        last = slice(good, good + 1)
+        about |= {"q": result(q[last]), "p": result(p[last])}
+        about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
+        if retimed:
+            about |= {"t": result(kept[last, 0]), "tau_values": result(np.array([run.h * done]))}
+    else:
+        for name in ("t", "q", "p", "newton_iterations", *(("tau_values",) if retimed else ())):
+            about[name] = about[name][: done // trajectory.every + 1]
+    message = (
+        f"{program.system}, {program.scheme}: the energy is no finite number at "
+        f"t={float(where):g}, after step {at} of "
+        f"{trajectory.steps} with h={float(run.h):g}: T or V has no real value there. The "
+        "motion left their domain, or a step jumped across a singular point: check the state "
+        "before, or try a smaller h."
+    )
+    return Trajectory(**about | {"steps": done, "status": Status.NOT_FINITE, "message": message})

@@ -1,1 +1,0 @@
-"""The compiled loops over steps, blocks and states, which call kernels by address."""

@@ -1,1 +1,0 @@
-"""Many runs at once: on threads, on clusters, in stores."""

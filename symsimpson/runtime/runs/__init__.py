@@ -1,1 +1,0 @@
-"""Single runs: their start, steps, checkpoints, and checks of their energy."""

@@ -1,0 +1,1 @@
+"""Requests for runs, read once, and the run under way."""

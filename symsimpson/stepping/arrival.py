@@ -1,0 +1,185 @@
+"""Runs in a time of their own, whose number of steps is not known before: states and the end."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import StorageError
+from symsimpson.program.recorders import ordered
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.stepping.run import Run, Stored
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+    from symsimpson.program.program import Program
+
+__all__ = ["ROOM", "STRIDE", "Collected", "last_part", "resolution", "states_at", "with_end"]
+
+Reals = NDArray[Any]
+#: So many states are stored before they are put away.
+ROOM = 4096
+#: Where no states are asked for, each so-many-th step is stored, and of those put away each
+#: so-many-th is kept to look at.
+STRIDE, KEPT = 16, 64
+#: After so many times that states were put away it is asked whether there is room for more: so many
+#: times as much as they take, in bytes.
+LOOKS, JOINING = 16, 3 / 8
+
+
+class Collected:
+    """The states that a run stores, however many these will be.
+
+    Parameters
+    ----------
+    run : Run
+        With room for ROOM states and one.
+    asked : bool
+        Whether all states are asked for, or some kept to look at.
+    """
+
+    def __init__(self, run: Run, *, asked: bool) -> None:
+        self._run, self._stride = run, 1 if asked else KEPT
+        self._parts: list[Any] = []
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop``, failure or arrival.
+
+        Raises
+        ------
+        StorageError
+            If there is no memory for more states; those so far are kept.
+        """
+        run = self._run
+        try:
+            self._advance(stop)
+        except MemoryError:
+            raise StorageError(
+                f"the states of a run of {run.header.system} do not fit into memory: "
+                f"{run.step} steps were taken, and those are kept.\nStore fewer: every=1000, or "
+                "every=None for the last state alone; or take a larger h."
+            ) from None
+
+    def _advance(self, stop: int) -> None:
+        run = self._run
+        while run.alive and run.step < stop:
+            full = run.first + ROOM * run.every if run.every else stop
+            run.advance(min(stop, full))
+            if run.every and run.alive:
+                q, p, iterations, kept = (x[:-1] for x in run.stored())
+                counted = np.add.reduceat(iterations, np.arange(0, len(iterations), self._stride))
+                self._parts.append(
+                    (
+                        *(x[:: self._stride].copy() for x in (q, p)),
+                        counted,
+                        kept[:: self._stride].copy(),
+                    )
+                )
+                run.forget()
+                if len(self._parts) % LOOKS == 0:  # is there room to join them?
+                    np.empty(int(JOINING * sum(x.nbytes for part in self._parts for x in part)))
+
+    def states(self) -> Stored:
+        """Return all stored states."""
+        q, p, iterations, kept = map(
+            np.concatenate, zip(*self._parts, self._run.stored(), strict=True)
+        )
+        return q, p, iterations, kept
+
+
+def last_part(program: Program, run: Run, t_end: Any) -> tuple[Any, Reals, Reals, Status]:
+    """Take the part of a step from where a run has arrived to its end.
+
+    Returns
+    -------
+    part : number
+        Of tau.
+    q, p : ndarray, shape (1, n)
+    status : Status
+    """
+    q, p = run.end()
+    start = np.zeros(1, dtype=np.int64)
+    part, q, p, fine = states_at(
+        program,
+        run.parameters,
+        run.h,
+        (run.rows("TIME", 1).copy(), q, p),
+        start,
+        np.full(1, t_end),
+        1,
+    )
+    return part[0], q, p, Status.SUCCESS if fine[0] else Status.NOT_CONVERGED
+
+
+def states_at(
+    program: Program,
+    values: Reals,
+    h: Any,
+    states: tuple[Reals, Reals, Reals],
+    start: NDArray[np.int64],
+    asked: Reals,
+    every: int,
+) -> tuple[Reals, Reals, Reals, NDArray[np.bool_]]:
+    """Find states at times behind some of the stored ones, t, q and p.
+
+    ``values`` are parameters, a row of them for each state or one for all.
+
+    Returns
+    -------
+    part : ndarray, shape (m,)
+        How far each is into its step, in tau.
+    q, p : ndarray, shape (m, n)
+    fine : ndarray of bool, shape (m,)
+        Whether its steps could be taken as usual.
+    """
+    numbers, header, kernels = (program.numbers, program.header, program.kernels)
+    many, near, rows = start.size, resolution(numbers), np.atleast_2d(values)
+    part, (q, p) = numbers.zeros(many), numbers.zeros((2, many, header.n))
+    fine = np.zeros(many, dtype=np.bool_)
+    for name in kernels.fallbacks:  # each where the one before fails
+        some = np.flatnonzero(~fine)
+        if not some.size:
+            break
+        q_out, p_out = numbers.zeros((2, some.size + 1, header.n))
+        part_out, well = numbers.zeros(some.size), np.zeros(some.size, dtype=np.bool_)
+        numbers.driver("states_at")(
+            kernels.set(name, ordered(header, ()), again=True),
+            kernels.address("energy"),
+            (h, states[0], workspace(header, numbers, rows[0]), header.told),
+            states[1:],
+            (start[some], asked[some], near),
+            (q_out, p_out, part_out, well),
+            every,
+            (NO_INPUTS, rows if len(rows) == 1 else rows[some]),
+        )
+        part[some], q[some], p[some], fine[some] = part_out, q_out[:-1], p_out[:-1], well
+    return part, q, p, fine
+
+
+def with_end(states: tuple[Reals, ...], end: tuple[Any, ...], every: bool) -> tuple[Reals, ...]:
+    """Return times, tau, positions, momenta and iterations with the end of the run behind them.
+
+    It takes the place of the state before it where that alone is kept.
+    """
+    t, tau, q, p, iterations = states
+    t_end, tau_end, q_end, p_end = end
+    if not every:
+        return np.append(t[:0], t_end), np.append(tau[:0], tau_end), q_end, p_end, iterations
+    if t_end == t[-1]:
+        return states
+    return (
+        np.append(t, t_end),
+        np.append(tau, tau_end),
+        np.vstack([q, q_end]),
+        np.vstack([p, p_end]),
+        np.append(iterations, 0),
+    )
+
+
+def resolution(numbers: Numbers) -> float:
+    """Return the relative size of what rounding makes of a time."""
+    digits = getattr(numbers, "digits", None)
+    return 4e-16 if digits is None else 10.0 ** (1 - digits)

@@ -1,0 +1,265 @@
+"""Values of inputs, step by step: read, checked, and between the nodes of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.values import read_array, read_count, read_number
+from symsimpson.program.workspace import NO_INPUTS
+from symsimpson.stepping.inputs import read_step
+
+if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
+    from symsimpson.program.program import Program
+
+__all__ = ["Samples", "at_places", "given_inputs", "places", "read_driving", "samples", "since"]
+
+Reals = NDArray[Any]
+
+#: A period may miss a whole number of steps by so much of a step.
+STEP_FRACTION = 1e-6
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Values of an input that are held for a period each; see :func:`samples`."""
+
+    values: ArrayLike
+    period: Any
+
+
+def samples(values: ArrayLike, *, period: float) -> Samples:
+    """Say that the values of an input are held for a period each, from the start of the run on.
+
+    Parameters
+    ----------
+    values : array_like, shape (L,), or (K, L) in an ensemble of K members
+    period : float
+        A whole number of steps: a jump within a step would cost the order of the scheme.
+
+    Returns
+    -------
+    Samples
+        What ``integrate(..., inputs={"u": samples(values, period=0.05)})`` takes.
+
+    Examples
+    --------
+    >>> import sympy as sp, symsimpson as ss
+    >>> (x,), u = ss.coordinates("x"), sp.Symbol("u")
+    >>> cart = ss.MechanicalSystem("cart", coordinates=(x,), kinetic=x.diff()**2/2,
+    ...                            potential=0*x, forces={x: u}, inputs=(u,))
+    >>> run = ss.compile(cart).integrate([0.0], v0=[0.0], h=0.01, steps=20,
+    ...                                  inputs={"u": ss.samples([1.0, -1.0], period=0.1)})
+    >>> float(run["v_x"][10].round(12)), float(run["v_x"][-1].round(12))
+    (0.1, 0.0)
+    """
+    return Samples(values, period)
+
+
+def read_driving(
+    program: Program, given: Any, h: Any, steps: int, members: int | None = None
+) -> Reals:
+    """Read the values of all inputs of a run, or of the members of an ensemble.
+
+    Parameters
+    ----------
+    program : Program
+    given : mapping, array_like or None
+        By symbol or by name; or all of them along the last axis.
+    h : number
+    steps : int
+    members : int, optional
+        Of an ensemble; 1 where nothing but the inputs tells.
+
+    Returns
+    -------
+    ndarray, shape (K, N, s, m)
+        By member, step, node and input; where an axis has one entry it stands for all.
+
+    Raises
+    ------
+    InputError
+        If one is missing, unknown or not finite, or has the wrong shape.
+    """
+    names, numbers = program.inputs, program.numbers
+    if not names:
+        if given is None:
+            return NO_INPUTS
+        raise InputError(
+            f"{program.system} has no inputs.\nDeclare them: MechanicalSystem(..., forces={{q: u}},"
+            " inputs=(u,))."
+        )
+    values = given_inputs(program, given)
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise InputError(
+            f"{program.system}: the input {missing[0]} has no values.\nPass inputs="
+            f"{{{missing[0]!r}: values}}, one value for each of the {steps} steps, or at the nodes "
+            "of all steps: stepper.node_times(h, steps)."
+        )
+    read = [_one(program, name, values[name], h, steps, members) for name in names]
+    try:
+        shape = np.broadcast_shapes(*(one.shape for one in read))
+    except ValueError:
+        sizes = ", ".join(f"{name} of {len(x)}" for name, x in zip(names, read, strict=True))
+        raise InputError(
+            f"inputs are given for different numbers of members: {sizes}.\n"
+            "Give each input an axis of all members, or none."
+        ) from None
+    found = np.stack([np.broadcast_to(one, shape) for one in read], axis=-1)
+    return found if steps else numbers.zeros((1, 1, 1, len(names)))
+
+
+def given_inputs(program: Program, given: Any) -> dict[str, Any]:
+    """Return what is given for each input, by its name."""
+    names, given = program.inputs, program.default_inputs if given is None else given
+    if given is None:
+        return {}
+    if isinstance(given, Mapping):
+        found: dict[str, Any] = {}
+        for key, value in given.items():
+            place = program.names.inputs.found(key)
+            if names[place] in found:
+                raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
+            found[names[place]] = value
+        return found
+    array = read_array("inputs", given, program.numbers)
+    if len(names) == 1 and (array.ndim < 2 or array.shape[-1] != 1):
+        return {names[0]: array}
+    if array.ndim == 0 or array.shape[-1] != len(names):
+        raise InputError(
+            f"inputs has shape {array.shape}: its last axis is not that of the {len(names)} inputs "
+            f"{', '.join(names)}.\nPass a mapping, inputs={{{names[0]!r}: values, ...}}."
+        )
+    return {name: array[..., k] for k, name in enumerate(names)}
+
+
+def _one(program: Program, name: str, given: Any, h: Any, steps: int, members: int | None) -> Reals:
+    """Read the values of one input, shape (K, N, s) or with ones in their places."""
+    numbers, nodes = program.numbers, len(program.header.input_places)
+    held = isinstance(given, Samples)
+    array = read_array(f"input {name}", given.values if held else given, numbers)
+    if held:
+        array = np.repeat(array, steps_a_period(name, given.period, h, numbers), axis=-1)
+        array = array[..., :steps] if array.ndim else array
+    shape, many = array.shape, members or 1
+    if members == 1 and array.ndim > 1 and shape != (steps, nodes) and shape[1] == steps:
+        many = len(array)
+    fitting: dict[tuple[int, ...], tuple[int, ...]] = {
+        (): (1, 1, 1),
+        (steps,): (1, steps, 1),
+        (steps, 1): (1, steps, 1),
+        (many, steps): (many, steps, 1),
+        (many, steps, 1): (many, steps, 1),
+        **({} if held else {(steps, nodes): (1, steps, nodes)}),
+        **({} if held else {(many, steps, nodes): (many, steps, nodes)}),
+    }
+    if members == steps == nodes and shape == (steps, nodes):
+        raise InputError(
+            f"input {name} has shape {shape}, which may be (members, steps) or (steps, nodes).\n"
+            f"Say which by one axis more: ({members}, {steps}, 1), or (1, {steps}, {nodes})."
+        )
+    if shape not in fitting and shape != (1, steps, nodes):
+        ways = f"({steps},), a value for each step, or ({steps}, {nodes}), one for each node"
+        if members is not None:
+            ways += f"; with {members} before them if each member has its own"
+        raise InputError(
+            f"input {name} has {'steps of samples' if held else 'shape'} {shape}, and the run has "
+            f"{steps} steps of {nodes} nodes.\nPass one of shape {ways}: "
+            "stepper.node_times(h, steps) are the times of nodes."
+        )
+    if not numbers.all_finite(array):
+        bad = tuple(np.argwhere(~numbers.finite(array))[0].tolist())
+        where = f" at {name}{list(bad)}" if bad else ""
+        raise InputError(
+            f"input {name} is {float(array[bad])}{where}, not finite.\n"
+            "Look where the number comes from."
+        )
+    return array.reshape(fitting.get(shape, shape))
+
+
+def steps_a_period(name: str, period: Any, h: Any, numbers: Numbers) -> int:
+    """Return how many steps a value is held."""
+    exact = abs(float(read_number(f"the period of input {name}", period, numbers) / h))
+    count = round(exact)
+    if count < 1 or abs(exact - count) > STEP_FRACTION:
+        fit = float(period) / max(1, -(-exact // 1))
+        raise InputError(
+            f"input {name}: the period {float(period):g} is {exact:.6g} steps of "
+            f"h={abs(float(h)):g}, no whole number of them.\nA jump within a step would cost the "
+            f"order of the scheme. Use h={fit:.17g}."
+        )
+    return count
+
+
+def places(program: Program) -> Reals:
+    """Return where in a step its nodes are, shape (s,), as parts of it."""
+    given = program.header.input_places
+    return program.numbers.read([Decimal(place) for place in given])
+
+
+def since(inputs: Reals, step: int) -> Reals:
+    """Return the inputs from a step on."""
+    return inputs if inputs.shape[1] == 1 else inputs[:, step:]
+
+
+def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Reals) -> Reals:
+    """Return the inputs at places of steps that need not be nodes.
+
+    Held inputs stay what they are. Those at nodes go by the polynomial through the s nodes of the
+    step: exact up to degree s - 1.
+
+    Parameters
+    ----------
+    program : Program
+    inputs : ndarray, shape (1, N, s, m)
+    step : ndarray of int, shape (k,)
+        Numbers of steps.
+    at : ndarray, shape (k, r)
+        Places in them, from 0 to 1.
+
+    Returns
+    -------
+    ndarray, shape (1, k, r, m)
+        With r = 1 where inputs are held.
+    """
+    own = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
+    if inputs.shape[2] == 1 or inputs.shape[3] == 0:
+        return own[None]
+    c = places(program)
+    found = 0 * at[:, :, None] * own[:, :1]
+    for j in range(c.size):
+        basis = 1 + 0 * at
+        for i in range(c.size):
+            if i != j:
+                basis = basis * (at - c[i]) / (c[j] - c[i])
+        found = found + basis[:, :, None] * own[:, j : j + 1]
+    return found[None]
+
+
+def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:
+    """Return the times at which inputs given at nodes are taken, shape (steps, s).
+
+    Raises
+    ------
+    InputError
+        If the system has no inputs.
+    """
+    if not program.inputs:
+        raise InputError(
+            f"{program.system} has no inputs, so there are no times to take them at.\n"
+            "Declare them: MechanicalSystem(..., forces={q: u}, inputs=(u,))."
+        )
+    numbers = program.numbers
+    with numbers.working():
+        step, start = read_step(h, numbers), read_number("t0", t0, numbers)
+        count = read_count("steps", steps, least=0)
+        place = numbers.counted(0, count, 1)[:, None] + places(program)
+        return numbers.result(start + step * place)

@@ -1,0 +1,167 @@
+"""Starts of systems with constraints: checked, and brought onto them to rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError, ModelError
+from symsimpson.module.matrices import slopes_of
+from symsimpson.program.evaluating import evaluate, evaluate_members
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["DEPENDENT", "allowed", "dependent"]
+
+Reals = NDArray[Any]
+#: Starts that miss constraints by more than this, relative to their slopes and to q, are refused.
+MISSED = 1e-9
+#: Constraints count as dependent below this share of what holds each of them.
+DEPENDENT = 1e-10
+#: Newton's method from a start that misses by less needs so many iterations, with many digits too.
+MOST = 12
+
+
+def allowed(
+    program: Program,
+    q: Reals,
+    other: Reals,
+    given: str,
+    values: Reals,
+    t: Any,
+    missed: float = MISSED,
+) -> tuple[Reals, Reals]:
+    """Return starts that satisfy the constraints to rounding, from some that nearly do.
+
+    Parameters
+    ----------
+    program : Program
+    q, other : ndarray, shape (K, n)
+    given : {"v0", "p0"}
+        What the second is.
+    values : ndarray, shape (K, m)
+        Of parameters.
+    t : number
+    missed : float
+        By how much a start may miss the constraints, relative to their slopes.
+
+    Raises
+    ------
+    ModelError
+        If constraints depend on each other there.
+    InputError
+        If q does not satisfy them, or velocities are not allowed by them.
+    """
+    numbers, held = program.numbers, program.header.constraints
+    if not held:
+        return q, other
+    m, n, header = len(held), program.n, program.header
+    times = numbers.read([t])
+
+    def at(block: str, count: int, p: Reals, kernel: str = "multipliers") -> Reals:
+        if len(values) == 1:
+            return evaluate(program, kernel, block, count, times, q, p, values[0])
+        states = q[:, None, :], p[:, None, :]
+        return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
+
+    rest = 0 * q
+    rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
+    slopes = slopes_of(header, rows)
+    _check_rank(program, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
+    size = np.linalg.norm(slopes, axis=2)
+    scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
+    for attempt in range(MOST):
+        phi = at("CONSTRAINT", m, rest)
+        off = np.abs(phi.astype(np.float64)) / scale
+        if attempt == 0 and not off.max() <= missed:
+            raise _off(program, q, other, given, values, off, "q0 does not satisfy", "")
+        if off.max() <= 4 * numbers.epsilon:
+            break
+        q = q + at("HELD_CHANGE", n, rest)
+    speeds = other.astype(np.float64)
+    if given == "v0":
+        taken = (slopes @ speeds[..., None])[..., 0]
+    else:  # what the constraints take from p is of no effect, but was surely meant otherwise
+        pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
+        taken = pulls * size**2
+    off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
+    if not off.max() <= missed:
+        what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
+        raise _off(program, q, other, given, values, off, what, " v = 0")
+    return q, other
+
+
+def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) -> None:
+    finite = np.isfinite(slopes).all()
+    worst = int(np.argmin(independence.astype(np.float64)))
+    if finite and independence[worst] >= DEPENDENT:
+        return
+    names = program.names.constraints.shown
+    rows = slopes[worst]
+    size = np.linalg.norm(rows, axis=1)
+    where = f"q0={[float(x) for x in q[worst]]}"
+    if not np.isfinite(rows).all():
+        raise InputError(
+            f"{program.system}: constraints have no finite slope at {where}.\nBegin elsewhere."
+        )
+    if (size == 0).any():
+        flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
+        raise ModelError(
+            f"{program.system}: the constraint {flat} has no slope at {where}: its gradient is "
+            "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "
+            "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
+        )
+    raise ModelError(
+        f"{program.system}: the constraints {dependent(names, rows)} depend on each other at "
+        f"{where}.\nOne of them follows from the others there, so the constraint forces are not "
+        "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
+        "begin elsewhere."
+    )
+
+
+def dependent(names: Sequence[str], slopes: Reals) -> str:
+    """Name the constraints of which one follows from the others, from their slopes."""
+    size = np.linalg.norm(slopes, axis=1)
+    left = np.linalg.svd(slopes / np.where(size > 0, size, 1.0)[:, None])[0][:, -1]
+    return ", ".join(repr(names[c]) for c in np.flatnonzero(np.abs(left) > 1e-3).tolist())
+
+
+def _off(
+    program: Program,
+    q: Reals,
+    other: Reals,
+    given: str,
+    values: Reals,
+    off: Reals,
+    what: str,
+    rate: str,
+) -> InputError:
+    """Say which constraint is missed by how much, and what would satisfy them."""
+    worst = np.nan_to_num(off, nan=np.inf)
+    member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
+    name = program.names.constraints.shown[int(c)]
+    which = f" of member {member}" if len(q) > 1 else ""
+    text = (
+        f"{program.system}: {what} the constraint {name!r}{which}: it is off by "
+        f"{off[member, c]:.2g}, relative to its slope."
+    )
+    system = program.declared
+    if system is None:
+        return InputError(f"{text}\nGive a start with phi = 0 and dphi/dq.v = 0.")
+    call = "system.consistent(q0, v0)"
+    try:
+        velocities = other[member] if given == "v0" else 0 * other[member]
+        parameters = dict(zip(program.parameters, values[member], strict=True))
+        near = system.consistent(
+            q[member].astype(np.float64), velocities.astype(np.float64), parameters=parameters
+        )
+        rounded = [np.round(x, 6).tolist() for x in near]
+        shown = f"q0={rounded[0]}, v0={rounded[1]}"
+        text += f"\n{call} gives the nearest start" + (f": {shown}." if given == "v0" else ".")
+    except InputError:
+        text += f"\n{call} finds none nearby."
+    return InputError(text + (" Or give v0." if given == "p0" else ""))

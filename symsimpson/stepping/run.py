@@ -1,0 +1,383 @@
+"""One run of the driver: its workspace, and the arrays in which states are stored."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
+from symsimpson.program.observed import Reduction
+from symsimpson.program.recorders import Recorder, ordered, told
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import NO_INPUTS, workspace
+from symsimpson.support.progress import Watcher
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["Run", "Stored"]
+
+#: q, p, iterations and what recorders left, of stored states.
+Stored = tuple[NDArray[Any], NDArray[Any], NDArray[np.int64], NDArray[Any]]
+
+#: The compiled loop is left after about so many seconds, so that Ctrl-C is heard.
+PATIENCE = 0.02
+#: After so many steps in which it does not change at all, the time of a retimed run stands still.
+STANDSTILL = 1024
+#: Failures that no other kernels would help.
+HOPELESS = (Status.COORDINATE_SINGULARITY, Status.RATE_NOT_POSITIVE)
+#: After a step that only slower and more robust kernels could take, so many more are taken with
+#: them.
+FALLBACK_STRETCH = 64
+
+
+#: What stops a run behind a step that is not taken then.
+BEHIND_A_STEP = (ARRIVED, RATE_NOT_POSITIVE)
+
+
+class Run:
+    """A trajectory under way: its workspace, and the arrays in which states are stored.
+
+    ``advance(a)`` and then ``advance(b)`` leave the same bits as ``advance(b)`` alone.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        parameters: NDArray[Any],
+        h: Any,
+        t0: Any,
+        every: int,
+        stored: int,
+        fallbacks: Sequence[str] | None = None,
+        inputs: NDArray[Any] = NO_INPUTS,
+        recorders: Sequence[Recorder] = (),
+    ) -> None:
+        header, kernels, numbers = program.header, program.kernels, program.numbers
+        self.header, self.kernels, self.h, self.t0, self.every = header, kernels, h, t0, every
+        self._declared, self._tools = program.declared, program.tools
+        self._parameters, self._inputs = parameters, inputs
+        self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
+        self._recorders = ordered(header, recorders)
+        self.told = told(header, self._recorders)
+        if any(one.renewed for one in recorders):
+            self._driver = partial(numbers.driver, renewing=True)
+        self.W = workspace(header, numbers, parameters, sum(one.room for one in recorders))
+        self._column = self.W[:, 0]
+        self._status = header.layout["STATUS"]
+        self._watcher: Watcher | None = None
+        self._fallbacks = kernels.fallbacks if fallbacks is None else fallbacks
+        self._stretch = numbers.stretch
+        self.q, self.p = numbers.zeros((2, stored, header.n, 1))
+        #: What recorders left beside them, of one behind the other.
+        self.recorded = numbers.zeros((stored, sum(one.rows for one in self._recorders), 1))
+        self.iterations = np.zeros((stored, 1), dtype=np.int64)
+        self._stores = self.q, self.p, self.recorded, self.iterations
+        #: Steps before those whose states stand in the arrays; and what was done since.
+        self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
+        self._interrupted = False
+        self._set, self._set_until = 0, -1
+
+    def begin(
+        self,
+        q: NDArray[Any],
+        other: NDArray[Any],
+        *,
+        velocity: bool,
+        any_angle: bool = False,
+        t_end: Any = None,
+        onward: bool = False,
+    ) -> None:
+        """Begin at (q, p), or at (q, v); with kernels that take any angle, if that is needed.
+
+        A retimed run ends before ``t_end``; where it is ``onward`` from another, it has the E0 and
+        the first rate of that one.
+        """
+        if any_angle:
+            self._set, self._set_until = len(self._fallbacks) - 1, FALLBACK_STRETCH
+        legendre = self.kernels.address("legendre", any_angle=any_angle) if velocity else 0
+        self._begin_anew(self._kernels(), legendre, self._setting, (self._parameters, q, other))
+        if self.header.retimed:
+            if not onward:
+                self.apply("retime")
+                self._driver("begin")(self._kernels(), 0, self.h, self.t0, self.W, self.told)
+            self.rows("TIME", 1)[:] = self.t0
+            self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
+        self.store(0)
+
+    @property
+    def _setting(self) -> tuple[Any, ...]:
+        return self.h, self.t0, self.W, self.told
+
+    @cached_property
+    def _begin_anew(self) -> Any:
+        return self._driver("begin_anew")
+
+    @cached_property
+    def _take_steps(self) -> Any:
+        explicit = self.header.newton_unknowns == 0
+        return self._driver("take_explicit_steps" if explicit else "take_steps")
+
+    def look(self) -> None:
+        """Let recorders of states look at that where the run begins."""
+        for one in self._recorders:
+            if one.text:
+                rows = self._column[one.first : one.first + one.room]
+                rows[:-1], rows[-1] = np.nan, 0.0
+        number = sum(one.of_states for one in self._recorders)
+        for kernel in self._kernels()[len(self._kernels()) - number :]:
+            self._driver("apply")(kernel, self.h, self.t0, self.W)
+
+    def reduced(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
+        """Return names of observed values, and what they came to by now."""
+        first = next((x.first for x in self._recorders if x.kernel == "observe"), None)
+        if first is None:
+            return ()
+        rows = self._column[first : first + 2 * len(reductions) : 2].tolist()
+        return tuple((one.name, value) for one, value in zip(reductions, rows, strict=True))
+
+    def apply(self, kernel: str) -> None:
+        """Call a kernel of the state where the run is."""
+        address = self.kernels.address(kernel)
+        self._driver("apply")(address, self.h, self._time(), self.W)
+
+    def begin_growth(self, directions: NDArray[Any]) -> None:
+        """Begin variations of the state in these directions, orthonormal columns."""
+        self._driver("begin_growth")(self.W, self.told, directions)
+
+    def store(self, place: int) -> None:
+        """Store the present state, and what recorders have left."""
+        n = self.header.n
+        self.q[place, :, 0] = self.rows("POSITION", n)
+        self.p[place, :, 0] = self.rows("MOMENTUM", n)
+        self.recorded[place, :, 0] = self.left()
+
+    def left(self, kernel: str = "") -> NDArray[Any]:
+        """Return what all recorders, or one of them, have left beside the present state."""
+        rows = [
+            self._column[one.first : one.first + one.rows]
+            for one in self._recorders
+            if kernel in ("", one.kernel)
+        ]
+        return np.concatenate([self._column[:0], *rows])
+
+    def columns(self, kernel: str) -> slice:
+        """Return where the rows of a recorder stand among those of all."""
+        first = 0
+        for one in self._recorders:
+            if one.kernel == kernel:
+                return slice(first, first + one.rows)
+            first += one.rows
+        return slice(0, 0)
+
+    @contextmanager
+    def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
+        """Count the steps that are taken inside on a bar; Ctrl-C ends them, as the status tells."""
+        self._watcher = None if progress is False else Watcher(steps, progress)
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._interrupted = True
+        finally:
+            if self._watcher is not None:
+                self._watcher.close()
+            self._watcher = None
+
+    def rows(self, block: str, count: int) -> NDArray[Any]:
+        """Return rows of the workspace."""
+        first = self.header.layout[block]
+        return self._column[first : first + count]
+
+    def value(self, block: str) -> Any:
+        """Return the number in a block of one row."""
+        return self._column[self.header.layout[block]]
+
+    def end(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return q and p where the run is, shape (1, n)."""
+        n = self.header.n
+        return self.rows("POSITION", n)[None].copy(), self.rows("MOMENTUM", n)[None].copy()
+
+    def stored(self) -> Stored:
+        """Return q, p and iterations of the states that were stored, and what recorders left."""
+        kept = self._progress.item(0) // self.every + 1 if self.every else 0
+        q, p, rows, iterations = (x[:kept] for x in self._stores)
+        return q[..., 0], p[..., 0], iterations[:, 0], rows[..., 0]
+
+    @property
+    def step(self) -> int:
+        """Number of steps done."""
+        return self.first + self._progress.item(0)
+
+    @property
+    def status(self) -> Status:
+        """The state of the run."""
+        if self._interrupted:
+            return Status.INTERRUPTED
+        if self.alive or self.arrived:
+            return Status.SUCCESS
+        status = Status(int(self._column[self._status]))
+        if status is Status.NOT_CONVERGED and self._diverged():
+            return Status.DIVERGED
+        if status is Status.NOT_FINITE and self._singular():
+            return Status.SINGULAR_JACOBIAN
+        return status
+
+    def _diverged(self) -> bool:
+        """Return whether the increments became ten times what was predicted, and seen before."""
+        n, d = self.header.n, self.header.degree
+        predicted = self.rows("PREDICTED", d * n).reshape(d, n)
+        expected = max(
+            (self.rows("MASS_DIAGONAL", n) * predicted**2).sum(), self.value("LARGEST_SQUARED")
+        )
+        return bool(self.value("INCREMENT_SQUARED") > 100 * expected)
+
+    def _singular(self) -> bool:
+        """Return whether elimination with pivoting, the last resort, met a pivot of zero."""
+        if self._fallbacks[self._set] != "robust":
+            return False
+        at = self.header.layout
+        places = np.arange(at["SOLVE_UNKNOWNS"]) * (at["SOLVE_STRIDE"] + 1)
+        return bool((self._column[at["JACOBIAN"] + at["SOLVE_OFFSET"] + places] == 0).any())
+
+    @property
+    def last_correction(self) -> float:
+        """Size of the last Newton correction relative to the increment."""
+        return float(self.value("RELATIVE")) ** 0.5
+
+    @property
+    def last_iterations(self) -> int:
+        """Newton iterations since the last stored state."""
+        return int(self.value("ITERATIONS"))
+
+    @property
+    def alive(self) -> bool:
+        """Whether no step has failed."""
+        return bool(self._column[self._status] == 0)
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the next step would go beyond the end."""
+        return bool(self._column[self._status] == ARRIVED)
+
+    @property
+    def parameters(self) -> NDArray[Any]:
+        """Values of the parameters, with those that follow from the start."""
+        return self.rows("PARAMETER", self._parameters.size).copy()
+
+    def advance(self, stop: int) -> None:
+        """Take steps until ``stop`` or failure; leaves the compiled loop now and then."""
+        while self.step < stop and self.alive:
+            until = min(stop, self.step + self._stretch)
+            if self._set:
+                until = min(until, self._set_until)
+            before, start, passed = self.step, time.perf_counter(), self._passed()
+            with self._undisturbed():
+                self.take(until)
+            spent = time.perf_counter() - start
+            if self.step - before >= STANDSTILL and passed is not None and passed == self._passed():
+                self._column[self._status] = RATE_NOT_POSITIVE
+            if self._watcher is not None:
+                self._watcher(self.step - before)
+            if self.step > before and spent > PATIENCE / 8:
+                self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
+            hopeful = not (self.alive or self.arrived) and self.status not in HOPELESS
+            if hopeful and self._expect_rounding():
+                self._change_to(self._set)
+            elif hopeful and self._set + 1 < len(self._fallbacks):
+                self._set_until = self.step + FALLBACK_STRETCH
+                self._change_to(self._set + 1)
+            elif self._set and self.step == self._set_until:
+                self._change_to(0)
+
+    def _expect_rounding(self) -> bool:
+        """Let corrections be as large as rounding makes them where the terms of forces cancel.
+
+        Tells whether they are larger than any before; then a step that failed may be taken.
+        """
+        if self._tools is None or self._declared is None:
+            return False
+        n, number = self.header.n, self.step
+        inputs = self._inputs[0, min(number, self._inputs.shape[1] - 1), 0]
+        values = [*map(float, self._parameters), *map(float, inputs)]
+        q, t = map(float, self.rows("POSITION", n)), float(self._time())
+        terms = self._tools.force_terms(self._declared, q, values, t)
+        masses = self.rows("MASS_DIAGONAL", n).astype(np.float64)
+        with np.errstate(over="ignore"):
+            size = float(sum(terms[masses > 0] ** 2 / masses[masses > 0]))
+        larger = 4 * float(self._column[-1]) < size < np.inf
+        if larger:
+            self._column[-1:] = size
+        return larger
+
+    def _passed(self) -> Any:
+        """Return the time of the user, if it is not that of the steps."""
+        return self.value("TIME") if self.header.retimed else None
+
+    def _kernels(self) -> Any:
+        return self.kernels.set(self._fallbacks[self._set], self._recorders)
+
+    def _change_to(self, number: int) -> None:
+        """Go on with other kernels; between stages and Newton's method nothing is handed over."""
+        anew = "stages" in (self._fallbacks[number], self._fallbacks[self._set])
+        self._set = number
+        if not anew:
+            self._driver("switch")(self._kernels(), self.h, self._time(), self.W, self.told)
+            return
+        kept = [self.rows(name, 1) for name in ("ITERATIONS", "LARGEST_SQUARED")]
+        values = [row.copy() for row in kept]
+        self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
+        for row, value in zip(kept, values, strict=True):
+            row[:] = value
+
+    def _time(self) -> Any:
+        return self.t0 + self.h * self.step
+
+    def take(self, stop: int) -> None:
+        """Take steps in one go, with the same kernels, recovering those at which the loop stops."""
+        kernels, setting, stop = self._kernels(), self._setting, stop - self.first
+        self._progress[2:] = self.first
+        while True:
+            self._take_steps(
+                kernels, setting, self._progress, stop, self.every, self._stores, self._inputs
+            )
+            event = self._progress.item(1)
+            if event == 0:
+                if self.header.retimed and self._column[self._status] in BEHIND_A_STEP:
+                    self._step_back()
+                return
+            self._driver("recover")(kernels, self.h, self._time(), self.W, self.told, event)
+            if not self.alive:
+                self._progress[1] = 0
+                return
+
+    def _step_back(self) -> None:
+        """Return to before the last step, the time too."""
+        for block, before, size in (("POSITION", "PREVIOUS", 4 * self.header.n), ("TIME", "", 2)):
+            rows = self.rows(before, size) if before else self.rows(block, 4)[2:]
+            self.rows(block, size)[:] = rows
+        self._progress[0] -= 1
+
+    def forget(self) -> int:
+        """Keep only the last stored state in the arrays; returns the number of those forgotten."""
+        kept = self._progress.item(0) // self.every if self.every else 0
+        if kept:
+            self.first += kept * self.every
+            self._progress[0] -= kept * self.every
+            for stored in self._stores:
+                stored[0] = stored[kept]
+        return kept
+
+    def position(self) -> list[int]:
+        """Return what tells, beside the workspace, where the run is."""
+        return [self.first, self._progress.item(0), self._set, self._set_until]
+
+    def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
+        """Go on where another run was."""
+        self.first, self._progress[0], self._set, self._set_until = position
+        self._column[:] = workspace

@@ -1,0 +1,140 @@
+"""Requests for runs, read and checked once."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.observed import Reduction, read_reductions
+from symsimpson.program.values import read_vector
+from symsimpson.stepping.driving import read_driving
+from symsimpson.stepping.held import allowed
+from symsimpson.stepping.inputs import read_every, read_given, read_times
+from symsimpson.stepping.recording import read_record
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.variations import read_tangents
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["RunSpec", "read_run"]
+
+Reals = NDArray[Any]
+
+
+@dataclass(frozen=True)
+class RunSpec:
+    """Where a run begins, and how far it goes; for an ensemble with one row for each member.
+
+    Attributes
+    ----------
+    q0, other0 : ndarray, shape (n,) or (K, n)
+        Positions; velocities or momenta.
+    given : {"v0", "p0"}
+        Which of them ``other0`` are.
+    parameters : ndarray, shape (m,) or (K, m)
+    h, t0 : number
+    steps : int
+    every : int
+        Each so-many-th state is stored; 0 for the last one alone.
+    inputs : ndarray, shape (K, N, s, u)
+        By member, step, node and input; an axis of one entry stands for all.
+    tangents : ndarray, shape (2 n, k), or None
+        Variations of the initial state; those of parameters begin by themselves.
+    t_end : number or None
+        Where a run of unknown length ends; ``steps`` are then the most.
+    record : tuple of str
+        What is added up over steps.
+    reductions : tuple of Reduction
+        What values of states are reduced to.
+    """
+
+    q0: Reals
+    other0: Reals
+    given: Literal["v0", "p0"]
+    parameters: Reals
+    h: Any
+    t0: Any
+    steps: int
+    every: int
+    inputs: Reals
+    tangents: Reals | None = field(default=None, kw_only=True)
+    t_end: Any = field(default=None, kw_only=True)
+    record: tuple[str, ...] = field(default=(), kw_only=True)
+    reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
+
+    @property
+    def velocities(self) -> bool:
+        """Whether the run begins with velocities."""
+        return self.given == "v0"
+
+    @property
+    def stored(self) -> int:
+        """Number of stored states."""
+        return self.steps // self.every + 1 if self.every else 1
+
+    def said(self) -> dict[str, Any]:
+        """Return the numbers that are the same for all members, for files."""
+        said = {"h": self.h, "t0": self.t0, "steps": self.steps, "every": self.every}
+        said |= {} if self.t_end is None else {"t_end": self.t_end}
+        return said | ({"inputs": self.digest_of_inputs} if self.inputs.size else {})
+
+    @property
+    def digest_of_inputs(self) -> str:
+        """SHA-256 of the inputs and their shape."""
+        content = repr(self.inputs.shape).encode() + np.ascontiguousarray(self.inputs).tobytes()
+        return hashlib.sha256(content).hexdigest()
+
+
+def read_run(program: Program, request: Request) -> RunSpec:
+    """Read what a single run is asked for.
+
+    Raises
+    ------
+    InputError
+        If it makes no sense.
+    """
+    numbers, names = program.numbers, program.names.coordinates
+    with numbers.working():
+        values = program.values(request.parameters)
+        h, steps, t0, end = read_times(request, numbers, retimed=program.header.retimed)
+        stride = read_every(request.every)
+        how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
+        given, other = read_given("a run", how, request)
+        q = read_vector("q0", request.q0, names, numbers)
+        second = read_vector(given, other, names, numbers)
+        q, second = (x[0] for x in allowed(program, q[None], second[None], given, values[None], t0))
+        inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
+        tangents = None if carried is None else read_tangents(program, carried)
+        return RunSpec(
+            q,
+            second,
+            given,
+            values,
+            h,
+            t0,
+            steps,
+            stride,
+            inputs,
+            tangents=tangents,
+            t_end=end,
+            record=read_record(program, request.record),
+            reductions=_reductions(program, request.reduce),
+        )
+
+
+def _reductions(program: Program, given: Any) -> tuple[Reduction, ...]:
+    """Read what values of the states of one run are reduced to."""
+    found = read_reductions(program, given)
+    for one in found:
+        if one.of_variations:
+            raise InputError(
+                f"reduce[{one.name!r}] is {one.kind!r}, which ensembles tell.\n"
+                "Ask for that of one motion: stepper.lyapunov."
+            )
+    return found

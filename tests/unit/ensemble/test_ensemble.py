@@ -1,0 +1,368 @@
+"""Ensembles: each member is the run that it would be alone, whatever surrounds it."""
+
+import hashlib
+import signal
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.cases import sweep
+
+import symsimpson as ss
+from symsimpson.ensemble import blocks as module
+from symsimpson.ensemble import members
+from symsimpson.ensemble.task import lanes_for
+
+PENDULUM = ss.systems.double_pendulum()
+RNG = np.random.default_rng(7)
+ANGLES = RNG.uniform(-2.5, 2.5, (37, 2))
+GIVEN = {"p0": [0.0, 0.0], "h": 0.02, "steps": 200}
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(PENDULUM)
+
+
+def digest(found):
+    parts = (found.q, found.p, found.status, found.steps, *found.reduced.values())
+    return hashlib.sha256(b"".join(np.ascontiguousarray(x).tobytes() for x in parts)).hexdigest()
+
+
+def test_members_are_single_runs(stepper):
+    found = stepper.ensemble(ANGLES, **GIVEN)
+    assert found.q.shape == found.p.shape == (37, 2)
+    assert (found.status == 0).all()
+    assert (found.steps == 200).all()
+    assert found.t.tolist() == [4.0]
+    for member in (0, 7, 8, 36):
+        run = stepper.integrate(ANGLES[member], **GIVEN, every=None)
+        np.testing.assert_allclose(found.q[member], run.q[0], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.p[member], run.p[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_same_bits_for_threads_blocks_and_order(monkeypatch):
+    stepper = ss.compile(ss.systems.pendulum())
+    angles = ANGLES[:, :1]
+    given = {"v0": [0.1], "h": 0.05, "steps": 200}
+    watch = {"highest": ("max", "theta"), "average": ("mean", "p_theta * theta")}
+    whole = stepper.ensemble(angles, **given, threads=1, reduce=watch)
+    digests = {
+        digest(stepper.ensemble(angles, **given, threads=n, reduce=watch)) for n in (1, 2, 4)
+    }
+    for lanes in (4, 8, 16):
+        monkeypatch.setattr(members, "lanes_for", lambda header, lanes=lanes: lanes)
+        digests.add(digest(stepper.ensemble(angles, **given, reduce=watch)))
+    assert digests == {digest(whole)}
+    order = RNG.permutation(len(angles))
+    shuffled = stepper.ensemble(angles[order], **given)
+    assert (shuffled.q == whole.q[order]).all()
+    assert (shuffled.p == whole.p[order]).all()
+
+
+@pytest.mark.slow
+def test_same_bits_however_often_compiled_code_is_left(stepper, monkeypatch):
+    digests = set()
+    for patience, first in ((0.02, 2000), (1e-9, 1), (1e-9, 333)):
+        monkeypatch.setattr(module, "PATIENCE", patience)
+        monkeypatch.setattr(module, "FIRST_BUDGET", first)
+        digests.add(digest(stepper.ensemble(ANGLES, **GIVEN, every=7)))
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize("every", [1, 50, 64])
+def test_stored_states(stepper, every):
+    found = stepper.ensemble(ANGLES[:10], **GIVEN, every=every)
+    run = stepper.integrate(ANGLES[3], **GIVEN, every=every)
+    assert found.q.shape == (10, len(run.t), 2)
+    np.testing.assert_allclose(found.q[3], run.q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.p[3], run.p, rtol=0, atol=1e-12)
+    assert found.t == pytest.approx(run.t)
+    counted = run.newton_iterations.sum()
+    if 200 % every == 0:
+        assert found.newton_iterations[3] == pytest.approx(counted, abs=20)
+    else:  # those behind the last stored state count, too
+        assert found.newton_iterations[3] > counted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "make",
+    sweep(
+        [
+            ss.systems.lagrange_top,
+            ss.systems.harmonic_oscillator,
+            ss.systems.kepler,
+            lambda: ss.systems.fermi_pasta_ulam(8),
+            ss.systems.n_pendulum,
+        ]
+    ),
+)
+@pytest.mark.parametrize("scheme", sweep(["simpson", "midpoint"]))
+def test_every_form_of_code(make, scheme):
+    system = make()
+    given = system.reference_state
+    q0 = np.array(given["q0"]) + RNG.uniform(-0.01, 0.01, (11, system.n))
+    other = {key: given[key] for key in ("v0", "p0") if key in given}
+    stepper = ss.compile(system, scheme)
+    found = stepper.ensemble(q0, **other, h=0.005, steps=40)
+    assert (found.status == 0).all()
+    for member in (0, 10):
+        run = stepper.integrate(q0[member], **other, h=0.005, steps=40, every=None)
+        for a, b in ((found.q[member], run.q[0]), (found.p[member], run.p[0])):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * max(1, np.abs(b).max()))
+
+
+def test_parameters_of_each_member(stepper):
+    lengths = np.linspace(0.2, 0.4, 9)
+    found = stepper.ensemble([0.5, 1.0], **GIVEN, parameters={"l1": lengths, "g": 9.0})
+    assert (found.parameters["l1"] == lengths).all()
+    assert (found.parameters["g"] == 9.0).all()
+    run = stepper.integrate([0.5, 1.0], **GIVEN, parameters={"l1": lengths[4], "g": 9.0})
+    np.testing.assert_allclose(found.q[4], run.q[-1], rtol=0, atol=1e-12)
+
+
+def test_reductions(stepper):
+    q1, q2 = PENDULUM.coordinates
+    found = stepper.ensemble(
+        ANGLES[:9],
+        **GIVEN,
+        every=1,
+        reduce={
+            "highest": ("max", "q1"),
+            "lowest": ("min", q2),
+            "mean": ("mean", sp.cos(q1) * q2**2),
+            "drift": ("max", "abs(energy)"),
+            "fast": ("max", "abs(p_q1)/(m1*l1**2) + t*0 + pi - pi"),
+            "crossing": ("first", "q1 - 0.3"),
+            "never": ("first", "-1"),
+            "at once": ("first", "1"),
+        },
+    )
+    seen = found.reduced
+    x, y = found.q[:, :, 0], found.q[:, :, 1]
+    assert (seen["highest"] == x.max(axis=1)).all()
+    assert (seen["lowest"] == y.min(axis=1)).all()
+    np.testing.assert_allclose(seen["mean"], (np.cos(x) * y**2).mean(axis=1), atol=1e-12)
+    for member in range(9):
+        run = stepper.integrate(ANGLES[member], **GIVEN)
+        assert seen["drift"][member] == pytest.approx(np.abs(run.energy).max(), rel=1e-12)
+        above = np.flatnonzero(run.q[:, 0] > 0.3)
+        if above.size and above[0] > 0:
+            k = above[0]
+            assert run.t[k - 1] < seen["crossing"][member] <= run.t[k]
+            share = (0.3 - run.q[k - 1, 0]) / (run.q[k, 0] - run.q[k - 1, 0])
+            expected = run.t[k - 1] + 0.02 * share
+            assert seen["crossing"][member] == pytest.approx(expected, abs=1e-9)
+    assert np.isnan(seen["never"]).all()
+    assert (seen["at once"] == 0).all()
+
+
+@pytest.mark.slow
+def test_members_that_fail_leave_the_others_alone():
+    """A planet without angular momentum falls into its sun; those beside it do not notice."""
+    stepper = ss.compile(ss.systems.kepler(), exploit=())
+    q0 = np.tile([1.0, 0.0], (20, 1))
+    p0 = np.column_stack([np.zeros(20), np.linspace(0.8, 1.2, 20)])
+    healthy = stepper.ensemble(q0, p0=p0, h=0.02, steps=200, every=20)
+    p0[[3, 17], 1] = 0.0
+    found = stepper.ensemble(q0, p0=p0, h=0.02, steps=200, every=20)
+    bad = np.isin(np.arange(20), (3, 17))
+    assert (found.status[~bad] == 0).all()
+    assert (found.status[bad] > ss.Status.INTERRUPTED).all()
+    assert (found.q[~bad] == healthy.q[~bad]).all()
+    assert found.message.startswith("18 SUCCESS, 2 ")
+    run = stepper.integrate(q0[3], p0=p0[3], h=0.02, steps=200, every=20, on_failure="return")
+    assert found.status[3] == run.status
+    assert found.steps[3] == run.steps
+    assert (found.q[3, : len(run.q)] == run.q).all()
+    assert np.isnan(found.q[3, len(run.q) :]).all()
+
+
+@pytest.mark.slow
+def test_members_that_fail_are_not_warned_of_one_by_one():
+    """Their steps are too large; a figure of 64 by 64 members would warn thousands of times."""
+    springs = np.array([1e2, 5e3, 8e3, 1e4])
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = ss.compile(ss.systems.elastic_pendulum()).ensemble(
+            [1.02, 0.4], v0=[0.0, 0.0], h=0.0561, steps=400, parameters={"k": springs}
+        )
+    assert [one.category for one in told] == [ss.StabilityWarning, ss.ResolutionWarning]
+    assert "member 1: " in str(told[0].message)
+    assert "h omega is 3.97" in str(told[0].message)
+    assert found.status.tolist() == [0, 0, *[ss.Status.STEP_TOO_LARGE] * 2]
+
+
+@pytest.mark.slow
+def test_members_that_only_robust_kernels_take_are_reduced_too():
+    """An angle of 1e9 rad is beyond the quick sine; its member is run again by itself."""
+    stepper = ss.compile(ss.systems.pendulum())
+    turn = 2 * np.pi * 159154943
+    angles = np.array([[0.5], [0.5 + turn], [1.0]])
+    reduce = {
+        "lowest": ("min", "theta"),
+        "mean": ("mean", "sin(theta)**2 + min(theta, 0)*0"),
+        "crossing": ("first", "-p_theta - 0.1"),
+        "never": ("first", "-2*pi"),
+        "at once": ("first", "atan2(1, 2) + t"),
+    }
+    given = {"v0": [0.0], "h": 0.05, "steps": 100, "reduce": reduce}
+    found = stepper.ensemble(angles, every=10, **given)
+    assert (found.status == 0).all()
+    assert np.isfinite(found.q).all()
+    assert found.reduced["lowest"][1] == pytest.approx(found.reduced["lowest"][0] + turn, abs=1e-5)
+    for name in ("mean", "crossing"):
+        assert found.reduced[name][1] == pytest.approx(found.reduced[name][0], abs=1e-5)
+    assert np.isnan(found.reduced["never"][1])
+    assert found.reduced["at once"][1] == 0
+    last = stepper.ensemble(angles, **given)
+    assert (last.q[1] == found.q[1, -1]).all()
+
+
+def test_a_start_at_a_singular_point_has_its_status():
+    stepper = ss.compile(ss.systems.spherical_pendulum())
+    q0 = np.tile([1.0, 0.5], (9, 1))
+    q0[4] = 0.0
+    found = stepper.ensemble(q0, p0=[0.1, 0.1], h=0.01, steps=10)
+    assert found.status.tolist() == [0] * 4 + [ss.Status.BAD_INPUT] + [0] * 4
+    assert found.steps[4] == 0
+
+
+@pytest.mark.slow
+def test_interrupt_keeps_what_is_done(stepper, monkeypatch):
+    """Ctrl-C while threads work; the whole of it would take many seconds."""
+    many = np.tile(ANGLES, (600, 1))
+    plain = module.wait
+
+    def wait(running, **options):
+        if options:  # the one that hears Ctrl-C
+            signal.raise_signal(signal.SIGINT)
+        return plain(running, **options)
+
+    monkeypatch.setattr(module, "wait", wait)
+    with pytest.raises(ss.Interrupted) as caught:
+        stepper.ensemble(many, p0=[0.0, 0.0], h=0.02, steps=20_000)
+    partial = caught.value.trajectory
+    assert (partial.status == ss.Status.INTERRUPTED).any()
+    assert isinstance(partial, ss.Ensemble)
+    partial = stepper.ensemble(many, p0=[0, 0], h=0.02, steps=20_000, on_failure="return")
+    assert "INTERRUPTED" in partial.message
+
+
+WRONG = {
+    "shape": ({"q0": [[1.0, 2.0, 3.0]]}, "q0 has shape"),
+    "one column": ({"q0": [1.0]}, "q0 has shape"),
+    "empty": ({"q0": np.zeros((0, 2))}, "q0 has shape"),
+    "nan": ({"q0": [[1.0, 2.0], [np.nan, 0.0]]}, "not finite for member 1"),
+    "text": ({"q0": "abc"}, "not real numbers"),
+    "both": ({"v0": [0, 0]}, "exactly one of v0 and p0"),
+    "neither": ({"p0": None}, "exactly one of v0 and p0"),
+    "rows": ({"p0": np.zeros((3, 2))}, "p0 has 3 members, another argument has 37"),
+    "parameter rows": ({"parameters": {"l1": np.ones(5)}}, "l1 has 5 members"),
+    "parameter sign": ({"parameters": {"l1": np.linspace(-1, 1, 37)}}, "l1 is declared positive"),
+    "parameter name": ({"parameters": {"x": 1.0}}, "no parameter 'x'"),
+    "parameter shape": ({"parameters": {"l1": np.ones((37, 1))}}, "expected"),
+    "parameters": ({"parameters": [1.0]}, "not a mapping"),
+    "h": ({"h": 0}, "the step h is 0"),
+    "every": ({"every": 0}, "every is 0"),
+    "threads": ({"threads": 0}, "threads is 0"),
+    "threads text": ({"threads": "2"}, "threads is '2'"),
+    "on_failure": ({"on_failure": "ignore"}, "on_failure"),
+    "memory": ({"every": 1, "steps": 10**12}, "do not fit into memory"),
+    "reduce": ({"reduce": ["max"]}, "not a mapping"),
+    "kind": ({"reduce": {"x": ("median", "q1")}}, "median"),
+    "pair": ({"reduce": {"x": "q1"}}, "Pass a pair"),
+    "name": ({"reduce": {"x": ("max", "q3")}}, "it contains 'q3'"),
+    "import": ({"reduce": {"x": ("max", "__import__('os').system('id')")}}, "it contains"),
+    "attribute": ({"reduce": {"x": ("max", "q1.real")}}, "it contains"),
+    "subscript": ({"reduce": {"x": ("max", "q1[0]")}}, "it contains"),
+    "lambda": ({"reduce": {"x": ("max", "lambda: 1")}}, "it contains"),
+    "text constant": ({"reduce": {"x": ("max", "'a'")}}, "it contains"),
+    "truth": ({"reduce": {"x": ("max", "True")}}, "truth value"),
+    "syntax": ({"reduce": {"x": ("max", "q1 +")}}, "no expression"),
+    "statement": ({"reduce": {"x": ("max", "q1 = 3")}}, "no expression"),
+    "long": ({"reduce": {"x": ("max", "q1 + " * 1000 + "1")}}, "more than 2000"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input(stepper, case):
+    changes, message = WRONG[case]
+    given = {"q0": ANGLES, "p0": [0.0, 0.0], "h": 0.02, "steps": 5} | changes
+    with pytest.raises(ss.InputError, match=message):
+        stepper.ensemble(**given)
+
+
+def test_to_xarray(stepper, monkeypatch):
+    pytest.importorskip("xarray")
+    lengths = np.linspace(0.2, 0.4, 9)
+    reduce = {"highest": ("max", "q1"), "q": ("min", "q2")}
+    found = stepper.ensemble(
+        [0.5, 1.0], **GIVEN, every=50, parameters={"l1": lengths}, reduce=reduce
+    )
+    data = found.to_xarray()
+    assert dict(data.sizes) == {"member": 9, "time": 5, "coord": 2}
+    assert data.q.dims == ("member", "time", "coord")
+    assert (data.q.sel(coord="q2", member=3) == found.q[3, :, 1]).all()
+    assert (data.l1 == lengths).all()
+    assert (data.highest == found.reduced["highest"]).all()
+    assert (data.reduced_q == found.reduced["q"]).all()
+    assert data.attrs["system"] == "double_pendulum"
+    last = stepper.ensemble(ANGLES, **GIVEN).to_xarray()
+    assert last.q.dims == ("member", "coord")
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(ss.InputError, match=r"symsimpson\[data\]"):
+        found.to_xarray()
+
+
+def test_many_digits_are_refused():
+    precise = ss.compile(PENDULUM, precision=30)
+    with pytest.raises(ss.InputError, match="double precision"):
+        precise.ensemble(ANGLES, **GIVEN)
+
+
+@pytest.mark.slow
+def test_progress(stepper, capsys, monkeypatch):
+    pytest.importorskip("tqdm")
+    stepper.ensemble(ANGLES, **GIVEN, progress=False)  # compiled
+    monkeypatch.setattr("symsimpson.support.progress.DELAY", 1e9)
+    stepper.ensemble(ANGLES, **GIVEN)
+    assert capsys.readouterr().err == ""
+    stepper.ensemble(ANGLES, **GIVEN, progress=True)
+    assert "37/37" in capsys.readouterr().err
+    stepper.ensemble(ANGLES, **GIVEN, progress=False)
+    assert capsys.readouterr().err == ""
+    for name in ("tqdm", "tqdm.auto"):
+        monkeypatch.setitem(__import__("sys").modules, name, None)
+    stepper.ensemble(ANGLES, **GIVEN)
+    with pytest.raises(ss.InputError, match=r"symsimpson\[progress\]"):
+        stepper.ensemble(ANGLES, **GIVEN, progress=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme", "wide"),
+    sweep(
+        [
+            ("double_pendulum", "gauss12", False),  # nodes are lanes
+            ("double_pendulum", "gauss8", True),  # 8 unknowns, written out
+            ("double_pendulum", "lobatto8", True),
+            ("lagrange_top", "gauss8", True),
+        ],
+        0,
+    ),
+)
+def test_members_or_nodes_are_lanes_and_members_come_to_what_single_runs_do(name, scheme, wide):
+    system = getattr(ss.systems, name)()
+    stepper = ss.compile(system, scheme)
+    assert (lanes_for(stepper.program.header) > 1) is wide
+    start = {key: np.array(value) for key, value in system.reference_state.items()}
+    q0 = start.pop("q0") + np.linspace(0, 0.3, 11)[:, None]
+    h = 0.001 if name == "lagrange_top" else 0.02
+    found = stepper.ensemble(q0, **start, h=h, steps=50)
+    for member in (0, 5, 10):
+        run = stepper.integrate(q0[member], **start, h=h, steps=50, every=None)
+        assert np.abs(found.q[member] - run.q[0]).max() < 1e-12
+        assert np.abs(found.p[member] - run.p[0]).max() < 1e-12

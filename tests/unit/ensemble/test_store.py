@@ -1,0 +1,325 @@
+"""Ensembles on disk and on a cluster: the same bits, whatever breaks off or dies on the way."""
+
+import itertools
+import os
+import shutil
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.cases import sweep
+
+import symsimpson as ss
+from symsimpson.ensemble import cluster as cluster_module
+from symsimpson.ensemble import store as module
+from symsimpson.ensemble.members import read_task
+from symsimpson.program.machine import lanes_of_machine
+from symsimpson.stepping.request import Request
+
+xarray = pytest.importorskip("xarray")
+zarr = pytest.importorskip("zarr")
+
+ANGLES = np.random.default_rng(3).uniform(-2, 2, (200, 2))
+LENGTHS = np.linspace(0.2, 0.4, 200)
+WATCH = {"highest": ("max", "q1"), "../outside": ("mean", "energy"), "q": ("first", "q2 - 1")}
+GIVEN = {
+    "p0": [0.0, 0.0],
+    "h": 0.02,
+    "steps": 20,
+    "every": 4,
+    "reduce": WATCH,
+    "parameters": {"l1": LENGTHS},
+}
+
+
+@pytest.fixture(scope="module")
+def stepper():
+    return ss.compile(ss.systems.double_pendulum())
+
+
+@pytest.fixture(scope="module")
+def whole(stepper):
+    return stepper.ensemble(ANGLES, **GIVEN)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch):
+    monkeypatch.setattr(module, "_chunk", lambda stepper, task: 24)
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """The sizes of the parts that are computed."""
+    sizes = []
+    plain = module.run_blocks
+
+    def run_blocks(stepper, task, count):
+        sizes.append(task.members)
+        return plain(stepper, task, count)
+
+    monkeypatch.setattr(module, "run_blocks", run_blocks)
+    return sizes
+
+
+def assert_same(found, expected):
+    for name in ("t", "q", "p", "status", "steps", "newton_iterations"):
+        assert np.array_equal(getattr(found, name)[:], getattr(expected, name), equal_nan=True)
+    for name, values in expected.reduced.items():
+        assert np.array_equal(found.reduced[name], values, equal_nan=True)
+    assert repr(found) == repr(expected)
+
+
+def test_a_store_holds_the_same_bits(stepper, whole, tmp_path):
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "new")
+    assert_same(found, whole)
+    assert found.q.chunks == (24, 6, 2)
+    data, expected = found.to_xarray(), whole.to_xarray()
+    assert set(data.variables) == set(expected.variables)
+    assert set(data.coords) == set(expected.coords)
+    assert {"highest", "reduced_1", "reduced_q", "l1", "p0"} < set(data.variables)
+    for name, variable in expected.variables.items():
+        assert data[name].dims == variable.dims
+        np.testing.assert_array_equal(data[name].values.astype(variable.dtype), variable.values)
+    assert data.attrs["digest"] == expected.attrs["digest"]
+    assert [x.name for x in tmp_path.iterdir()] == ["new"]  # names are no paths
+
+
+def test_only_what_is_missing_is_computed(stepper, whole, tmp_path, counted):
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    assert counted == [24] * 8 + [8]
+    counted.clear()
+    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=str(tmp_path / "s")), whole)
+    assert counted == []
+    shutil.rmtree(tmp_path / "s" / "status" / "c" / "3", ignore_errors=True)
+    (tmp_path / "s" / "status" / "c" / "3").unlink(missing_ok=True)
+    damaged = tmp_path / "s" / "status" / "c" / "5"
+    damaged.write_bytes(damaged.read_bytes()[:-3])
+    found.q[72:96] = 0.0
+    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
+    assert counted == [24, 24]
+
+
+def test_damage_is_said_and_not_read(stepper, tmp_path):
+    found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    path = tmp_path / "s" / "q" / "c" / "2" / "0" / "0"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    with pytest.raises(RuntimeError, match="checksum"):
+        found.q[50]
+    (tmp_path / "s" / "zarr.json").write_text("{")
+    with pytest.raises(ss.StorageError, match="cannot be opened"):
+        stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+
+
+@pytest.fixture
+def after(monkeypatch):
+    """Do something when a function has been called so many times, in the thread that called it."""
+
+    def arrange(owner, name, count, action):
+        plain, calls = getattr(owner, name), itertools.count(1)
+
+        def counted(*given):
+            found = plain(*given)
+            if next(calls) == count:
+                action()
+            return found
+
+        monkeypatch.setattr(owner, name, counted)
+
+    return arrange
+
+
+@pytest.mark.slow
+def test_interrupted_and_gone_on_with(stepper, tmp_path, counted, after):
+    many = np.tile(ANGLES, (20, 1))
+    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000}
+    expected = stepper.ensemble(many, **given)
+    after(module, "write_chunk", 3, lambda: signal.raise_signal(signal.SIGINT))
+    with pytest.raises(ss.Interrupted) as caught:
+        stepper.ensemble(many, **given, store=tmp_path / "s")
+    partial = caught.value.trajectory
+    done = int((partial.status == 0).sum())
+    assert 0 < done < 4000
+    assert (partial.status != 0).sum() == (partial.status == ss.Status.INTERRUPTED).sum()
+    counted.clear()
+    assert_same(stepper.ensemble(many, **given, store=tmp_path / "s"), expected)
+    assert sum(counted) == 4000 - done
+
+
+def test_a_store_broken_off_while_it_was_made(stepper, whole, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(zarr.Group, "create_array", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
+
+
+CHANGES = {
+    "h": {"h": 0.01},
+    "steps": {"steps": 101},
+    "every": {"every": 10},
+    "reduce": {"reduce": {}},
+    "given": {"p0": None, "v0": [0.0, 0.0]},
+    "initial states": {"p0": [0.0, 1e-9]},
+    "parameters": {"parameters": {"l1": LENGTHS * (1 + 1e-15)}},
+}
+
+
+@pytest.mark.parametrize("what", sweep(CHANGES, 3))
+def test_another_question_is_refused(stepper, tmp_path, what):
+    stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    with pytest.raises(ss.InputError, match=rf"another ensemble: .*{what}.* differ"):
+        stepper.ensemble(ANGLES, **GIVEN | CHANGES[what], store=tmp_path / "s")
+
+
+def test_another_module_is_refused(stepper, tmp_path):
+    stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    other = ss.compile(ss.systems.double_pendulum(), "midpoint")
+    with pytest.raises(ss.InputError, match="another ensemble: module differ"):
+        other.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+
+
+def test_what_is_there_is_not_touched(stepper, tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "thesis.tex").write_text("years of work")
+    (tmp_path / "file").write_text("more")
+    zarr.create_group(tmp_path / "other", attributes={"by": "somebody"})
+    for name, message in (("folder", "no ensemble"), ("file", "no ensemble"), ("other", "dataset")):
+        with pytest.raises(ss.InputError, match=message):
+            stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / name)
+    assert (tmp_path / "folder" / "thesis.tex").read_text() == "years of work"
+    assert (tmp_path / "file").read_text() == "more"
+    with pytest.raises(ss.StorageError, match="cannot be opened"):
+        stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "file" / "below")
+    with pytest.raises(ss.InputError, match="store is int"):
+        stepper.ensemble(ANGLES, **GIVEN, store=3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(__import__("sys").modules, "zarr", None)
+        with pytest.raises(ss.InputError, match=r"symsimpson\[data\]"):
+            stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+
+
+def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
+    """A chunk is half a second of work, whatever a step costs here, and fits into 64 MiB."""
+    monkeypatch.undo()
+    program, states = stepper.program, np.zeros((3 * 10**6, 2))
+    asked = Request(states, p0=[0, 0], h=0.02, steps=500)
+    task = read_task(program, asked, 1, False, on_disk=True)
+    assert module._seconds(program, task) > 0
+    monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
+    assert module._chunk(program, task) == lanes_of_machine()
+    assert module._chunk(program, replace(task, threads=16)) == 80
+    monkeypatch.setattr(module, "_seconds", lambda *_: 1e-9)
+    assert module._chunk(program, task) == 2**26 // 32
+    assert module._chunk(program, task.part(slice(10))) == 10
+    large = replace(task, every=1, steps=10**5)
+    assert module._chunk(program, large) == 2**26 // (16 * 2 * 100_001)
+
+
+def test_what_does_not_fit_into_memory_may_go_to_disk(stepper):
+    states = np.zeros((10**6, 2))
+    steps = 5 * 10**6  # 160 TB: more than there are addresses
+    asked = Request(states, p0=[0, 0], h=0.1, steps=steps, every=1)
+    given = stepper.program, asked, 1, False
+    with pytest.raises(ss.InputError, match=r"store='folder'"):
+        read_task(*given, on_disk=False)
+    assert read_task(*given, on_disk=True).stored == steps + 1
+
+
+@pytest.fixture(scope="module")
+def client():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        yield client
+
+
+@pytest.fixture
+def sent(client, monkeypatch):
+    """What is sent to the workers."""
+    arguments = []
+    plain = client.submit
+
+    def submit(function, *given, **options):
+        arguments.append((function, given))
+        return plain(function, *given, **options)
+
+    monkeypatch.setattr(client, "submit", submit)
+    return arguments
+
+
+@pytest.mark.slow
+def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
+    many = np.tile(ANGLES, (20, 1))
+    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}
+    expected = stepper.ensemble(many, **given)
+    victim = next(iter(client.run(os.getpid).values()))
+    after(cluster_module, "_result", 5, lambda: os.kill(victim, signal.SIGKILL))
+    found = stepper.ensemble(many, **given, store=tmp_path / "s", client=client)
+    assert victim not in client.run(os.getpid).values()
+    assert_same(found, expected)
+    assert {function for function, _ in sent} == {cluster_module.compute_chunk}
+    assert {tuple(map(type, given)) for _, given in sent} == {(str, str, int)}
+    sent.clear()
+    assert_same(stepper.ensemble(many, **given, store=tmp_path / "s", client=client), expected)
+    assert sent == []
+
+
+def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path, monkeypatch):
+    canary = tmp_path / "canary"
+    plain = cluster_module.run_on_cluster
+
+    def tampered(store, client):
+        source = store.group.attrs["source"]
+        store.group.attrs["source"] = source + f"\nopen({str(canary)!r}, 'w')\n"
+        return plain(store, client)
+
+    from symsimpson.ensemble import dispatch
+
+    monkeypatch.setattr(dispatch, "run_on_cluster", tampered)
+    with pytest.raises(ss.StorageError, match="not the one that was asked for"):
+        stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s", client=client)
+    assert not canary.exists()
+
+
+@pytest.mark.slow
+def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
+    many = np.tile(ANGLES, (20, 1))
+    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}
+    after(cluster_module, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
+    found = stepper.ensemble(many, **given, client=client, on_failure="return")
+    assert (found.status == ss.Status.INTERRUPTED).any()
+    assert (found.status == ss.Status.SUCCESS).any()
+
+
+def test_clients_that_make_no_sense(stepper, client, tmp_path):
+    with pytest.raises(ss.InputError, match="client is str, not a synchronous client"):
+        stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s", client="tcp://here")
+    with pytest.raises(ss.InputError, match="client= needs store="):
+        stepper.ensemble(ANGLES, **GIVEN, client=client)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(__import__("sys").modules, "distributed", None)
+        with pytest.raises(ss.InputError, match=r"symsimpson\[cluster\]"):
+            stepper.ensemble(ANGLES, **GIVEN, client=client)
+
+
+@pytest.mark.parametrize("damage", ["junk", "gone"])
+@pytest.mark.parametrize("name", sweep(["q", "newton_iterations", "p"], 2))
+def test_chunks_that_are_damaged_or_gone_are_computed_again(
+    stepper, whole, counted, tmp_path, name, damage
+):
+    stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
+    chunk = sorted(one for one in (tmp_path / "s" / name / "c").rglob("*") if one.is_file())[2]
+    if damage == "junk":
+        chunk.write_bytes(b"junk")
+    else:
+        chunk.unlink()
+    counted.clear()
+    assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
+    assert counted == [24]
