@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.run import Run
 
-__all__ = ["SINGULAR", "close", "independence_of", "look_at_folds"]
+__all__ = ["SINGULAR", "close", "first_states", "independence_of", "look_at_folds"]
 
 Reals = NDArray[Any]
+#: What a run may have a row of for each state.
+BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations", "work_values")
 #: Where they are less independent than this, constraints follow from one another.
 SINGULAR = DEPENDENT**0.5
 
@@ -48,6 +50,12 @@ def independence_of(pivots: Reals) -> NDArray[np.float64]:
 def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return between which states one constraint may have followed from others."""
     return np.asarray(independence[..., 1:] < np.abs(np.diff(independence, axis=-1)))
+
+
+def first_states(trajectory: Trajectory, count: int) -> dict[str, Any]:
+    """Return so many of the stored states of a run, with all that it has beside each."""
+    found = {name: getattr(trajectory, name) for name in BY_STATE}
+    return {name: rows[:count] for name, rows in found.items() if rows is not None}
 
 
 def look_at_folds(
@@ -84,8 +92,7 @@ def look_at_folds(
         )
         about = trajectory.__getstate__()
         if trajectory.every is not None:
-            for name in ("t", "q", "p", "newton_iterations"):
-                about[name] = about[name][:bad]
+            about |= first_states(trajectory, bad)
             about["steps"] = (bad - 1) * run.every
         return Trajectory(**about | {"status": Status.SINGULAR_CONSTRAINTS, "message": message})
     near = np.flatnonzero(close(independence))

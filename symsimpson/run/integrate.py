@@ -17,9 +17,8 @@ from symsimpson.program.values import read_count
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.brief import make_ready
 from symsimpson.run.checkpoint import Checkpoint, asked, buffered
-from symsimpson.run.folds import look_at_folds
 from symsimpson.run.resolution import check_forces, check_start, each, finer_stride, sampling_stride
-from symsimpson.run.verdict import looked_at
+from symsimpson.run.verdict import verdict
 from symsimpson.stepping.arrival import ROOM, STRIDE, Collected, last_part, with_end
 from symsimpson.stepping.inputs import read_failure, refused_start
 from symsimpson.stepping.recording import recorders_of
@@ -100,8 +99,7 @@ def integrate(
             asked_for = each(spec.every // stride, *stored_states)
         trajectory = trajectory_of(program, run, count, status, spec, asked_for, spec.every, keeper)
         if count and status is not Status.INTERRUPTED and problem is None:
-            trajectory = looked_at(program, run, trajectory, stored_states)
-            trajectory = look_at_folds(program, run, trajectory, *stored_states[:2])
+            trajectory = verdict(program, run, trajectory, stored_states)
         if problem is not None and on_failure == "raise":
             problem.trajectory = trajectory
             raise problem
@@ -276,23 +274,10 @@ def trajectory_of(
         program=program,
         parameter_values=values,
         input_values=result(spec.inputs),
-        variations=_variations(program, run, spec, recorded),
-        work_values=result(recorded[:, run.columns("work")]) if spec.record else None,
+        **{name: result(rows) for name, rows in run.beside(recorded).items()},
         reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
     )
-
-
-def _variations(program: Program, run: Run, spec: RunSpec, recorded: Reals) -> Reals | None:
-    """Return variations of what was recorded, shape (N, 2 n, k); None if there are none.
-
-    Those of parameters stand behind the others.
-    """
-    if spec.tangents is None:
-        return None
-    rows = recorded[:, run.columns("tangent")]
-    found: Reals = program.numbers.result(rows)
-    return found.reshape(len(rows), -1, 2 * program.n).swapaxes(1, 2)
 
 
 def raise_failure(

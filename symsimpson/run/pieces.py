@@ -12,7 +12,7 @@ from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.integrate import begin_run, look_at_step, new_run, trajectory_of
 from symsimpson.run.resolution import sampling_stride
-from symsimpson.run.verdict import looked_at
+from symsimpson.run.verdict import verdict
 from symsimpson.stepping.arrival import STRIDE
 from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
@@ -70,7 +70,7 @@ def by_pieces(
     if run.arrived and last.success:
         found.append(take(_piece(program, run, spec, last), run.step))
     if stride and run.status is not Status.INTERRUPTED and count:
-        last = looked_at(program, run, last, stored)
+        last = verdict(program, run, last, stored)
         sign, slack = (1 if spec.h > 0 else -1), abs(spec.h) * SLACK
         found = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in found]
     return run, last, found

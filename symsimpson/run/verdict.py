@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.folds import first_states, look_at_folds
 from symsimpson.run.resolution import Sampled, look_at_energy
 from symsimpson.stepping.run import Run, Stored
 from symsimpson.support.calling import warn
@@ -18,7 +19,7 @@ from symsimpson.support.calling import warn
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["looked_at"]
+__all__ = ["verdict"]
 
 #: Failures that a singular point of the coordinates explains, where the run has come to one.
 AT_POLES = (
@@ -33,12 +34,18 @@ AT_POLES = (
 TRIES = 3
 
 
-def looked_at(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
-    """Look at the states of a run: all that it stored, or some that were kept for this.
+def verdict(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+    """Judge a run by its states: all that it stored, or some that were kept for this.
 
-    Where the energy is no number, the run ended before; where the motion was not resolved, it is
-    warned of.
+    Where the energy is no number, or constraints follow from one another, the run ended before;
+    where the motion was not resolved, it is warned of.
     """
+    judged = _by_energy(program, run, trajectory, stored)
+    return look_at_folds(program, run, judged, *stored[:2])
+
+
+def _by_energy(program: Program, run: Run, trajectory: Trajectory, stored: Stored) -> Trajectory:
+    """Judge a run by the energy at its states, and by singular points and kinks that it passed."""
     trajectory = _at_pole(program, trajectory)
     if not trajectory.success and program.header.real_everywhere:
         return trajectory
@@ -159,12 +166,12 @@ def _ended_before(
     if trajectory.every is None:
         last = slice(good, good + 1)
         about |= {"q": result(q[last]), "p": result(p[last])}
+        about |= {name: result(rows) for name, rows in run.beside(kept[last]).items()}
         about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
         if retimed:
             about |= {"t": result(kept[last, 0]), "tau_values": result(np.array([run.h * done]))}
     else:
-        for name in ("t", "q", "p", "newton_iterations", *(("tau_values",) if retimed else ())):
-            about[name] = about[name][: done // trajectory.every + 1]
+        about |= first_states(trajectory, done // trajectory.every + 1)
     message = (
         f"{program.system}, {program.scheme}: the energy is no finite number at "
         f"t={float(where):g}, after step {at} of "

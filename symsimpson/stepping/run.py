@@ -158,23 +158,22 @@ class Run:
         self.p[place, :, 0] = self.rows("MOMENTUM", n)
         self.recorded[place, :, 0] = self.left()
 
-    def left(self, kernel: str = "") -> NDArray[Any]:
-        """Return what all recorders, or one of them, have left beside the present state."""
-        rows = [
-            self._column[one.first : one.first + one.rows]
-            for one in self._recorders
-            if kernel in ("", one.kernel)
-        ]
+    def left(self) -> NDArray[Any]:
+        """Return what recorders have left beside the present state."""
+        rows = [self._column[one.first : one.first + one.rows] for one in self._recorders]
         return np.concatenate([self._column[:0], *rows])
 
-    def columns(self, kernel: str) -> slice:
-        """Return where the rows of a recorder stand among those of all."""
-        first = 0
+    def beside(self, recorded: NDArray[Any]) -> dict[str, NDArray[Any]]:
+        """Return variations and work of what was recorded at states, as trajectories have them."""
+        found, first = {}, 0
         for one in self._recorders:
-            if one.kernel == kernel:
-                return slice(first, first + one.rows)
+            rows = recorded[:, first : first + one.rows]
             first += one.rows
-        return slice(0, 0)
+            if one.kernel == "tangent" and not one.renewed:
+                found["variations"] = rows.reshape(len(rows), -1, 2 * self.header.n).swapaxes(1, 2)
+            elif one.kernel == "work":
+                found["work_values"] = rows
+        return found
 
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:

@@ -51,10 +51,13 @@ def test_all_arithmetics_end_alike_where_the_energy_is_not_real(name, scheme):
 def test_what_was_real_is_kept(every):
     potential, q0, v0 = LEAVING["logarithm"]
     stepper = ss.compile(particle(potential, "logarithm"), "lobatto2")
-    run = stepper.integrate([q0], v0=[v0], h=0.05, steps=33, every=every, on_failure="return")
+    asked = {"v0": [v0], "h": 0.05, "tangents": 2}
+    run = stepper.integrate([q0], **asked, steps=33, every=every, on_failure="return")
     assert run.status is ss.Status.NOT_FINITE
     assert "no real value" in run.message
-    whole = stepper.integrate([q0], v0=[v0], h=0.05, steps=run.steps, every=1)
+    whole = stepper.integrate([q0], **asked, steps=run.steps, every=1)
+    assert len(run.tangent) == len(run)
+    assert (run.tangent[-1] == whole.tangent[-1]).all()
     assert run.steps % (every or 1) == 0
     assert (run.q[-1] == whole.q[-1]).all()
     assert run.t[-1] == pytest.approx(0.05 * run.steps)

@@ -107,6 +107,10 @@ def test_folds_on_the_way_are_told():
     )
     assert run.status is ss.Status.SINGULAR_CONSTRAINTS
     assert (run.steps, len(run)) == (19, 20)
+    with pytest.raises(ss.ConvergenceError, match="'loop_x', 'loop_y' depend"):
+        stepper.integrate(
+            [1.0, 0.0, 1.0], [rate / 10] * 1 + [0.0, rate / 10], h=0.05, t_eval=[1.0, 12.8]
+        )
 
 
 @pytest.mark.slow
