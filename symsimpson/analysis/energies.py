@@ -11,7 +11,7 @@ from symsimpson.analysis.certificate import Check
 from symsimpson.analysis.subject import Subject
 from symsimpson.api.stepper import Stepper
 
-__all__ = ["LONG", "drift", "keeps_shadow", "shadow"]
+__all__ = ["LONG", "drift", "shadow", "shadow_is_testable"]
 
 LONG = 100_000
 #: Up to this order the energy swings by much more than the shadow energy that a scheme keeps.
@@ -22,8 +22,8 @@ FEW, FINER = 100, 4
 SHADOW_ROUNDING = 1e-12
 
 
-def keeps_shadow(stepper: Stepper) -> bool:
-    """Return whether runs have a shadow energy that swings much less than the energy."""
+def shadow_is_testable(stepper: Stepper) -> bool:
+    """Return whether runs can have a shadow energy that swings much less than the energy."""
     header = stepper.program.header
     family = "equations" in header.functions and not header.constraints
     made = stepper.program.differentiate is not None
@@ -32,7 +32,7 @@ def keeps_shadow(stepper: Stepper) -> bool:
 
 def shadow(s: Subject) -> Iterator[Check]:
     """shadow: check that the energy that the scheme keeps swings less than H over few steps."""
-    if not keeps_shadow(s.stepper):
+    if not shadow_is_testable(s.stepper):
         return
     run = s.stepper.integrate(
         s.z[: s.n], p0=s.z[s.n :], h=s.h / FINER, steps=FEW, parameters=s.precise.parameters

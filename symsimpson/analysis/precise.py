@@ -17,7 +17,7 @@ from symsimpson.program.program import new_program
 from symsimpson.program.workspace import workspace
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import allowed
+from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 
 __all__ = ["Precise"]
@@ -82,7 +82,7 @@ class Precise:
             return point
         q, p = point[:n], point[n:]
         values = self.program.values(self.parameters)[None]
-        q = allowed(self.program, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
+        q = project_start(self.program, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
         taken = self._at("start", "MULTIPLIER", len(held), q, p)
         return np.concatenate([q, p - taken @ self.slopes(q)])
 

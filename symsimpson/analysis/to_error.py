@@ -73,9 +73,9 @@ def integrate(
     """
     named = {getattr(key, "name", str(key)): value for key, value in (parameters or {}).items()}
     question = {
-        "q0": spelled(q0),
-        "v0": spelled(v0),
-        "p0": spelled(p0),
+        "q0": _state_key(q0),
+        "v0": _state_key(v0),
+        "p0": _state_key(p0),
         "t_end": t_end,
         "error": error,
         "on": on,
@@ -95,8 +95,8 @@ def integrate(
     return replace(run, message=f"{run.message} {choice.reason}")
 
 
-def spelled(state: Any) -> Any:
-    """Return what tells a state from another."""
+def _state_key(state: Any) -> Any:
+    """Return the text of an initial state, for the key of a stored choice."""
     if isinstance(state, Mapping):
         return sorted((str(name), repr(value)) for name, value in state.items())
     return state if state is None else repr(np.asarray(state).tolist())

@@ -182,7 +182,7 @@ def _derived(
     def derived() -> Derivation:
         return derive(system, scheme, exploit, varied, running, second=second)
 
-    if system.retiming is not None or running is not None or system.large:
+    if system.retiming is not None or running is not None or system.too_large_for_sympy:
         return derived()
     energies = (system.kinetic, system.potential, system.gyroscopic)
     parts: list[object] = [

@@ -24,7 +24,7 @@ FEWEST = 8
 def coefficient_loops(
     low: Lowering, values: Sequence[Expression]
 ) -> tuple[list[Statement], list[Store], dict[str, object]]:
-    """Write what fills the rows of coefficients.
+    """Generate the loops, single stores and tables that compute the coefficients of L.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def coefficient_loops(
     Returns
     -------
     loops : list of Statement
-        Those for products of which there are many.
+        Loops for products of one form, of which there are at least FEWEST.
     stores : list of Store
         What is left.
     tables : dict
@@ -63,7 +63,7 @@ def coefficient_loops(
 
 
 def _places(low: Lowering, product: Expression) -> tuple[int, ...]:
-    """List the rows of the parameters in a product of them; none if it is anything else."""
+    """Return the rows of the parameters in a pure product; () for any other expression."""
     factors = [Expression(low.graph, (e, n)) for n, e in low.graph.factors(product.node)]
     rows = [low.rows[factor] for factor in factors if factor in low.rows]
     return tuple(sorted(int(row.index) for row in rows)) if len(rows) == len(factors) else ()

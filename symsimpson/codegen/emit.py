@@ -60,7 +60,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     Returns
     -------
     str
-        A module that imports numba and math alone.
+        A module that imports only numba, math and numpy's array.
     """
     printer = Printer()
     tables = _tables(equations, module, printer)
@@ -73,7 +73,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     limits = thresholds(equations, module)
     constants = "\n".join(part for part in (constants, limits) if part)
-    made = _made(equations, module)
+    made = _computed_tables(equations, module)
     library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{made}"))
     numbers = "\n".join(
         part
@@ -218,8 +218,8 @@ def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> l
     return lines
 
 
-def _made(equations: DiscreteEquations, module: Module) -> str:
-    """Write the tables that a module makes itself, with the digits of its numbers."""
+def _computed_tables(equations: DiscreteEquations, module: Module) -> str:
+    """Write the calls by which a module computes its tables on import, and their DIGITS."""
     scheme = equations.scheme
     kind, s, d = scheme.quadrature.kind, scheme.stages, scheme.degree
     lines = []

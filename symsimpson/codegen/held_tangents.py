@@ -173,7 +173,7 @@ def each(*body: Statement) -> Loop:
     """Go over variations: where dq and dp stand, the room of each, the parameter if it is one's."""
     here = (
         Index("dq", "TANGENT + variation * 2 * DIMENSION"),
-        Index("room", "room_of(W, variation, lane)"),
+        Index("room", "work_row_of(W, variation, lane)"),
         Index("parameter", "parameter_of(W, variation, lane)"),
     )
     return Loop("variation", "range(int(W[TANGENTS, lane]))", (*here, *body))

@@ -82,7 +82,7 @@ def lower(equations: DiscreteEquations) -> Module:
     Module
         Kernels, constants, layout of the workspace and the library functions they call.
     """
-    return _unrolled(equations) if unrolled(equations) else _looped(equations)
+    return _unrolled_module(equations) if unrolled(equations) else _looped_module(equations)
 
 
 def unrolled(equations: DiscreteEquations) -> bool:
@@ -110,7 +110,7 @@ def _lines(equations: DiscreteEquations) -> float:
     return (2 * stages + 1.5) * operations + 2 * elimination
 
 
-def _unrolled(equations: DiscreteEquations) -> Module:
+def _unrolled_module(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     storage, held = dense(low.n, len(low.multipliers))
     degree = equations.scheme.degree
@@ -146,10 +146,10 @@ def _unrolled(equations: DiscreteEquations) -> Module:
     if works:
         functions.append(power_function(low))
         kernels.append(loops.work(following=follow))
-    return _module(low, loops, functions, kernels, tables, unknowns)
+    return _finish_module(low, loops, functions, kernels, tables, unknowns)
 
 
-def _looped(equations: DiscreteEquations) -> Module:
+def _looped_module(equations: DiscreteEquations) -> Module:
     low = Lowering(equations)
     part, degree = equations.joined(), equations.scheme.degree
     constant = isinstance(part, (Separable, Composed))
@@ -209,10 +209,10 @@ def _looped(equations: DiscreteEquations) -> Module:
         own_tables |= held.constants(degree) if held else {}
     tables = own_tables | tables
     unknowns = blocks * low.n + (equations.unknowns.behind if blocks else 0)
-    return _module(low, loops, functions, kernels, tables, unknowns)
+    return _finish_module(low, loops, functions, kernels, tables, unknowns)
 
 
-def _stages(
+def _stage_kernels(
     low: Lowering, loops: LoopKernels, *, by_loops: bool
 ) -> StageKernels | LoopedStages | None:
     """Return what iterates over velocities and forces at the nodes, where that pays."""
@@ -248,7 +248,7 @@ def _loops(
     )
 
 
-def _module(
+def _finish_module(
     low: Lowering,
     loops: LoopKernels,
     functions: list[Function],
@@ -275,7 +275,7 @@ def _module(
     functions = functions + more
     for_stages: tuple[Statement, ...] = ()
     by_loops = any(function.name == "gradient" for function in functions)
-    stages = _stages(low, loops, by_loops=by_loops) if unknowns else None
+    stages = _stage_kernels(low, loops, by_loops=by_loops) if unknowns else None
     if stages is not None:
         kernels = [*kernels, *stages.kernels]
         tables = {**tables, "STRIDE": stages.stride}

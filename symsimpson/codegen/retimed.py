@@ -16,7 +16,7 @@ from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.template import JetTemplate, Point
 from symsimpson.codegen.unrolled import STATE, energy_stores, lanes, legendre
 from symsimpson.discrete.reductions import Composed
-from symsimpson.discrete.retiming import derive_energies, derive_rate
+from symsimpson.discrete.retiming import derive_original_terms, derive_rate
 from symsimpson.mechanics.retimed import OWN
 
 __all__ = ["keeping_time"]
@@ -42,7 +42,7 @@ class _Retimed:
         retiming = low.equations.system.retiming
         assert retiming is not None
         self._low, self._loops = low, loops
-        self._users = low.of_all(derive_energies(retiming))
+        self._users = low.of_all(derive_original_terms(retiming))
         self._rate = derive_rate(low.equations.plain, retiming)
         *_, self._first = low.names.parameters
         self._places = [list(low.equations.system.parameters).index(symbol) for symbol in OWN]

@@ -92,7 +92,7 @@ def velocity(
     found: dict[int, Expression] = {}
     deficits: list[Expression] = []
     for part in low.equations.parts:
-        v, pivots = _velocities(low, point, p, section, part.coupled_by_mass, suffix)
+        v, pivots = _velocities(low, point, p, section, part.mass_order, suffix)
         found |= v
         deficits += [
             low.graph.define("deficit", d - low.graph.applied("abs", d), section)
@@ -224,10 +224,10 @@ def _predicted(
     jump: list[Expression] = []
     following: dict[Increment, Expression] = {}
     for part, solver in zip(eqs.parts, solvers, strict=True):
-        v = _velocities(low, end, momentum, "velocity at q1", part.coupled_by_mass)[0]
+        v = _velocities(low, end, momentum, "velocity at q1", part.mass_order)[0]
         if not solver.increments:
             continue
-        for a in part.coupled_by_mass:
+        for a in part.mass_order:
             masses[a] = low.template.entry(end, "velocity at q1", "M", a, a)
         for a in solver.coordinates:
             path = [X[a] for X in low.increments]

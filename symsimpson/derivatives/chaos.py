@@ -27,7 +27,7 @@ from symsimpson.stepping.variations import refuse_retimed, varied_program
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["directions", "find_chaos", "lyapunov"]
+__all__ = ["directions", "lyapunov", "run_lyapunov"]
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ def directions(size: int, count: int) -> Floats:
 
 
 def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) -> Floats:
-    """Return directions tangent to the constraints at the start: a step leads variations there."""
+    """Make columns tangent to the constraints, by carrying them over a step that ends there."""
     if not program.header.constraints:
         return columns
     back = replace(spec, h=-spec.h, steps=1, every=0)
@@ -63,16 +63,16 @@ def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) ->
 def lyapunov(
     program: Program, request: Request, exponents: Any, every: Any, progress: bool | None
 ) -> Chaos:
-    """Run as requested, with variations; see :func:`find_chaos`."""
+    """Run as requested, with variations; see :func:`run_lyapunov`."""
     refuse_retimed(program, "Lyapunov exponents")
     program = varied_program(program, ())
-    return find_chaos(program, read_run(program, request), exponents, every, progress)
+    return run_lyapunov(program, read_run(program, request), exponents, every, progress)
 
 
-def find_chaos(
+def run_lyapunov(
     program: Program, spec: RunSpec, exponents: Any, every: Any, progress: bool | None
 ) -> Chaos:
-    """Run with variations that are made orthonormal after each ``every`` steps.
+    """Find Lyapunov exponents from variations made orthonormal after each ``every`` steps.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The steps of a run, linearised: each unit vector carried back over each step."""
+"""The steps of a run, linearised: row by row by the adjoint of the step."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class DiscreteEquations:
         halves: dict[int, None] = {}
         for part in self.parts:
             if isinstance(part, Routh):
-                more |= {key: reader(value) for key, value in part.outputs().items()}
+                more |= {key: reader(value) for key, value in part.factor_entries().items()}
                 halves |= dict.fromkeys(self.plain.q.index(x) for x in part.factors.half_angles)
         return derive_jet(self.plain, more, tuple(halves))
 

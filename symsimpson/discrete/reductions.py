@@ -1,4 +1,4 @@
-r"""Reductions of the equations of a step, by what a system lacks.
+r"""Reductions of the equations of a step, by the structure of the system.
 
 Each reduction is an exact transformation of the same scheme. Coordinates fall into parts that are
 solved one by one:
@@ -67,7 +67,7 @@ class BasePart:
     coordinates: tuple[int, ...]
 
     @property
-    def coupled_by_mass(self) -> tuple[int, ...]:
+    def mass_order(self) -> tuple[int, ...]:
         """The coordinates that M couples."""
         return self.coordinates
 
@@ -116,14 +116,14 @@ class Routh(BasePart):
     factors: Factors
 
     @property
-    def coupled_by_mass(self) -> tuple[int, ...]:
+    def mass_order(self) -> tuple[int, ...]:
         """The coordinates that M couples, cyclic ones first.
 
         In L D L^T what comes last is found first, and nothing else is computed.
         """
         return (*self.cyclic, *self.coordinates)
 
-    def outputs(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
+    def factor_entries(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
         """List the factors L and D of the mass matrix of the cyclic coordinates, by these."""
         found: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
         for r, row in enumerate(self.cyclic):
@@ -256,7 +256,7 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
     if subsystem.separable and "constant_mass" in exploit and scheme.exact:
         return _separable(coordinates, scheme)
     others = tuple(i for i in coordinates if i not in subsystem.cyclic)
-    reducible = subsystem.cyclic and others and _still(plain, subsystem.cyclic)
+    reducible = subsystem.cyclic and others and _routh_applies(plain, subsystem.cyclic)
     if reducible and "cyclic" in exploit and (scheme.exact or scheme.by_stages):
         factors = factorise(_cyclic_mass(plain, subsystem.cyclic), plain.q)
         if factors is not None:
@@ -266,7 +266,7 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
     return Coupled(coordinates, rows, columns)
 
 
-def _still(plain: Plain, cyclic: Sequence[int]) -> bool:
+def _routh_applies(plain: Plain, cyclic: Sequence[int]) -> bool:
     """Return whether no force depends on the velocities of cyclic coordinates, nor their M on t.
 
     Then their velocities enter the other equations as they enter L.

@@ -9,11 +9,11 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.retimed import Retiming
 
-__all__ = ["derive_energies", "derive_rate"]
+__all__ = ["derive_original_terms", "derive_rate"]
 
 
-def derive_energies(retiming: Retiming) -> Jet:
-    """Derive M, a, V and P = L_v of the system in the user's time.
+def derive_original_terms(retiming: Retiming) -> Jet:
+    """Derive M, a, V and P = dL/dv of the original system, with v = dq/dt.
 
     Returns
     -------
@@ -34,7 +34,7 @@ def derive_energies(retiming: Retiming) -> Jet:
 
 
 def derive_rate(plain: Plain, retiming: Retiming) -> Jet:
-    """Return the rate dt/dtau as the user gave it; ``plain`` is the system in tau.
+    """Return g = dt/dtau before its division by the value at the start; ``plain`` is in tau.
 
     Returns
     -------

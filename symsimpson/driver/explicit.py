@@ -59,7 +59,7 @@ def finite(W, first, last, lane):
 
 @njit(**DRIVER_OPTIONS)
 def take_explicit_steps(kernels, setting, progress, stop, every, stores, inputs):
-    """Take steps that need no iteration, all up to the next state to store in one call.
+    """Take explicit steps, by one kernel call for all up to the next state to store.
 
     Arguments are as for ``take_steps``. A lane whose state would not be finite stops before that
     step.
@@ -141,13 +141,12 @@ def evaluate(addresses, h, W, at, states, block, out, inputs):
 
 @njit(**DRIVER_OPTIONS)
 def steady(energy, setting, states, judged, rate):
-    """Return whether the energy at some states stays near that of the first.
+    """Return whether the energy of sampled states stays near its first value.
 
-    ``states`` are q and p; ``judged`` the last of them, how many are looked at, and a limit. No
-    change is more than ``limit`` times the kinetic energy of most of the states, nor more than
-    that of some of the first ones. They are ``few`` and the first, spread over those up to the
-    last; the kinetic energy stands behind the energy. Where the row of a ``rate`` dt/dtau is given,
-    not 0, it is that times the energy that does not drift.
+    ``states`` are q and p. ``judged`` is (last, few, limit): samples are the states number
+    i * last // few, for i from 0 to few. The largest change of the energy must be at most ``limit``
+    times the kinetic energy at more than half of the samples, and at one or more of the first
+    eighth. If ``rate`` is not 0, it is the row of dt/dtau, which multiplies both.
     """
     (h, _, W, at), (q, p), (last, few, limit) = setting, states, judged
     n, row = at[DIMENSION], at[ENERGY]

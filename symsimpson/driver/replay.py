@@ -31,12 +31,12 @@ def reached(W, at, before, after):
 
 @njit(**DRIVER_OPTIONS)
 def replay(kernels, setting, states, every, anew, out, inputs):
-    """Go from each stored state to the next, ``every`` steps, and give what stands there then.
+    """Take the steps between stored states again, and store a recorder's sums at each state.
 
-    ``out`` takes the sums of the recorder, whose rows are followed by what rounding took from
-    them: from the first state on, or, where each state begins ``anew``, from the state before.
-    ``inputs`` are those of all steps. Returns how many states could be reached: whether a step was
-    the run's is seen where it ends.
+    There are ``every`` steps from one to the next. ``out[i]`` takes the sums over the steps from
+    state 0, or from state i - 1 where each begins ``anew``. In the workspace they are followed by
+    what rounding took from them. ``inputs`` are those of all steps. Returns how many states were
+    reached, the first one included: a replay that ends away from a stored state stops there.
     """
     (h, t, W, at), (q, p) = setting, states
     n, row, count = at[DIMENSION], at[RECORDED], out.shape[1]

@@ -17,7 +17,7 @@ from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, Interrupted
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
-from symsimpson.run.requested import differentiating
+from symsimpson.run.requested import program_for
 from symsimpson.stepping.inputs import read_failure
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.variations import refuse_retimed, varied_program
@@ -74,7 +74,7 @@ def _telling(program: Program, request: Request, store: Any) -> Program:
         )
     if telling:
         return varied_program(program, ())
-    return differentiating(program, request)
+    return program_for(program, request)
 
 
 def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensemble, bool]:

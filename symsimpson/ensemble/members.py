@@ -16,7 +16,7 @@ from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.program.values import read_array, read_parameters, whole_number
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import allowed
+from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
@@ -86,7 +86,7 @@ def read_task(
         ) from None
     for k, name in enumerate(program.parameters):
         values[:, k] = columns[name]
-    q, other = allowed(program, q, other, second, values, t0)
+    q, other = project_start(program, q, other, second, values, t0)
     return Task(
         q,
         other,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.derivatives.chaos import find_chaos
+from symsimpson.derivatives.chaos import run_lyapunov
 from symsimpson.ensemble.task import Results, Task
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.program.evaluating import evaluate_members, watching
@@ -112,7 +112,7 @@ def _of_variations(program: Program, task: Task, member: Any, values: list[float
         parameters=task.parameters[member],
         inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
     )
-    chaos = find_chaos(program, own, PAIR, RENEWAL, progress=False)
+    chaos = run_lyapunov(program, own, PAIR, RENEWAL, progress=False)
     told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
     pairs = zip(task.reductions, values, strict=True)
     return [float(told.get(reduction.kind, value)) for reduction, value in pairs]

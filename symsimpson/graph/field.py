@@ -25,7 +25,7 @@ from typing import Any, Protocol
 
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "Numbers", "repeated"]
+__all__ = ["LARGER", "PRIME", "Angles", "Arithmetic", "Evaluation", "PrimeField", "raised"]
 
 #: A Mersenne prime, 3 modulo 4, so that -1 has no root and the field can be extended by i.
 PRIME = 2**61 - 1
@@ -67,7 +67,7 @@ class Arithmetic(Protocol):
         ...
 
 
-class Numbers:
+class PrimeField:
     """Single numbers modulo a prime, and pairs of them where roots need i."""
 
     def __init__(self, seed: int, prime: int = PRIME) -> None:
@@ -194,11 +194,11 @@ class Evaluation:
         self._having: dict[int, list[int]] | None = None
 
     def __getitem__(self, value: Value) -> Element:
-        """Return the value of a value."""
+        """Return the number that a pair of a coefficient and a node evaluates to."""
         coefficient, n = value
         return self.arithmetic.times(self._number(coefficient), self.values[n])
 
-    def having(self, x: int) -> Sequence[int]:
+    def containing(self, x: int) -> Sequence[int]:
         """List the nodes that contain a symbol."""
         if self._having is None:
             self._having = {}
@@ -207,9 +207,9 @@ class Evaluation:
                     self._having.setdefault(s, []).append(n)
         return self._having.get(x, [])
 
-    def moved(self, x: int) -> set[int]:
+    def depending_on(self, x: int) -> set[int]:
         """Return the nodes whose values change when a symbol takes another value."""
-        own = self.having(x)
+        own = self.containing(x)
         if not own:
             return set()
         values = _Layered(self.values)
@@ -272,7 +272,7 @@ class Evaluation:
     def _whole_power(self, x: Element, e: int) -> Element:
         if e < 0:
             x, e = self.arithmetic.inverse(x), -e
-        return repeated(self.arithmetic.times, 1, x, e)
+        return raised(self.arithmetic.times, 1, x, e)
 
     def _function(self, parts: tuple[Any, ...], values: dict[int, Element]) -> Element:
         name, *arguments = parts
@@ -316,7 +316,7 @@ class Evaluation:
         whole = int(factor * self._angles.divisors[n])
         if whole < 0:
             s, whole = times(a.prime - 1, s), -whole
-        return repeated(self._joined, (1, 0), (c, s), whole)
+        return raised(self._joined, (1, 0), (c, s), whole)
 
     def _joined(
         self, first: tuple[Element, Element], second: tuple[Element, Element]
@@ -328,8 +328,8 @@ class Evaluation:
         return plus(times(c, d), minus), plus(times(s, d), times(c, r))
 
 
-def repeated(times: Callable[[Any, Any], Any], one: Any, x: Any, count: int) -> Any:
-    """Multiply as many x by repeated squaring."""
+def raised(times: Callable[[Any, Any], Any], one: Any, x: Any, count: int) -> Any:
+    """Return one times x to a whole power, by repeated squaring with any product."""
     while count:
         if count & 1:
             one = times(one, x)

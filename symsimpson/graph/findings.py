@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from symsimpson.graph.field import Element, Evaluation, Numbers
+from symsimpson.graph.field import Element, Evaluation, PrimeField
 from symsimpson.graph.merge import evaluations
 from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import fixed
@@ -58,7 +58,7 @@ class Findings:
 
     def _moved_at(self, number: int, x: int) -> set[int]:
         if (number, x) not in self._moved:
-            self._moved[number, x] = self.points[number].moved(x)
+            self._moved[number, x] = self.points[number].depending_on(x)
         return self._moved[number, x]
 
     def depends(self, value: Value, x: int) -> bool:
@@ -109,7 +109,7 @@ class Findings:
 
 def _corners(at: Evaluation, symbols: Sequence[int], number: int) -> Iterable[Evaluation]:
     """Return a parallelogram of points: z, z + u, z + w, z + u + w."""
-    draw = Numbers(number + 1000, at.arithmetic.prime)
+    draw = PrimeField(number + 1000, at.arithmetic.prime)
     for u, w in ((0, 0), (1, 0), (0, 1), (1, 1)):
         moved: dict[int, Element] = {
             x: draw.plus(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from symsimpson.graph.field import LARGER, PRIME, Evaluation, Numbers
+from symsimpson.graph.field import LARGER, PRIME, Evaluation, PrimeField
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.rebuild import again
 from symsimpson.graph.roots import dependent_radicands
@@ -32,7 +32,7 @@ def evaluations(
     found: list[Evaluation] = []
     for seed in range(count + TRIES):
         try:
-            numbers = Numbers(seed, PRIME if seed < TRIES // 2 else LARGER)
+            numbers = PrimeField(seed, PRIME if seed < TRIES // 2 else LARGER)
             found.append(Evaluation(graph, roots, numbers, opaque))
         except ZeroDivisionError:
             continue

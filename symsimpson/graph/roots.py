@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.graph.field import Angles, Evaluation, repeated
+from symsimpson.graph.field import Angles, Evaluation, raised
 from symsimpson.graph.nodes import Graph
 
 __all__ = ["dependent_radicands", "radicands"]
@@ -119,7 +119,7 @@ class _Rows:
 
 
 def _power(x: Row, e: int) -> Row:
-    power: Row = repeated(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
+    power: Row = raised(lambda a, b: a * b % PRIME, np.ones_like(x), x, e)
     return power
 
 

@@ -55,7 +55,7 @@ class Declared:
         return Matrix(self.plain.mass.xreplace(dict(back)))
 
     @property
-    def large(self) -> bool:
-        """Whether T and V are too long to be shown."""
+    def too_large_for_sympy(self) -> bool:
+        """Whether T and V together exceed LARGE nodes: they are left out of SymPy's output."""
         plain = self.plain
         return sum(tree_size(plain.graph, value) for value in (plain.T, plain.V)) > LARGE

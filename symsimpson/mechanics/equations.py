@@ -32,7 +32,7 @@ def equations(system: Declared) -> tuple[sp.Eq, ...]:
 
 
 def _check(system: Declared, what: str) -> None:
-    if system.large:
+    if system.too_large_for_sympy:
         raise ModelError(
             f"system {system.name!r}: T and V are too long for {what} in SymPy.\n"
             "Use stepper.residual and stepper.jacobian, which evaluate them as numbers."

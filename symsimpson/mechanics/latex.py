@@ -33,7 +33,7 @@ def _too_long(one: Any) -> str:
 
 
 def _equations(one: Any) -> str:
-    if one.large:
+    if one.too_large_for_sympy:
         return _too_long(one)
     from sympy.physics.vector import vlatex  # long to import
 

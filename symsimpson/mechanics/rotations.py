@@ -14,7 +14,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
-from symsimpson.mechanics.coordinates import coordinates
+from symsimpson.mechanics.coordinates import coordinates, time
 
 __all__ = ["body_rates", "coincide", "quaternion", "rotation_matrix"]
 
@@ -35,7 +35,7 @@ def quaternion(name: str) -> tuple[AppliedUndef, ...]:
     Raises
     ------
     ModelError
-        If the name is none.
+        If the name is not an identifier.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.Immut
     2*q0(t)
     """
     a, b, c, d = _four(q)
-    u, x, y, z = _four([s.diff() for s in q] if rates is None else rates)
+    u, x, y, z = _four([s.diff(time) for s in _four(q)] if rates is None else rates)
     return sp.ImmutableDenseMatrix(
         [
             2 * (a * x - b * u - c * z + d * y),
@@ -125,7 +125,7 @@ def body_rates(q: Sequence[Any], rates: Sequence[Any] | None = None) -> sp.Immut
 
 
 def coincide(first: Any, second: Any) -> list[sp.Expr]:
-    """Return the constraints that two points coincide: a ball joint.
+    """Return the constraints of a ball joint: the components of first - second, each zero.
 
     Parameters
     ----------
@@ -159,6 +159,7 @@ def coincide(first: Any, second: Any) -> list[sp.Expr]:
 
 
 def _four(q: Sequence[Any]) -> tuple[sp.Expr, sp.Expr, sp.Expr, sp.Expr]:
+    """Read the four components of a quaternion."""
     parts = tuple(map(sp.sympify, q))
     if len(parts) != 4:
         raise ModelError(

@@ -198,7 +198,7 @@ TABLE = (
     ),
     part("CURVATURE", "Phi v, or Phi v', as constraints ask for it", constraints),
     part(
-        "DEPENDENCE",
+        "INDEPENDENCE",
         "how far constraints are from following from one another: 0 to 1",
         lambda s: s.constrained,
     ),

@@ -29,7 +29,7 @@ not_walked: list[str] = []
 _BEGIN = "legendre"
 #: What kernels call, where numba compiles it: there is no way in from Python.
 _INNER = "compiled = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)"
-#: The library's sine and cosine, which have a value for any angle.
+#: Sine and cosine of the C library, which have a value for any angle.
 _ANY_ANGLE = """\
 from math import cos, sin
 
@@ -41,7 +41,7 @@ def sincos(x):
 
 
 class Kernels(KernelSets):
-    """Addresses of compiled kernels, for so many lanes."""
+    """Addresses of a module's compiled kernels, for a given number of lanes."""
 
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
         super().__init__(header, by_stages=header.by_stages and lanes == 1)
@@ -54,26 +54,26 @@ class Kernels(KernelSets):
 
     @property
     def location(self) -> str:
-        """Where the code of a step is, in words."""
-        return location(self._key(self._text), self.fallbacks[0])
+        """Whether the compiled step is loaded, on disk or not yet made, in words."""
+        return location(self._cache_key(self._text), self.fallbacks[0])
 
     @cached_property
-    def _any_angle(self) -> str:
-        """The text with the library's sine and cosine."""
+    def _text_with_libm(self) -> str:
+        """The module text with sin and cos of the C library, valid for any angle."""
         if not self.header.fast_sines:
             return self._text
         return redefined(self._text, {"sincos": _ANY_ANGLE.rstrip()})
 
-    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[int]:
-        """Return addresses of kernels that are compiled together; 0 for an empty name."""
+    def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[int]:
+        """Compile kernels as one unit, and return their addresses; 0 for an empty name."""
         if any_angle:
-            return self._addresses(self._any_angle, label, names)
+            return self._addresses(self._text_with_libm, label, names)
         *kernels, begin = self._addresses(self._text, label, [*names, _BEGIN])
         self._single.setdefault((_BEGIN, False), begin)
         return kernels
 
-    def joined(self, mode: int, kernels: list[int]) -> NDArray[np.int64]:
-        """Return mode and addresses."""
+    def pack(self, mode: int, kernels: list[int]) -> NDArray[np.int64]:
+        """Pack the mode and the addresses of a set into one array."""
         return np.array([mode, *kernels], dtype=np.int64)
 
     def address(self, name: str, *, any_angle: bool = False) -> int:
@@ -82,19 +82,19 @@ class Kernels(KernelSets):
         if key == (_BEGIN, False):
             self.set(self.fallbacks[0])
         if key not in self._single:  # finding it among what is compiled takes the text's digest
-            text = self._any_angle if any_angle else self._text
+            text = self._text_with_libm if any_angle else self._text
             label = f"{name}_any_angle" if any_angle else name
             self._single[key] = self._addresses(text, label, [name])[0]
         return self._single[key]
 
-    def observing(self, kernel: str, rows: int) -> int:
-        """Return the address of a further kernel, which is compiled with the module."""
-        text = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
-        return self._addresses(f"{text}\n\n{kernel}", "observe", ["observe"])[0]
+    def compile_observer(self, text: str, rows: int) -> int:
+        """Compile a further kernel, a text, with so many more rows; return its address."""
+        module = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
+        return self._addresses(f"{module}\n\n{text}", "observe", ["observe"])[0]
 
     @staticmethod
-    def _key(text: str) -> str:
-        """Return all that the code of a text follows from."""
+    def _cache_key(text: str) -> str:
+        """Return the cache key: digest of the walker, vector width and module text."""
         return f"{walker_digest()}\n{vector_bits()}\n{text}"
 
     def _addresses(self, text: str, label: str, names: list[str]) -> list[int]:
@@ -111,7 +111,7 @@ class Kernels(KernelSets):
 
         start = time.perf_counter()
         try:
-            found = compiled(self._key(text), label, compile_kernels, stubs(text, some))[1]
+            found = compiled(self._cache_key(text), label, compile_kernels, stubs(text, some))[1]
         except (NumbaError, GenerationError) as error:
             not_walked.append(f"{label}: {str(error)[-400:]}")
             found = compiled(text, label, by_numba)[1]

@@ -93,11 +93,11 @@ class _Functions(KernelSets):
         """Where the code of a step is, in words."""
         return "none: Python, with numbers of many digits"
 
-    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+    def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
         """Return functions."""
         return [self.address(name) if name else 0 for name in names]
 
-    def joined(self, mode: int, kernels: list[Any]) -> tuple[Any, ...]:
+    def pack(self, mode: int, kernels: list[Any]) -> tuple[Any, ...]:
         """Return mode and functions."""
         return mode, *kernels
 

@@ -116,7 +116,7 @@ def watching(
     """
     header, numbers = program.header, program.numbers
     kernels = program.kernels
-    kernel = kernels.observing(observing_kernel(header, found), len(found))
+    kernel = kernels.compile_observer(observing_kernel(header, found), len(found))
     energy = kernels.address("energy") if any(one.energetic for one in found) else 0
     W = workspace(header, numbers, numbers.read(values), more=len(found))
     return lambda t, q, p: _evaluated(

@@ -45,7 +45,7 @@ class KernelSets(ABC):
     def set(self, name: str, recorders: tuple[Recorder, ...] = (), *, again: bool = False) -> Any:
         """Return a set: its mode, then its kernels, and those of recorders.
 
-        "robust" is Newton's method with row pivoting and the library's sine and cosine. It takes
+        "robust" is Newton's method with row pivoting and sine and cosine of the C library. It takes
         any angle and meets no singular pivot, at several times the cost. Steps that are taken
         ``again`` were accepted once: how the energy changes is not looked at.
         """
@@ -67,16 +67,16 @@ class KernelSets(ABC):
         *names, energy = KERNEL_SETS[mode]
         if robust and self.header.unrolled:
             names[names.index("newton")] = PIVOTED
-        kernels = self.compiled(name, names, any_angle=robust)
+        kernels = self.compile_set(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
         behind = [self._recording(one, robust) for one in recorders]
-        return self.joined(mode, [*kernels, measure, *behind])
+        return self.pack(mode, [*kernels, measure, *behind])
 
     def _recording(self, recorder: Recorder, robust: bool) -> Any:
         """Return the kernel of a recorder."""
         if recorder.text:
-            return self.observing(recorder.text, recorder.room)
+            return self.compile_observer(recorder.text, recorder.room)
         pivoted = f"{recorder.kernel}{WITH_PIVOTS}"
         name = pivoted if robust and pivoted in self.header.functions else recorder.kernel
         return self.address(name, any_angle=robust)
@@ -87,19 +87,19 @@ class KernelSets(ABC):
         """Where the code of a step is, in words."""
 
     @abstractmethod
-    def compiled(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+    def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
         """Return kernels that are compiled together; 0 for an empty name."""
 
     @abstractmethod
-    def joined(self, mode: int, kernels: list[Any]) -> Any:
+    def pack(self, mode: int, kernels: list[Any]) -> Any:
         """Return a set as the driver of this arithmetic takes it."""
 
     @abstractmethod
     def address(self, name: str, *, any_angle: bool = False) -> Any:
         """Return one kernel; of one that takes any angle, if that is asked for."""
 
-    def observing(self, kernel: str, rows: int) -> Any:
-        """Return a further kernel, whose text stands behind the module's.
+    def compile_observer(self, text: str, rows: int) -> Any:
+        """Compile a further kernel, whose text stands behind the module's.
 
         The workspace has so many more rows, from what was ROWS on.
 

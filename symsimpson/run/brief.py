@@ -41,7 +41,7 @@ __all__ = ["MOST_ROWS", "brief_run"]
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**18, 2**22
-#: What states are given as; of others somebody may have to be told something.
+#: Types of states that never need a message.
 PLAIN = (list, tuple, np.ndarray)
 DONE = Status.SUCCESS.message
 #: What is returned of a run with too many steps for this.
@@ -55,8 +55,12 @@ Stored = tuple[Floats, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
-class Asked:
-    """A run that is asked for in the plainest way: values of parameters, and where it begins."""
+class BriefRequest:
+    """Checked input of a short run: values of parameters, initial state, and stride of storage.
+
+    ``other`` is v0 where ``velocity`` says so, else p0; ``every`` is 0 where only the last state
+    is stored.
+    """
 
     values: Floats
     q: Floats
@@ -65,8 +69,8 @@ class Asked:
     every: int
 
 
-class Prepared:
-    """The inner means of a run: workspace, kernels, functions of the driver."""
+class BriefRunner:
+    """Reusable workspace, kernels and driver functions of short runs."""
 
     def __init__(self, program: Program) -> None:
         header, kernels = program.header, program.kernels
@@ -84,11 +88,11 @@ class Prepared:
             self.times = np.empty((self.most + 1, 1, 1))
             return
         self.run_briefly = numbers.driver("run_briefly", iterated=iterated)
-        #: Where states go that are looked at and forgotten.
+        #: Buffer for sampled states that only the check of the energy reads.
         self.sampled = room(SAMPLES, program.n)
 
     def run(
-        self, asked: Asked, times: Times, every: int, few: int, stored: Stored, end: Floats
+        self, asked: BriefRequest, times: Times, every: int, few: int, stored: Stored, end: Floats
     ) -> int:
         """Take steps, and return how many iterations they took; -1 if not all is well."""
         h, t0, steps = times
@@ -103,9 +107,9 @@ class Prepared:
         )
         return count
 
-    def arrive(
+    def run_to_time(
         self,
-        asked: Asked,
+        asked: BriefRequest,
         times: tuple[float, float, float],
         every: int,
         few: int,
@@ -113,7 +117,7 @@ class Prepared:
         end: Floats,
         told: Floats,
     ) -> int:
-        """Take steps to an end, and return how many; less than 0 if not all is well.
+        """Take steps to t_end; return how many whole ones, or less than 0 on failure.
 
         ``end`` takes the state there, ``told`` the part of a step that was taken last, and the
         iterations; ``asked.values`` those of E0 and the first rate.
@@ -140,7 +144,7 @@ def make_ready(program: Program) -> None:
         return
     program.numbers.make_ready(program.kernels)
     if program.findings.prepared == []:
-        program.findings.prepared.append(Prepared(program))
+        program.findings.prepared.append(BriefRunner(program))
 
 
 def room(last: int, n: int) -> Stored:
@@ -148,8 +152,8 @@ def room(last: int, n: int) -> Stored:
     return np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)
 
 
-def read_plainly(value: Any, n: int) -> Floats | None:
-    """Return a list or an array of n doubles as an array; None if it is anything else."""
+def read_doubles(value: Any, n: int) -> Floats | None:
+    """Return a list, a tuple or an array of n float64 values as an array; else None."""
     if type(value) not in PLAIN:
         return None
     try:
@@ -159,8 +163,8 @@ def read_plainly(value: Any, n: int) -> Floats | None:
     return found if found.dtype.char == "d" and found.shape == (n,) else None
 
 
-def read_asked(program: Program, request: Request) -> Asked | None:
-    """Read what is asked for; None if it is not plain, or this step was not looked at before."""
+def read_brief_request(program: Program, request: Request) -> BriefRequest | None:
+    """Read a simple request whose step was checked for stability; else return None."""
     v0, p0, every, n = request.v0, request.p0, request.every, program.n
     one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
     if program.findings.prepared is None or not one or not isinstance(request.h, float):
@@ -171,30 +175,30 @@ def read_asked(program: Program, request: Request) -> Asked | None:
     known = (request.h, values.tobytes()) in program.findings.checked_steps
     if not known or not (every is None or 0 < every <= MOST_STEPS):
         return None
-    q, other = read_plainly(request.q0, n), read_plainly(p0 if v0 is None else v0, n)
+    q, other = read_doubles(request.q0, n), read_doubles(p0 if v0 is None else v0, n)
     if q is None or other is None:
         return None
-    return Asked(values, q, other, v0 is not None, every or 0)
+    return BriefRequest(values, q, other, v0 is not None, every or 0)
 
 
 def brief_run(program: Program, request: Request) -> Trajectory | None:
     """Run, and return what it has come to; None if it is not short, or something came up."""
-    asked, retimed = read_asked(program, request), program.header.retimed
+    asked, retimed = read_brief_request(program, request), program.header.retimed
     if asked is None or (retimed and request.t_end is None):
         return None
     prepared = program.findings.prepared
     assert prepared is not None
     try:  # threads may do this at the same time
-        made = prepared.pop()
+        runner = prepared.pop()
     except IndexError:
-        made = Prepared(program)
-    found = (_to_end if retimed else _of_steps)(program, made, asked, request)
-    prepared.append(made)
+        runner = BriefRunner(program)
+    found = (_to_end if retimed else _of_steps)(program, runner, asked, request)
+    prepared.append(runner)
     return found
 
 
 def _of_steps(
-    program: Program, made: Prepared, asked: Asked, request: Request
+    program: Program, runner: BriefRunner, asked: BriefRequest, request: Request
 ) -> Trajectory | None:
     """Take a given number of steps."""
     h, steps, t0 = read_steps(request, FLOAT64)
@@ -203,10 +207,10 @@ def _of_steps(
     every, n = asked.every, program.n
     stride = finer_stride(every, steps) if every else sampling_stride(program, steps)
     last = steps // stride if stride else 0
-    (Q, P), counts = stored = room(last, n) if every else made.sampled
+    (Q, P), counts = stored = room(last, n) if every else runner.sampled
     end, few = np.empty((4, n)), count_looked_at(program, last)
-    count = made.run(asked, (h, t0, steps), stride, few, stored, end)
-    if count < 0 or (every == 1 and few and not _regular(program, asked, end)):
+    count = runner.run(asked, (h, t0, steps), stride, few, stored, end)
+    if count < 0 or (every == 1 and few and not _known_regular(program, asked, end)):
         return None
     if every:
         t = t0 + np.arange(0.0, steps + 1.0, every) * h
@@ -217,25 +221,27 @@ def _of_steps(
     return _trajectory(program, asked, (t, Q, P, iterations), h, steps)
 
 
-def _regular(program: Program, asked: Asked, end: Floats) -> bool:
-    """Return whether a run kept away from singular points of the coordinates."""
+def _known_regular(program: Program, asked: BriefRequest, end: Floats) -> bool:
+    """Return whether a run is known to stay in a box without coordinate singularities."""
     if program.tools is None or program.declared is None:
         return True
     box = program.findings.regular.get(asked.values.tobytes())
     return box is not None and bool((box[0] <= end[2]).all() and (end[3] <= box[1]).all())
 
 
-def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) -> Trajectory | None:
+def _to_end(
+    program: Program, runner: BriefRunner, asked: BriefRequest, request: Request
+) -> Trajectory | None:
     """Take as many steps as lead to a time, and a part of one."""
     h, _, t0, t_end = read_times(request, FLOAT64, retimed=True)
     key = h, t_end - t0
     if key in program.findings.long:
         return None
     every, n = asked.every, program.n
-    stored = room(made.most // every, n) if every else made.sampled
+    stored = room(runner.most // every, n) if every else runner.sampled
     end, told = np.empty((2, n)), np.empty(2)
     few = SAMPLES - 1 if program.header.conservative else 0
-    steps = made.arrive(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
+    steps = runner.run_to_time(asked, (h, t0, t_end), every or STRIDE, few, stored, end, told)
     if steps < 0:
         if steps == TOO_LONG:
             program.findings.long.add(key)
@@ -245,7 +251,7 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
     if every:
         last = steps // every + 1
         (Q, P), counts = stored
-        before = made.times[:last, 0, 0].copy()
+        before = runner.times[:last, 0, 0].copy()
         far = int(t_end != before[-1])  # 0: the last stored state is that of the end
         tau = np.append(h * np.arange(0.0, steps + 1.0, every), tau[:far])
         t = np.append(before, t[:far])
@@ -256,7 +262,7 @@ def _to_end(program: Program, made: Prepared, asked: Asked, request: Request) ->
 
 def _trajectory(
     program: Program,
-    asked: Asked,
+    asked: BriefRequest,
     states: tuple[Any, ...],
     h: float,
     steps: int,

@@ -12,7 +12,7 @@ from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate_in
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.stepping.held import DEPENDENT, dependent
+from symsimpson.stepping.held import DEPENDENT, name_dependent
 from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def look_at_folds(
             header.layout["HELD_SIZE"],
             (t[bad : bad + 1], q[bad : bad + 1], p[bad : bad + 1]),
         )[0]
-        which = dependent(names, slopes_of(header, rows).astype(np.float64))
+        which = name_dependent(names, slopes_of(header, rows).astype(np.float64))
         message = (
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
             f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"

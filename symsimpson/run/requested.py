@@ -18,7 +18,7 @@ from symsimpson.stepping.variations import read_varied, varied_program
 if TYPE_CHECKING:
     from symsimpson.results.sampled import Sampled, Saved
 
-__all__ = ["differentiating", "end_of_step", "run", "tangent_of_step"]
+__all__ = ["end_of_step", "program_for", "run", "tangent_of_step"]
 
 
 def run(
@@ -60,7 +60,7 @@ def run(
             )
         names = _names_to_vary(program, request)
         return timed_run(program, read_run(program, request), names, progress, on_failure)
-    program = differentiating(program, request)
+    program = program_for(program, request)
     spec = read_run(program, request)
     return integrate(program, spec, request.checkpoint, checkpoint_every, progress, on_failure)
 
@@ -96,19 +96,19 @@ def tangent_of_step(program: Program, request: Request, names: tuple[str, ...]) 
     return integrate(program, read_run(program, request), None, None, None, "raise")
 
 
-def differentiating(program: Program, request: Request) -> Program:
-    """Return the program that carries along what a run is asked for."""
+def program_for(program: Program, request: Request) -> Program:
+    """Return the variant of a program that computes the derivatives a request asks for."""
     if not request.varied:
         return program
     return varied_program(program, _names_to_vary(program, request))
 
 
 def _names_to_vary(program: Program, request: Request) -> tuple[str, ...]:
-    """Read what a run is differentiated by.
+    """Read the names of the parameters and inputs to differentiate by.
 
     Raises
     ------
     InputError
-        If there is no such parameter.
+        If there is no such parameter or input.
     """
     return read_varied(program, () if request.sensitivities is None else request.sensitivities)

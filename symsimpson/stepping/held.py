@@ -15,18 +15,20 @@ from symsimpson.program.evaluating import evaluate, evaluate_members
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["DEPENDENT", "allowed", "dependent"]
+__all__ = ["DEPENDENT", "name_dependent", "project_start"]
 
 Reals = NDArray[Any]
 #: Starts that miss constraints by more than this, relative to their slopes and to q, are refused.
 MISSED = 1e-9
-#: Constraints count as dependent below this share of what holds each of them.
+#: Constraints are dependent where INDEPENDENCE, between 0 and 1, is below this.
 DEPENDENT = 1e-10
 #: Newton's method from a start that misses by less needs so many iterations, with many digits too.
 MOST = 12
+#: What rounding leaves of a constraint, in units of it, where terms cancel.
+ROUNDED = 1e4
 
 
-def allowed(
+def project_start(
     program: Program,
     q: Reals,
     other: Reals,
@@ -35,7 +37,7 @@ def allowed(
     t: Any,
     missed: float = MISSED,
 ) -> tuple[Reals, Reals]:
-    """Return starts that satisfy the constraints to rounding, from some that nearly do.
+    """Correct q0 onto the constraints by Newton's method; check v0 or p0, unchanged.
 
     Parameters
     ----------
@@ -49,12 +51,17 @@ def allowed(
     missed : float
         By how much a start may miss the constraints, relative to their slopes.
 
+    Returns
+    -------
+    q, other : ndarray, shape (K, n)
+        Corrected positions, and ``other`` as it was given.
+
     Raises
     ------
     ModelError
         If constraints depend on each other there.
     InputError
-        If q does not satisfy them, or velocities are not allowed by them.
+        If q does not satisfy them and is not led there, or velocities are not allowed by them.
     """
     numbers, held = program.numbers, program.header.constraints
     if not held:
@@ -71,17 +78,20 @@ def allowed(
     rest = 0 * q
     rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
     slopes = slopes_of(header, rows)
-    _check_rank(program, q, slopes, at("DEPENDENCE", 1, rest)[:, 0])
+    _check_rank(program, q, slopes, at("INDEPENDENCE", 1, rest)[:, 0])
     size = np.linalg.norm(slopes, axis=2)
     scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = np.abs(phi.astype(np.float64)) / scale
         if attempt == 0 and not off.max() <= missed:
-            raise _off(program, q, other, given, values, off, "q0 does not satisfy", "")
+            raise _violation_error(program, q, other, given, values, off, "q0 does not satisfy")
         if off.max() <= 4 * numbers.epsilon:
             break
         q = q + at("HELD_CHANGE", n, rest)
+    else:
+        if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
+            raise _violation_error(program, q, other, given, values, off, "q0 is not led to")
     speeds = other.astype(np.float64)
     if given == "v0":
         taken = (slopes @ speeds[..., None])[..., 0]
@@ -91,11 +101,12 @@ def allowed(
     off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
-        raise _off(program, q, other, given, values, off, what, " v = 0")
+        raise _violation_error(program, q, other, given, values, off, what)
     return q, other
 
 
 def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) -> None:
+    """Refuse a start where gradients of constraints are not finite, zero or dependent."""
     finite = np.isfinite(slopes).all()
     worst = int(np.argmin(independence.astype(np.float64)))
     if finite and independence[worst] >= DEPENDENT:
@@ -116,31 +127,24 @@ def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) 
             "does not vanish where phi = 0, as x**2 + y**2 - 1 and not its square."
         )
     raise ModelError(
-        f"{program.system}: the constraints {dependent(names, rows)} depend on each other at "
+        f"{program.system}: the constraints {name_dependent(names, rows)} depend on each other at "
         f"{where}.\nOne of them follows from the others there, so the constraint forces are not "
         "determined. If this holds everywhere, leave one out; if the mechanism is folded there, "
         "begin elsewhere."
     )
 
 
-def dependent(names: Sequence[str], slopes: Reals) -> str:
-    """Name the constraints of which one follows from the others, from their slopes."""
+def name_dependent(names: Sequence[str], slopes: Reals) -> str:
+    """List, as text, the constraints whose gradients are linearly dependent."""
     size = np.linalg.norm(slopes, axis=1)
-    left = np.linalg.svd(slopes / np.where(size > 0, size, 1.0)[:, None])[0][:, -1]
-    return ", ".join(repr(names[c]) for c in np.flatnonzero(np.abs(left) > 1e-3).tolist())
+    combination = np.linalg.svd(slopes / np.where(size > 0, size, 1.0)[:, None])[0][:, -1]
+    return ", ".join(repr(names[c]) for c in np.flatnonzero(np.abs(combination) > 1e-3).tolist())
 
 
-def _off(
-    program: Program,
-    q: Reals,
-    other: Reals,
-    given: str,
-    values: Reals,
-    off: Reals,
-    what: str,
-    rate: str,
+def _violation_error(
+    program: Program, q: Reals, other: Reals, given: str, values: Reals, off: Reals, what: str
 ) -> InputError:
-    """Say which constraint is missed by how much, and what would satisfy them."""
+    """Return the error that names the worst violation and suggests a consistent start."""
     worst = np.nan_to_num(off, nan=np.inf)
     member, c = np.unravel_index(int(np.argmax(worst)), off.shape)
     name = program.names.constraints.shown[int(c)]

@@ -13,7 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.program.observed import Reduction, read_reductions
 from symsimpson.program.values import read_vector
 from symsimpson.stepping.driving import read_driving
-from symsimpson.stepping.held import allowed
+from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
@@ -108,7 +108,9 @@ def read_run(program: Program, request: Request) -> RunSpec:
         given, other = read_given("a run", how, request)
         q = read_vector("q0", request.q0, names, numbers)
         second = read_vector(given, other, names, numbers)
-        q, second = (x[0] for x in allowed(program, q[None], second[None], given, values[None], t0))
+        q, second = (
+            x[0] for x in project_start(program, q[None], second[None], given, values[None], t0)
+        )
         inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
         return RunSpec(

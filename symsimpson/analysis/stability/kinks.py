@@ -55,7 +55,7 @@ class _Root:
 _FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = WeakKeyDictionary()
 
 
-def _found(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
+def _square_roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
     """Return the roots of a system, which are looked for once per system."""
     if system not in _FOUND:
         _FOUND[system] = _roots(system)
@@ -64,7 +64,7 @@ def _found(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
 
 def has_kinks(system: MechanicalSystem) -> bool:
     """Return whether forces of a system may jump at zeros of roots."""
-    return bool(_found(system)[1])
+    return bool(_square_roots(system)[1])
 
 
 def kink_passed(
@@ -99,7 +99,7 @@ def kink_passed(
     >>> kink_passed(cone, np.array([0.0, 1.0]), np.array([[1.0, 0.0], [-1.0, 0.0]]), [])
     (0.5, 'sqrt(x**2 + y**2)')
     """
-    plain, roots = _found(system)
+    plain, roots = _square_roots(system)
     t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
     if not roots or len(t) < 2:
         return None

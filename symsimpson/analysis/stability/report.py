@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from symsimpson.analysis.energies import keeps_shadow
+from symsimpson.analysis.energies import shadow_is_testable
 from symsimpson.analysis.pilot import choose_state, choose_step
 from symsimpson.analysis.stability.chaos import reversal
 from symsimpson.analysis.stability.drift import energy_drift
@@ -48,7 +48,7 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
     yield f"{stepper.system}, {stepper.scheme}: from q0 = {q.tolist()}, p0 = {p.tolist()}"
     yield "long run"
     yield f"  {energy_drift(stepper, step, steps, state=state)}"
-    if keeps_shadow(stepper):
+    if shadow_is_testable(stepper):
         run = stepper.integrate(q, p0=p, h=step, steps=SHORT)
         swing, kept = (np.ptp(x) / run.energy_scale for x in (run.energy, run.shadow_energy))
         yield (

@@ -199,8 +199,8 @@ def factor_held(W, lane):
     """Factorise what border_mass made; MASS_PIVOT < 0 if M is not positive definite there.
 
     Each constraint stands behind its coordinates, so that their pivots are positive if M is
-    definite, and its own is negative. DEPENDENCE becomes the smallest of these relative to what it
-    is the rest of: zero where a constraint follows from others.
+    definite, and its own is negative. INDEPENDENCE becomes the smallest of these relative to what
+    it is the rest of: zero where a constraint follows from others.
     """
     first = HELD + HELD_OFFSET
     for s in range(DIMENSION):
@@ -224,7 +224,7 @@ def factor_held(W, lane):
             least = share if not share >= least else least
             W[HELD_PIVOT + c, lane] = -pivot
     W[MASS_PIVOT, lane] = deficit
-    W[DEPENDENCE, lane] = least
+    W[INDEPENDENCE, lane] = least
 
 
 @compiled

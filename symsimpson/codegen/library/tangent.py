@@ -9,7 +9,7 @@ dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
 
 
 @compiled
-def room_of(W, variation, lane):
+def work_row_of(W, variation, lane):
     """Return the first row of the room that a variation has behind all of them."""
     count = int(W[TANGENTS, lane])
     return TANGENT + count * 2 * DIMENSION + variation * (UNKNOWNS + DIMENSION)
@@ -117,7 +117,7 @@ def close_variation(W, dq, room, lane):
 
 @compiled
 def decay_variation(W, dq, lane):
-    """Let a momentum decay as that of the step does."""
+    """Divide dp of a variation by the damping factor of the step."""
     for a in range(DIMENSION):
         W[dq + DIMENSION + a, lane] /= W[GROWTH + NODES, lane]
 

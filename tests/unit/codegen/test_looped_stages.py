@@ -6,7 +6,7 @@ import sympy as sp
 from support.forms import limited
 
 import symsimpson as ss
-from symsimpson.run.requested import differentiating
+from symsimpson.run.requested import program_for
 from symsimpson.stepping.request import Request
 
 H = 0.0625
@@ -42,7 +42,7 @@ def by_loops(monkeypatch):
 
 def runs(stepper, monkeypatch, **given):
     """Run by stages, then by Newton's method alone."""
-    made = differentiating(stepper.program, Request(None, tangents=given.get("tangents"))).kernels
+    made = program_for(stepper.program, Request(None, tangents=given.get("tangents"))).kernels
     assert made.fallbacks[0] == "stages"
     for first in (0, 1):
         monkeypatch.setattr(made, "fallbacks", made.fallbacks[first:])

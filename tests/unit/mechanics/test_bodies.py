@@ -66,6 +66,12 @@ def test_formulas_are_those_of_sympy():
     assert sp.simplify(frame.dcm(space).T - ss.rotation_matrix(q)) == sp.zeros(3, 3)
 
 
+def test_rates_of_a_quaternion_that_is_an_expression_of_the_time():
+    w = sp.Symbol("w")
+    turning = sp.cos(w * ss.time / 2), 0, 0, sp.sin(w * ss.time / 2)
+    assert sp.simplify(ss.body_rates(turning) - sp.Matrix([0, 0, w])) == sp.zeros(3, 1)
+
+
 @pytest.mark.slow
 def test_bodies_of_sympy_come_in():
     """With a singular mass matrix, as SymPy writes the energy; the motion is the same."""
