@@ -127,7 +127,7 @@ FACTS = {{
 
 
 def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
-    """Return what a module says of itself, as :class:`symsimpson.module.header.Header` has it."""
+    """Return the entries of FACTS, the fields of :class:`symsimpson.module.header.Header`."""
     system, scheme, names = equations.system, equations.scheme, module.names
     plain = equations.plain
     signs = [
@@ -205,7 +205,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
 
 
 def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
-    """Write the tables of a scheme as arrays: of tuples compilers make a choice of branches."""
+    """Write the tables of a scheme as arrays: an index into a tuple compiles to branches."""
     lines = []
     for name, table in scheme.tables.items():
         if isinstance(table[0], sp.Expr):

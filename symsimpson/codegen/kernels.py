@@ -86,7 +86,7 @@ def lower(equations: DiscreteEquations) -> Module:
 
 
 def unrolled(equations: DiscreteEquations) -> bool:
-    """Return whether the parts are written out one by one, or all as loops."""
+    """Return whether the equations are written as straight-line code instead of loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
     if equations.plain.constraints:  # drifts of these are loops
         few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
@@ -215,7 +215,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
 def _stage_kernels(
     low: Lowering, loops: LoopKernels, *, by_loops: bool
 ) -> StageKernels | LoopedStages | None:
-    """Return what iterates over velocities and forces at the nodes, where that pays."""
+    """Return the kernels that iterate on velocities and forces at the nodes, or None."""
     plain = low.equations.plain
     if not low.equations.scheme.by_stages or plain.rate is not None or loops.held:
         return None
@@ -256,7 +256,7 @@ def _finish_module(
     tables: dict[str, object],
     unknowns: int,
 ) -> Module:
-    """Add what is computed once a run, when it is known what that is; lay out the workspace.
+    """Complete a module: derivatives, retiming, stages, set-up, tables, layout of the workspace.
 
     Derivatives of a step are taken of all that it is made of.
     """
@@ -309,7 +309,7 @@ def _finish_module(
 
 
 def _size(part: Part) -> int:
-    """Measure a part by its unknowns or multipliers, others by what their text is as long as."""
+    """Measure a part by its unknowns or multipliers, or by an equivalent length of its text."""
     if isinstance(part, Linear):
         return 2 * len(part.coordinates)
     if isinstance(part, Affine):
@@ -332,7 +332,7 @@ def _energy(low: Lowering) -> Kernel:
 
 
 def _invariants(low: Lowering) -> Kernel:
-    """The quantities to watch, of a system that is written out."""
+    """Return the kernel of the invariants, for velocities that are written out."""
     return _watching(low, low.template, _state(low))
 
 
@@ -344,14 +344,14 @@ def _state(low: Lowering) -> Point:
 
 
 def _power(low: Lowering, point: Point, before: tuple[Statement, ...] = ()) -> Kernel:
-    """The powers of the forces, and what the energy loses by dL/dt."""
+    """Return the kernel of the powers of forces, then dL/dt where L depends on t."""
     stores = power_stores(low, point)
     doc = "Power of each force, then dL/dt where L depends on t, at (q, p)."
     return Kernel("power", doc, lanes((*before, *low.statements(stores, STATE))))
 
 
 def _watched(low: Lowering, before: tuple[Statement, ...]) -> Kernel:
-    """The quantities to watch, where loops solve for the velocities ``before``."""
+    """Return the kernel of the invariants, where loops solve for the velocities ``before``."""
     state = Point("state", low.q, low.v, low.start_point().t)
     return _watching(low, low.watched, state, before)
 

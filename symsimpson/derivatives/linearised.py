@@ -25,7 +25,7 @@ Reals = NDArray[Any]
 
 
 def linearise(program: Program, request: Request, wrt: Any, progress: bool | None) -> Linearisation:
-    """Run, and differentiate each step by its start, and by parameters and inputs.
+    """Run, and differentiate each step by its initial state and by ``wrt``.
 
     Raises
     ------

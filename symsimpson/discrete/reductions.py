@@ -68,7 +68,7 @@ class BasePart:
 
     @property
     def mass_order(self) -> tuple[int, ...]:
-        """The coordinates that M couples."""
+        """The coordinates of the part's block of M, in the order of its L D L^T."""
         return self.coordinates
 
 
@@ -83,7 +83,7 @@ class Coupled(BasePart):
 
 @dataclass(frozen=True)
 class Separable(BasePart):
-    """Coordinates with constant M: ``tests`` combine the D_k L_d to as many rows as unknowns.
+    """Coordinates with constant M, whose equations are combinations ``tests`` of the D_k L_d.
 
     Where X_d is no unknown, it solves D_k L_d = 0 (p0 + D_0 L_d = 0 for k = 0) for k = ``last``.
     """
@@ -94,13 +94,13 @@ class Separable(BasePart):
     last: int | None
 
     def last_test(self, degree: int) -> tuple[sp.Expr, ...]:
-        """Return the combination that picks the row of X_d where it is no unknown."""
+        """Return the unit vector that selects the row from which X_d follows."""
         return tuple(sp.Integer(k == self.last) for k in range(degree + 1))
 
 
 @dataclass(frozen=True)
 class Routh(BasePart):
-    """Coordinates, and cyclic ones that are eliminated by their momenta.
+    """Coordinates that stay after others, the cyclic ones, are eliminated by their momenta.
 
     The latter stand in the order of ``factors``, those of their mass matrix. ``annihilator`` is
     C. The multipliers are written in the basis in which the mass matrix of the cyclic coordinates
@@ -117,14 +117,14 @@ class Routh(BasePart):
 
     @property
     def mass_order(self) -> tuple[int, ...]:
-        """The coordinates that M couples, cyclic ones first.
+        """The coordinates of the part's block of M, cyclic ones first: the order of its L D L^T.
 
         In L D L^T what comes last is found first, and nothing else is computed.
         """
         return (*self.cyclic, *self.coordinates)
 
     def factor_entries(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
-        """List the factors L and D of the mass matrix of the cyclic coordinates, by these."""
+        """Map ("D", i), ("L", i, j), ("L0", i, j) to factors of the mass matrix of ``cyclic``."""
         found: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
         for r, row in enumerate(self.cyclic):
             found["D", row] = self.factors.pivots[r]
@@ -267,7 +267,7 @@ def _part(subsystem: Subsystem, plain: Plain, scheme: Scheme, exploit: frozenset
 
 
 def _routh_applies(plain: Plain, cyclic: Sequence[int]) -> bool:
-    """Return whether no force depends on the velocities of cyclic coordinates, nor their M on t.
+    """Return whether no force depends on cyclic velocities, and no cyclic row of M on t.
 
     Then their velocities enter the other equations as they enter L.
     """

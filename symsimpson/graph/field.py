@@ -3,9 +3,9 @@
 A point draws numbers modulo a prime for symbols, points of the unit circle for the nodes that
 angles are made of, units for exponentials, and numbers that are equal for equal arguments for all
 other functions. An expression that is rational in symbols, sines, cosines, exponentials and
-independent square roots is not zero as a function where its value is not, and where it is zero at
-two points, it is no zero with a probability below (degree/2^61)^2 [1]_, [2]_. Other functions are
-never taken for zero by mistake: their values are drawn without regard to what they are.
+independent square roots is certainly not identically zero if a value is nonzero; if it is zero at
+two points, the probability that it is not identically zero is below (degree/2^61)^2 [1]_, [2]_.
+Other functions are never taken for zero by mistake: their values are drawn at random.
 
 References
 ----------
@@ -36,7 +36,7 @@ Element = Any
 
 
 class Arithmetic(Protocol):
-    """The numbers that an evaluation computes with."""
+    """The operations on numbers that an evaluation needs."""
 
     prime: int
 
@@ -55,7 +55,7 @@ class Arithmetic(Protocol):
         ...
 
     def root(self, x: Element) -> Element:
-        """Return a square root."""
+        """Return a square root, or a random draw where there is none."""
         ...
 
     def times(self, x: Element, y: Element) -> Element:
@@ -68,7 +68,7 @@ class Arithmetic(Protocol):
 
 
 class PrimeField:
-    """Single numbers modulo a prime, and pairs of them where roots need i."""
+    """Arithmetic modulo a prime, extended by i where a square root needs it."""
 
     def __init__(self, seed: int, prime: int = PRIME) -> None:
         self._seed, self.prime = seed, prime
@@ -89,7 +89,7 @@ class PrimeField:
         return a * norm % self.prime, -b * norm % self.prime
 
     def root(self, x: Element) -> Element:
-        """Return a square root; of a number without one in the field, a random number."""
+        """Return a square root: r or r i of a number, a random draw for a pair a + b i."""
         if not isinstance(x, int):
             return self.draw("root", x)
         prime = self.prime
@@ -122,7 +122,7 @@ def _pair(x: Element) -> tuple[int, int]:
 
 
 class Angles:
-    """The angles among nodes, as combinations of nodes that are no sums.
+    """Arguments of sin, cos, exp and the like, as combinations of nodes that are no sums.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class Evaluation:
         return self._having.get(x, [])
 
     def depending_on(self, x: int) -> set[int]:
-        """Return the nodes whose values change when a symbol takes another value."""
+        """Return the nodes whose values change when a symbol is drawn anew."""
         own = self.containing(x)
         if not own:
             return set()
@@ -221,7 +221,7 @@ class Evaluation:
         return {n for n in own if values[n] != self.values[n]}
 
     def at(self, symbols: dict[int, Element]) -> Evaluation:
-        """Return the values of the same nodes where symbols have these values."""
+        """Return an evaluation with these symbols fixed, and all else drawn as here."""
         other = object.__new__(Evaluation)
         other.__dict__.update(self.__dict__)
         other._symbols, other.values, other._having = symbols, {}, None
@@ -302,7 +302,7 @@ class Evaluation:
         return a.draw(name, *(times(self._number(c), values[m]) for c, m in arguments))
 
     def _share(self, n: int, value: Element) -> Element:
-        """Return the part of a node of which angles hold whole multiples."""
+        """Return the value of a node over its divisor: arguments are whole multiples of it."""
         return self.arithmetic.times(self._number(Fraction(1, self._angles.divisors[n])), value)
 
     def _turned(self, n: int, value: Element, factor: Exact) -> tuple[Element, Element]:

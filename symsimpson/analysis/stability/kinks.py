@@ -56,7 +56,7 @@ _FOUND: WeakKeyDictionary[MechanicalSystem, tuple[Plain, tuple[_Root, ...]]] = W
 
 
 def _square_roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
-    """Return the roots of a system, which are looked for once per system."""
+    """Return the plain system and its roots of sums of squares, found once per system."""
     if system not in _FOUND:
         _FOUND[system] = _roots(system)
     return _FOUND[system]
@@ -145,7 +145,7 @@ def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
 
 
 def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | None:
-    """Split a sum of squares: ((half exponent, base), ...) and constant factors; else None."""
+    """Split a sum of squares into terms: pairs (e/2, base) and a constant factor; else None."""
     graph, allowed = plain.graph, moving | {*plain.numbers((*plain.parameters, *plain.u))}
     if graph.nodes[n].symbols.isdisjoint(moving) or not graph.nodes[n].symbols <= allowed:
         return None
@@ -171,7 +171,7 @@ def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | 
 def _near_passages(
     plain: Plain, root: _Root, known: dict[int, float], t: Floats, q: Floats
 ) -> tuple[NDArray[np.bool_], Floats] | None:
-    """Mark the lines between states that pass near the zero, and give the part where they do."""
+    """Mark segments between states that pass near the zero, with the fraction at closest."""
     u = _root_terms(plain, root, known, _at(plain, t, q), _ARRAYS)
     if u is None:
         return None
@@ -186,7 +186,7 @@ def _near_passages(
 def _root_terms(
     plain: Plain, root: _Root, known: dict[int, float], at: dict[int, Any], context: Any
 ) -> Any:
-    """Return u, where the root is that of sum(u_i^2), a row per term; None if it has no zero."""
+    """Return the u_i of root = sqrt(sum u_i^2), a row for each; None if it has no zero."""
     graph, rows = plain.graph, []
     symbols = {**known, **at}
     for bases, (c, still) in zip(root.squares, root.factors, strict=True):

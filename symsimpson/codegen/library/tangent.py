@@ -10,20 +10,20 @@ dp1 = dp0 + E_q dq0 + E_X dX + E_a da.
 
 @compiled
 def work_row_of(W, variation, lane):
-    """Return the first row of the room that a variation has behind all of them."""
+    """Return the first row of a variation's workspace, which holds its right side."""
     count = int(W[TANGENTS, lane])
     return TANGENT + count * 2 * DIMENSION + variation * (UNKNOWNS + DIMENSION)
 
 
 @compiled
 def parameter_of(W, variation, lane):
-    """Return the number of the parameter that is varied; negative if it is none."""
+    """Return the index among the varied parameters; negative for any other variation."""
     return variation - int(W[TANGENTS, lane]) + VARIED
 
 
 @compiled
 def vary_momentum_at_start(W, lane):
-    """Begin variations of parameters with what they change of p = L_v(q, v)."""
+    """Set dp0 = dP/da for each varied parameter, where v0 is given and p0 = L_v(q0, v0)."""
     for parameter in range(VARIED):
         variation = int(W[TANGENTS, lane]) - VARIED + parameter
         dp = TANGENT + variation * 2 * DIMENSION + DIMENSION
@@ -52,7 +52,7 @@ def begin_variation(W, dq, room, lane):
 
 @compiled
 def add_parameter(W, h, room, parameter, lane):
-    """Add to the right side, and to dp1 - dp0, what a parameter changes of F and P at all nodes."""
+    """Add dF/da and dP/da of all nodes to the right side, and dF/da to dp1 - dp0."""
     if parameter >= 0:
         for node in range(NODES):
             for entry in range(F_A_FROM[parameter], F_A_FROM[parameter + 1]):
@@ -89,13 +89,13 @@ def solve_variation(W, room, lane):
 
 @compiled
 def factor_equations_in_order(W, lane):
-    """Factorise the matrix of all unknowns in its place, in the order of Newton's method."""
+    """LU-factorise the matrix of all unknowns in its place, without exchanges of rows."""
     factor_in_order(W, JACOBIAN, UNKNOWNS, EQUATION_STRIDE, lane)
 
 
 @compiled
 def solve_variation_in_order(W, room, lane):
-    """Solve for dX of a variation with these factors."""
+    """Solve for dX of a variation by the factors of ``factor_equations_in_order``."""
     solve_in_order(W, JACOBIAN, room, UNKNOWNS, EQUATION_STRIDE, lane)
 
 
@@ -124,7 +124,7 @@ def decay_variation(W, dq, lane):
 
 @compiled
 def begin_column(W, column, lane):
-    """Begin a column of the derivative of a step: a unit vector, or no change of the state."""
+    """Set a column to a unit vector, or to zero for a parameter."""
     for row in range(2 * DIMENSION):
         W[DERIVATIVE + column * 2 * DIMENSION + row, lane] = real(1) if row == column else real(0)
 
