@@ -76,9 +76,9 @@ def test_three_distances_are_independent():
 def test_the_hole_of_roots_would_be_met():
     """Without the test of radicands, two points of the field call the difference zero at times."""
     graph, (value,) = read(SQUARE - (x + y))
-    from symsimpson.graph.field import Evaluation, Numbers
+    from symsimpson.graph.field import Evaluation, PrimeField
 
-    zeros = [not Evaluation(graph, [value[1]], Numbers(seed))[value] for seed in range(40)]
+    zeros = [not Evaluation(graph, [value[1]], PrimeField(seed))[value] for seed in range(40)]
     assert 5 < sum(zeros) < 35
 
 
