@@ -56,6 +56,9 @@ def load_block(kernels, more, setting, block, starts):
         member = min(block * LANES + lane, members - 1)
         for row in range(4 * n):
             W[at[POSITION] + row, lane] = 0.0
+        for pair in range(RECORDED, len(at), 2):  # sums, and what rounding takes from them
+            for row in range(2 * at[pair + 1]):
+                W[at[pair] + row, lane] = 0.0
         for a in range(n):
             W[at[POSITION] + a, lane] = q0[member, a]
             W[second + a, lane] = other0[member, a]

@@ -18,9 +18,10 @@ from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.quantities import Quantities
+from symsimpson.results.saving import RECORDED
 from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
-from symsimpson.results.work import named_parts
+from symsimpson.results.work import WORK, named_parts
 from symsimpson.support.calling import explaining
 from symsimpson.support.extras import library
 
@@ -39,7 +40,6 @@ RESERVED = (
     "steps",
     "newton_iterations",
     "variations",
-    "work_values",
     "member",
     "time",
     "coord",
@@ -73,6 +73,8 @@ class Ensemble(Quantities, Differentiated):
     parameters : mapping from str to ndarray, shape (K,)
     reduced : mapping from str to ndarray, shape (K,)
         The quantities requested by ``reduce``.
+    recorded : mapping from str to ndarray, shape (K, stored, k), or (K, k)
+        The sums requested by ``record``.
     initial : mapping from str to ndarray, shape (K, n)
         The initial states of the members: q0, and v0 or p0.
     store : path of the store, or None
@@ -103,7 +105,7 @@ class Ensemble(Quantities, Differentiated):
     store: str | None = None
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau: Floats | None = None
-    work_values: NDArray[Any] | None = field(default=None, repr=False)
+    recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -186,12 +188,12 @@ class Ensemble(Quantities, Differentiated):
         """
         if self.program.header.conservative:
             return named_parts(self.program, np.zeros((*np.shape(self.q)[:-1], 0)))
-        if self.work_values is None:
+        if WORK not in self.recorded:
             raise InputError(
                 "this ensemble did not record the work of forces.\n"
                 "Ask for it: stepper.ensemble(..., record='work')."
             )
-        return named_parts(self.program, self.work_values)
+        return named_parts(self.program, np.asarray(self.recorded[WORK]))
 
     @property
     def message(self) -> str:
@@ -229,8 +231,8 @@ class Ensemble(Quantities, Differentiated):
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
         if self.variations is not None:
             variables["variations"] = ((*dims[:-1], "state", "variation"), self.variations)
-        if self.work_values is not None:
-            variables["work_values"] = ((*dims[:-1], "power"), self.work_values)
+        for name, rows in self.recorded.items():
+            variables[f"{RECORDED}{name}"] = ((*dims[:-1], f"{name}_number"), rows)
         for name, values in self.initial.items():
             variables[name] = (("member", "coord"), values)
         for name in ("status", "steps", "newton_iterations"):
@@ -382,7 +384,8 @@ def names_in_dataset(
         chosen: dict[str, str] = {}
         for k, name in enumerate(names):
             choices = chain((name, f"{prefix}_{name}"), (f"{prefix}_{i}" for i in count(k)))
-            chosen[name] = next(x for x in choices if x.isidentifier() and x not in taken)
+            free = (x for x in choices if x.isidentifier() and x not in taken)
+            chosen[name] = next(x for x in free if not x.startswith(RECORDED))
             taken.add(chosen[name])
         found.append(chosen)
     return found[0], found[1]

@@ -74,8 +74,7 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
     left = [run.t[:, None]] if task.retimed else []
     if run.variations is not None:
         left.append(run.variations.swapaxes(1, 2).reshape(len(run), -1))
-    if run.work_values is not None:
-        left.append(run.work_values)
+    left += [rows for _, rows in run.recorded_values]
     kept = np.concatenate([np.zeros((len(run), 0)), *left], axis=1)
     whole = run.steps // run.every + 1 if run.every else 1  # behind them, the end if retimed
     if task.reductions:

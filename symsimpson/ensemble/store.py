@@ -26,6 +26,7 @@ from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
+from symsimpson.results.saving import RECORDED
 from symsimpson.support.extras import library
 from symsimpson.support.files import check_folder, read_path
 from symsimpson.support.progress import Progress
@@ -35,8 +36,6 @@ __all__ = ["Store", "members_of", "open_store", "run_missing", "said", "write_ch
 #: Seconds of one thread's work in a chunk, and bytes of states that it has at most.
 CHUNK_SECONDS = 0.5
 CHUNK_BYTES = 2**26
-#: What an ensemble may have recorded beside its states.
-RECORDED = ("variations", "work_values")
 #: Steps of the trial that tells how long a step takes.
 TRIAL_STEPS = 2000
 
@@ -118,7 +117,8 @@ class Store:
             newton_iterations=iterations,
             reduced=watched,
             store=self.path,
-            **{name: group[name] for name in RECORDED if name in group},
+            **({"variations": group["variations"]} if "variations" in group else {}),
+            recorded={name: group[f"{RECORDED}{name}"] for name in task.record},
         )
 
 
@@ -268,9 +268,10 @@ def run_missing(store: Store) -> bool:
 def write_chunk(path: str, group: Any, members: slice, found: Ensemble) -> None:
     """Write what some members came to, statuses last."""
     names, _ = names_in_dataset(found.reduced, found.parameters)
-    recorded = {name: getattr(found, name) for name in RECORDED}
     columns = {"q": found.q, "p": found.p}
-    columns |= {name: values for name, values in recorded.items() if values is not None}
+    columns |= {f"{RECORDED}{name}": rows for name, rows in found.recorded.items()}
+    if found.variations is not None:
+        columns["variations"] = found.variations
     columns |= {names[name]: values for name, values in found.reduced.items()}
     columns |= {"steps": found.steps, "newton_iterations": found.newton_iterations}
     with said(path, "written"):

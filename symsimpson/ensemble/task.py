@@ -135,8 +135,7 @@ class Results:
             ways = left["tangent"]
             shape = *ways.shape[:-1], -1, 2 * q.shape[-1]
             found["variations"] = ways.reshape(shape).swapaxes(-1, -2)
-        if "work" in left:
-            found["work_values"] = left["work"]
+        found["recorded"] = {x.name: left[x.kernel] for x in self._recorders if x.name}
         if task.retimed:
             whole = task.every * np.arange(task.stored) if task.every else steps
             t = left["clock"][..., 0]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.module.blocks import TOLD
 from symsimpson.module.header import Header
 
-__all__ = ["Recorder", "growth", "ordered", "steps", "tangents", "told", "work"]
+__all__ = ["NAMED", "Recorder", "growth", "ordered", "steps", "tangents", "told", "work"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Recorder:
         Whether it is told the time of the state, not that of the step that led there.
     renewed, renewal : int
         How many variations are made orthonormal, and after how many steps.
+    name : str
+        What users call what it leaves, as in ``run.recorded[name]``.
     """
 
     kernel: str
@@ -43,6 +46,7 @@ class Recorder:
     of_states: bool = False
     renewed: int = 0
     renewal: int = 1
+    name: str = ""
 
 
 def clock(header: Header) -> Recorder:
@@ -68,9 +72,29 @@ def steps(header: Header) -> Recorder:
     return Recorder("record", header.rows, rows, rows)
 
 
-def work(header: Header) -> Recorder:
-    """Return what adds up the work of forces."""
-    return Recorder("work", header.layout["WORK"], header.powers)
+def work(header: Header, first: int = 0) -> Recorder | None:
+    """Return what adds up the work of forces; None where nothing works.
+
+    The module has rows for it, and none behind its own are needed, from the ``first`` free one on.
+
+    Raises
+    ------
+    InputError
+        If steps have no nodes.
+    """
+    if header.conservative:
+        return None
+    if "work" not in header.functions:
+        raise InputError(
+            f"{header.scheme} is explicit: its steps have no nodes at which forces do work.\n"
+            "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
+        )
+    return Recorder("work", header.layout["WORK"], header.powers, name="work")
+
+
+#: What users may ask for by name; made of a header and the first row that is free. What a recorder
+#: leaves begins with zeros: sums, then what rounding takes from them.
+NAMED: dict[str, Callable[[Header, int], Recorder | None]] = {"work": work}
 
 
 def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:

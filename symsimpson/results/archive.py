@@ -10,9 +10,10 @@ import numpy as np
 
 from symsimpson.errors import InputError, StaleKernelError, StorageError, SymsimpsonError
 from symsimpson.program.program import Program, read_program
+from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS
-from symsimpson.results.saving import digest_of
+from symsimpson.results.saving import RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.extras import library
@@ -150,11 +151,15 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
-    works, reduced = None, json.loads(str(about.get("reduced", "[]")))
-    if "work_values" in found:
-        works = np.ascontiguousarray(found["work_values"], dtype=np.float64)
-        if works.shape != (stored, program.header.powers):
-            raise ValueError(f"work has shape {works.shape}")
+    reduced = json.loads(str(about.get("reduced", "[]")))
+    recorded = [
+        (name.removeprefix(RECORDED), np.ascontiguousarray(found[name], dtype=np.float64))
+        for name in map(str, found)
+        if name.startswith(RECORDED)
+    ]
+    for name, rows in recorded:
+        if name not in NAMED or rows.ndim != 2 or len(rows) != stored:
+            raise ValueError(f"{name} is not recorded, or has shape {rows.shape}")
     return Trajectory(
         t=t,
         q=q,
@@ -171,6 +176,6 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         tau_values=tau if retimed else None,
         variations=ways,
         varied_by=varied,
-        work_values=works,
+        recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
     )

@@ -13,7 +13,10 @@ from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
 from symsimpson.results.tables import write
 
-__all__ = ["digest_of", "save"]
+__all__ = ["RECORDED", "digest_of", "save"]
+
+#: Before the names of what was recorded, in files.
+RECORDED = "recorded_"
 
 
 def save(run: Stored, path: str | os.PathLike[str]) -> None:
@@ -40,8 +43,8 @@ def _dataset(run: Stored) -> Any:
         "parameter_values": run.parameter_values.tolist(),
         "sha256": digest_of(run),
     }
-    if run.work_values is not None:
-        found["work_values"] = (("time", "power"), run.work_values)
+    for name, rows in run.recorded_values:
+        found[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
     if run.reduced_values:
         found.attrs["reduced"] = json.dumps(run.reduced_values)
     if run.variations is not None:
@@ -59,7 +62,8 @@ def digest_of(run: Stored) -> str:
     about = (float(run.h), run.steps, run.every, *outcome, *reduced)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
-    beside = (x for x in (run.variations, run.work_values) if x is not None)
+    beside = [] if run.variations is None else [run.variations]
+    beside += [rows for _, rows in run.recorded_values]
     arrays = (
         run.t,
         run.q,

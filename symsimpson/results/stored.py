@@ -26,8 +26,8 @@ class Stored(Outcome, States):
     variations : ndarray, shape (N + 1, 2 n, k), or None
     varied_by : tuple of str or None
         Names that ``variations`` are derivatives by; None for those of the program.
-    work_values : ndarray, shape (N + 1, f), or None
-        The work of each force since the start, where it was recorded, then the integral of dL/dt.
+    recorded_values : tuple of pairs
+        Names of what was recorded beside states, and arrays of shape (N + 1, k).
     reduced_values : tuple of pairs
         Names of observed quantities, and what they came to.
     tau_values : ndarray or None
@@ -39,6 +39,6 @@ class Stored(Outcome, States):
     input_values: NDArray[Any]
     variations: NDArray[Any] | None
     varied_by: tuple[str, ...] | None
-    work_values: NDArray[Any] | None
+    recorded_values: tuple[tuple[str, NDArray[Any]], ...]
     tau_values: NDArray[Any] | None
     reduced_values: tuple[tuple[str, float], ...]

@@ -71,7 +71,7 @@ class Trajectory(Energies, Differentiated):
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau_values: NDArray[Any] | None = field(default=None, repr=False)
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
-    work_values: NDArray[Any] | None = field(default=None, repr=False)
+    recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
 
     @property
@@ -96,6 +96,11 @@ class Trajectory(Energies, Differentiated):
     def tau(self) -> NDArray[Any]:
         """The variable in which steps are fixed, from 0, shape (N + 1,): t - t0 unless retimed."""
         return self.t - self.t[0] if self.tau_values is None else self.tau_values
+
+    @property
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        """The sums requested by ``record``, by name, shape (N + 1, k) each."""
+        return dict(self.recorded_values)
 
     @property
     def reduced(self) -> dict[str, float]:

@@ -14,13 +14,12 @@ from symsimpson.program.recorders import told, work
 from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.driving import at_places, since
-from symsimpson.stepping.recording import check_work
 from symsimpson.stepping.run import FALLBACK_STRETCH
 
-__all__ = ["TOTAL", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
+__all__ = ["TOTAL", "WORK", "integrals", "named_parts", "parts_of_work", "powers", "rough_parts"]
 
-#: The name of the sum of all forces.
-TOTAL = "total"
+#: The name of the sum of all forces, and of what a run may record.
+TOTAL, WORK = "total", "work"
 Reals = NDArray[Any]
 
 
@@ -84,12 +83,12 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
-    if run.every is None and run.work_values is None:
+    if run.every is None and WORK not in dict(run.recorded_values):
         raise InputError(
             "a run that keeps its last state alone (every=None) does not tell what work was done."
             "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
         )
-    check_work(program)
+    work(header)  # refuses explicit steps
     found = _integrated(run)
     lost = 0 * run.t if header.autonomous else found[:, -1]
     return named_parts(program, found), lost
@@ -118,8 +117,9 @@ def _signed(run: Stored, parts: Reals) -> Reals:
 
 def _integrated(run: Stored) -> Reals:
     """Return the integrals of powers up to stored states, by steps taken again unless recorded."""
-    if run.work_values is not None:
-        return run.work_values
+    for name, rows in run.recorded_values:
+        if name == WORK:
+            return rows
     numbers, header = run.program.numbers, run.program.header
     with numbers.working():
         return np.asarray(numbers.result(_added_up(run, header.powers)))
@@ -137,6 +137,7 @@ def _added_up(run: Stored, count: int) -> Reals:
     t, q, p, h = map(numbers.read, (run.t, run.q, run.p, run.h))
     out, inputs = numbers.zeros((len(run), count)), numbers.read(run.input_values)
     recorder, sets = work(header), kernels.fallbacks
+    assert recorder is not None
     at = told(header, (recorder,))
     done, number = 0, 0
     while done < len(run) - 1:

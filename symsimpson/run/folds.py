@@ -23,7 +23,7 @@ __all__ = ["SINGULAR", "close", "first_states", "independence_of", "look_at_fold
 
 Reals = NDArray[Any]
 #: What a run may have a row of for each state.
-BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations", "work_values")
+BY_STATE = ("t", "q", "p", "newton_iterations", "tau_values", "variations")
 #: Where they are less independent than this, constraints follow from one another.
 SINGULAR = DEPENDENT**0.5
 
@@ -55,7 +55,9 @@ def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
 def first_states(trajectory: Trajectory, count: int) -> dict[str, Any]:
     """Return so many of the stored states of a run, with all that it has beside each."""
     found = {name: getattr(trajectory, name) for name in BY_STATE}
-    return {name: rows[:count] for name, rows in found.items() if rows is not None}
+    some = {name: rows[:count] for name, rows in found.items() if rows is not None}
+    recorded = tuple((name, rows[:count]) for name, rows in trajectory.recorded_values)
+    return {**some, "recorded_values": recorded}
 
 
 def look_at_folds(

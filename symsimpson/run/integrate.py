@@ -274,7 +274,7 @@ def trajectory_of(
         program=program,
         parameter_values=values,
         input_values=result(spec.inputs),
-        **{name: result(rows) for name, rows in run.beside(recorded).items()},
+        **run.beside(recorded, result),
         reduced_values=run.reduced(spec.reductions),
         tau_values=result(tau) if run.header.retimed else None,
     )

@@ -267,7 +267,7 @@ def _explained(
         steps=int(every[-1]),
         newton_iterations=np.zeros(whole, dtype=np.int64),
         variations=None,
-        work_values=None,
+        recorded_values=(),
     )
     seen = seen.at(seen.places < whole)
     parts = rough_parts(states)

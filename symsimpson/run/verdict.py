@@ -166,7 +166,7 @@ def _ended_before(
     if trajectory.every is None:
         last = slice(good, good + 1)
         about |= {"q": result(q[last]), "p": result(p[last])}
-        about |= {name: result(rows) for name, rows in run.beside(kept[last]).items()}
+        about |= run.beside(kept[last], result)
         about["t"] = trajectory.t - (trajectory.steps - done) * trajectory.h
         if retimed:
             about |= {"t": result(kept[last, 0]), "tau_values": result(np.array([run.h * done]))}

@@ -7,17 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
 from symsimpson.program.observed import Reduction, observers
-from symsimpson.program.recorders import Recorder, tangents, work
+from symsimpson.program.recorders import NAMED, Recorder, tangents
 from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.module.header import Header
     from symsimpson.program.program import Program
 
-__all__ = ["check_work", "read_record", "recorders_of"]
-
-#: What may be recorded by name.
-NAMES = ("work",)
+__all__ = ["read_record", "recorders_of"]
 
 
 def read_record(program: Program, given: Any) -> tuple[str, ...]:
@@ -30,31 +27,14 @@ def read_record(program: Program, given: Any) -> tuple[str, ...]:
     """
     names = () if given is None else (given,) if isinstance(given, str) else tuple(given)
     for name in names:
-        if name not in NAMES:
+        if name not in NAMED:
             raise InputError(
                 f"record={name!r} is nothing that a run adds up over its steps."
-                f"{did_you_mean(str(name), NAMES)}\nPass record='work', or reduce= for values of "
+                f"{did_you_mean(str(name), NAMED)}\nPass record='work', or reduce= for values of "
                 "states."
             )
-    if program.header.conservative:  # no force does work
-        return ()
-    if names:
-        check_work(program)
-    return tuple(dict.fromkeys(names))
-
-
-def check_work(program: Program) -> None:
-    """Refuse the work of forces over steps that have no nodes.
-
-    Raises
-    ------
-    InputError
-    """
-    if "work" not in program.header.functions:
-        raise InputError(
-            f"{program.scheme} is explicit: its steps have no nodes at which forces do work.\n"
-            "Integrate with a scheme of the family, as 'simpson' or 'gauss8'."
-        )
+    header = program.header
+    return tuple(name for name in dict.fromkeys(names) if NAMED[name](header, header.rows))
 
 
 def recorders_of(
@@ -66,6 +46,9 @@ def recorders_of(
 ) -> tuple[Recorder, ...]:
     """Return the recorders of a run that carries so many variations along, or none."""
     carried = (*more, *(() if variations is None else (tangents(header, variations),)))
-    named = tuple(work(header) for _ in record)
-    first = header.rows + sum(one.room for one in (*carried, *named))
+    first, named = header.rows + sum(one.room for one in carried), list[Recorder]()
+    for name in record:
+        if (one := NAMED[name](header, first)) is not None:
+            named.append(one)
+            first += one.room
     return *carried, *named, *observers(header, reductions, first)

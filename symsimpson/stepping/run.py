@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
@@ -127,7 +127,7 @@ class Run:
     def look(self) -> None:
         """Let recorders of states look at that where the run begins."""
         for one in self._recorders:
-            if one.text:
+            if one.kernel == "observe":
                 rows = self._column[one.first : one.first + one.room]
                 rows[:-1], rows[-1] = np.nan, 0.0
         number = sum(one.of_states for one in self._recorders)
@@ -163,17 +163,18 @@ class Run:
         rows = [self._column[one.first : one.first + one.rows] for one in self._recorders]
         return np.concatenate([self._column[:0], *rows])
 
-    def beside(self, recorded: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """Return variations and work of what was recorded at states, as trajectories have them."""
-        found, first = {}, 0
+    def beside(self, recorded: NDArray[Any], result: Callable[[Any], Any]) -> dict[str, Any]:
+        """Return what was recorded at states, numbers as results, as trajectories have it."""
+        found: dict[str, Any] = {}
+        named, first = list[tuple[str, NDArray[Any]]](), 0
         for one in self._recorders:
-            rows = recorded[:, first : first + one.rows]
+            rows = result(recorded[:, first : first + one.rows])
             first += one.rows
             if one.kernel == "tangent" and not one.renewed:
                 found["variations"] = rows.reshape(len(rows), -1, 2 * self.header.n).swapaxes(1, 2)
-            elif one.kernel == "work":
-                found["work_values"] = rows
-        return found
+            elif one.name:
+                named.append((one.name, rows))
+        return found | ({"recorded_values": tuple(named)} if named else {})
 
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
