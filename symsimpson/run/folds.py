@@ -19,7 +19,14 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.run import Run
 
-__all__ = ["SINGULAR", "close", "first_states", "independence_of", "look_at_folds"]
+__all__ = [
+    "SINGULAR",
+    "close",
+    "first_states",
+    "independence_of",
+    "look_at_folds",
+    "unknown_values",
+]
 
 Reals = NDArray[Any]
 #: What a run may have a row of for each state.
@@ -60,6 +67,11 @@ def first_states(trajectory: Trajectory, count: int) -> dict[str, Any]:
     return {**some, "recorded_values": recorded}
 
 
+def unknown_values(trajectory: Trajectory) -> tuple[tuple[str, float], ...]:
+    """Return what observed values came to where the run ended before states that they took in."""
+    return tuple((name, np.nan) for name, _ in trajectory.reduced_values)
+
+
 def look_at_folds(
     program: Program, run: Run, trajectory: Trajectory, q: Reals, p: Reals
 ) -> Trajectory:
@@ -92,7 +104,7 @@ def look_at_folds(
             f"{who}: the constraints {which} depend on each other at t={float(t[bad]):g}, at "
             f"step {bad * run.every} of {trajectory.steps}. {Status.SINGULAR_CONSTRAINTS.message}"
         )
-        about = trajectory.__getstate__()
+        about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
         if trajectory.every is not None:
             about |= first_states(trajectory, bad)
             about["steps"] = (bad - 1) * run.every

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import ResolutionWarning
 from symsimpson.program.status import Status
 from symsimpson.results.trajectory import Trajectory
-from symsimpson.run.folds import first_states, look_at_folds
+from symsimpson.run.folds import first_states, look_at_folds, unknown_values
 from symsimpson.run.resolution import Sampled, look_at_energy
 from symsimpson.stepping.run import Run, Stored
 from symsimpson.support.calling import warn
@@ -157,7 +157,7 @@ def _ended_before(
     q, p, _, kept = stored
     bad = energies.first_not_real
     assert bad is not None
-    about = trajectory.__getstate__()
+    about = trajectory.__getstate__() | {"reduced_values": unknown_values(trajectory)}
     result, good = program.numbers.result, max(bad - 1, 0)
     done, at = good * run.every, min(bad * run.every, trajectory.steps)
     retimed, where = run.header.retimed, run.t0 + run.h * at

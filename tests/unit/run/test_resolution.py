@@ -52,7 +52,9 @@ def test_what_was_real_is_kept(every):
     potential, q0, v0 = LEAVING["logarithm"]
     stepper = ss.compile(particle(potential, "logarithm"), "lobatto2")
     asked = {"v0": [v0], "h": 0.05, "tangents": 2}
-    run = stepper.integrate([q0], **asked, steps=33, every=every, on_failure="return")
+    watched = {"reduce": {"farthest": ("max", "x")}, "on_failure": "return"}
+    run = stepper.integrate([q0], **asked, **watched, steps=33, every=every)
+    assert np.isnan(run.reduced["farthest"])  # it had seen states behind the end
     assert run.status is ss.Status.NOT_FINITE
     assert "no real value" in run.message
     whole = stepper.integrate([q0], **asked, steps=run.steps, every=1)
