@@ -1,1 +1,1 @@
-"""The public face: making steppers, and steppers, of which each method hands on to the runtime."""
+"""The public face: making steppers, and steppers, whose methods hand on to other folders."""

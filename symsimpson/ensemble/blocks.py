@@ -122,7 +122,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
     advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
-    width, room = sum(one.rows for one in called), sum(one.room for one in called)
+    width, room = results.recorded.shape[2], sum(one.room for one in called)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's

@@ -12,7 +12,7 @@ from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.module.header import Header
 from symsimpson.program.machine import lanes_of_machine
 from symsimpson.program.program import Program
-from symsimpson.program.recorders import Recorder, ordered
+from symsimpson.program.recorders import Recorder, ordered, split
 from symsimpson.program.status import Status
 from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
@@ -117,7 +117,7 @@ class Results:
         status, steps, iterations = (column.copy() for column in self.codes.T)
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
         reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
-        found = {
+        found: dict[str, Any] = {
             "q": q,
             "p": p,
             "status": status,
@@ -126,19 +126,10 @@ class Results:
             "reduced": reduced,
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
-        ends = np.cumsum([one.rows for one in self._recorders])
-        left = {
-            one.kernel: recorded[..., end - one.rows : end]
-            for one, end in zip(self._recorders, ends, strict=True)
-        }
-        if "tangent" in left:
-            ways = left["tangent"]
-            shape = *ways.shape[:-1], -1, 2 * q.shape[-1]
-            found["variations"] = ways.reshape(shape).swapaxes(-1, -2)
-        found["recorded"] = {x.name: left[x.kernel] for x in self._recorders if x.name}
+        found["variations"], found["recorded"] = split(self._recorders, recorded, q.shape[-1])
         if task.retimed:
             whole = task.every * np.arange(task.stored) if task.every else steps
-            t = left["clock"][..., 0]
+            t = recorded[..., 0]  # the clock is the first of recorders
             tau = task.h * whole + (0 if task.every else self.part)
             found |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
         return found

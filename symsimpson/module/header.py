@@ -139,15 +139,6 @@ class Header:
         """Whether Newton's method is written out, without loops and pivots."""
         return PIVOTED in self.functions
 
-    def room_for_tangents(self, count: int) -> int:
-        """Return how many rows of the workspace so many variations of the state need."""
-        return count * (3 * self.n + self.layout["UNKNOWNS"])
-
-    def room_for_growth(self, count: int) -> tuple[int, int]:
-        """Return how many rows say how so many variations grow; how many are needed in all."""
-        rows = 2 * count + 2
-        return rows, self.room_for_tangents(count) + rows + 2 + 2 * count**2
-
     @cached_property
     def told(self) -> NDArray[np.int64]:
         """The numbers of the layout that the driver must know, in its order."""

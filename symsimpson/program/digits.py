@@ -289,10 +289,6 @@ class Arb(Digits):
 
         return cast(AbstractContextManager[Any], flint.ctx.workprec(self.context.prec))
 
-    def _room(self, shape: int | tuple[int, ...], dtype: type | None = None) -> NDArray[Any]:
-        """Return zeros as the driver asks for them: of these numbers, unless it counts."""
-        return self.zeros(shape) if dtype is None else np.zeros(shape, dtype)
-
     def _call(self, kernel: Callable[..., None], h: Any, t: Any, W: NDArray[Any]) -> None:
         """Call a kernel, and forget the radii: they bound rounding, which Newton's method mends.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from symsimpson.errors import InputError
 from symsimpson.module.blocks import TOLD
 from symsimpson.module.header import Header
 
-__all__ = ["NAMED", "Recorder", "growth", "ordered", "steps", "tangents", "told", "work"]
+__all__ = ["NAMED", "Recorder", "growth", "ordered", "split", "steps", "tangents", "told", "work"]
 
 
 @dataclass(frozen=True)
@@ -56,14 +57,15 @@ def clock(header: Header) -> Recorder:
 
 def tangents(header: Header, count: int) -> Recorder:
     """Return what carries so many variations of the state along."""
-    return Recorder("tangent", header.rows, 2 * header.n * count, header.room_for_tangents(count))
+    room = count * (3 * header.n + header.layout["UNKNOWNS"])
+    return Recorder("tangent", header.rows, 2 * header.n * count, room)
 
 
 def growth(header: Header, count: int, every: int) -> Recorder:
     """Return what carries variations along that are made orthonormal now and then."""
-    first = header.rows + header.room_for_tangents(count)
-    rows, room = header.room_for_growth(count)
-    return Recorder("tangent", first, rows, room, renewed=count, renewal=every)
+    room, rows = tangents(header, count).room, 2 * count + 2
+    whole = room + rows + 2 + 2 * count**2
+    return Recorder("tangent", header.rows + room, rows, whole, renewed=count, renewal=every)
 
 
 def steps(header: Header) -> Recorder:
@@ -101,6 +103,24 @@ def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ..
     """Return recorders in the order of their calls: the clock first, those of states last."""
     first = (clock(header),) if header.retimed else ()
     return (*first, *sorted(recorders, key=lambda one: one.of_states))
+
+
+def split(
+    recorders: Sequence[Recorder], recorded: NDArray[Any], n: int
+) -> tuple[NDArray[Any] | None, dict[str, NDArray[Any]]]:
+    """Return variations, shape (..., 2 n, k), and what has a name, of what was recorded at states.
+
+    The variations are None where none are carried along.
+    """
+    variations, named, first = None, dict[str, NDArray[Any]](), 0
+    for one in recorders:
+        rows = recorded[..., first : first + one.rows]
+        first += one.rows
+        if one.kernel == "tangent" and not one.renewed:
+            variations = rows.reshape(*rows.shape[:-1], -1, 2 * n).swapaxes(-1, -2)
+        elif one.name:
+            named[one.name] = rows
+    return variations, named
 
 
 def told(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:

@@ -42,3 +42,13 @@ class Stored(Outcome, States):
     recorded_values: tuple[tuple[str, NDArray[Any]], ...]
     tau_values: NDArray[Any] | None
     reduced_values: tuple[tuple[str, float], ...]
+
+    @property
+    def recorded(self) -> dict[str, NDArray[Any]]:
+        """The sums requested by ``record``, by name, shape (N + 1, k) each."""
+        return dict(self.recorded_values)
+
+    @property
+    def reduced(self) -> dict[str, float]:
+        """The quantities requested by ``reduce``; NaN where states behind the end were taken in."""
+        return dict(self.reduced_values)

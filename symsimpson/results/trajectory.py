@@ -98,16 +98,6 @@ class Trajectory(Energies, Differentiated):
         return self.t - self.t[0] if self.tau_values is None else self.tau_values
 
     @property
-    def recorded(self) -> dict[str, NDArray[Any]]:
-        """The sums requested by ``record``, by name, shape (N + 1, k) each."""
-        return dict(self.recorded_values)
-
-    @property
-    def reduced(self) -> dict[str, float]:
-        """The quantities requested by ``reduce``, by name."""
-        return dict(self.reduced_values)
-
-    @property
     def E0(self) -> Any:
         """The initial energy, the energy level on which a retimed system is integrated."""
         values = self.parameters

@@ -83,7 +83,7 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
-    if run.every is None and WORK not in dict(run.recorded_values):
+    if run.every is None and WORK not in run.recorded:
         raise InputError(
             "a run that keeps its last state alone (every=None) does not tell what work was done."
             "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
@@ -117,9 +117,8 @@ def _signed(run: Stored, parts: Reals) -> Reals:
 
 def _integrated(run: Stored) -> Reals:
     """Return the integrals of powers up to stored states, by steps taken again unless recorded."""
-    for name, rows in run.recorded_values:
-        if name == WORK:
-            return rows
+    if WORK in run.recorded:
+        return run.recorded[WORK]
     numbers, header = run.program.numbers, run.program.header
     with numbers.working():
         return np.asarray(numbers.result(_added_up(run, header.powers)))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from symsimpson.module.interface import ARRIVED, RATE_NOT_POSITIVE
 from symsimpson.program.observed import Reduction
-from symsimpson.program.recorders import Recorder, ordered, told
+from symsimpson.program.recorders import Recorder, ordered, split, told
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.support.progress import Watcher
@@ -165,16 +165,8 @@ class Run:
 
     def beside(self, recorded: NDArray[Any], result: Callable[[Any], Any]) -> dict[str, Any]:
         """Return what was recorded at states, numbers as results, as trajectories have it."""
-        found: dict[str, Any] = {}
-        named, first = list[tuple[str, NDArray[Any]]](), 0
-        for one in self._recorders:
-            rows = result(recorded[:, first : first + one.rows])
-            first += one.rows
-            if one.kernel == "tangent" and not one.renewed:
-                found["variations"] = rows.reshape(len(rows), -1, 2 * self.header.n).swapaxes(1, 2)
-            elif one.name:
-                named.append((one.name, rows))
-        return found | ({"recorded_values": tuple(named)} if named else {})
+        variations, named = split(self._recorders, result(recorded), self.header.n)
+        return {"variations": variations, "recorded_values": tuple(named.items())}
 
     @contextmanager
     def watched(self, steps: int, progress: bool | None) -> Iterator[None]:
