@@ -28,6 +28,12 @@ def pytest_configure(config):
     seed_of_the_run(config)  # before other processes begin
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Leave out pages where no slow test is asked for: they all are, and take long to read."""
+    if config.option.markexpr == "not slow" and collection_path == TESTS / "pages":
+        return True
+
+
 @pytest.hookimpl(tryfirst=True)  # what is fast counts as seen, whether it is run or not
 def pytest_collection_modifyitems(config, items):
     for item in items:

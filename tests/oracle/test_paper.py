@@ -237,6 +237,7 @@ def test_claim_no_artificial_dissipation():
     assert np.abs(error[-1]) > 5 * np.abs(error[100])
 
 
+@pytest.mark.slow
 def test_claim_momenta_are_preserved_exactly():
     steps = math.floor(100 * float(exact_top().period) / 0.05)
     for method in ("simpson", "midpoint"):

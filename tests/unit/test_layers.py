@@ -4,6 +4,7 @@ import ast
 import graphlib
 import subprocess
 import sys
+from functools import cache
 
 import pytest
 from support.places import PACKAGE
@@ -21,9 +22,14 @@ def loaded_by(statement):
     return set(done.stdout.split())
 
 
+@cache
+def tree(path):
+    return ast.parse(path.read_text("utf-8"))
+
+
 def imports(path):
     """Modules of the package that a file imports, wherever, but for types alone."""
-    work = [ast.parse(path.read_text("utf-8"))]
+    work = [tree(path)]
     while work:
         node = work.pop()
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
@@ -83,8 +89,13 @@ def f():
     assert list(imports(path)) == ["symsimpson.analysis.certify", "symsimpson.api.compiling"]
 
 
+@cache
 def all_imports():
     """What each module of the package imports of it, in whatever place, for types alone, too."""
+    return dict(_all_imports())
+
+
+def _all_imports():
     files = {
         ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path
         for path in PACKAGE.rglob("*.py")
@@ -92,7 +103,7 @@ def all_imports():
     files = {name.removesuffix(".__init__"): path for name, path in files.items()}
     for name, path in files.items():
         found = set()
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ImportFrom):
                 whole = {f"{node.module}.{alias.name}" for alias in node.names}
                 found |= (whole & files.keys()) or {node.module}
@@ -102,12 +113,11 @@ def all_imports():
 
 
 def test_there_is_no_circle_of_imports_of_any_kind():
-    graphlib.TopologicalSorter(dict(all_imports())).prepare()  # raises where there is one
+    graphlib.TopologicalSorter(all_imports()).prepare()  # raises where there is one
 
 
 def test_a_circle_would_be_found():
-    below = dict(all_imports())
-    below["symsimpson.errors"] = {"symsimpson.api.compiling"}
+    below = all_imports() | {"symsimpson.errors": {"symsimpson.api.compiling"}}
     with pytest.raises(graphlib.CycleError):
         graphlib.TopologicalSorter(below).prepare()
 
@@ -123,7 +133,7 @@ def test_no_scheme_is_singled_out():
     for path in PACKAGE.rglob("*.py"):
         if path.name in ("scheme.py", "cli.py", "speed.py"):
             continue
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Compare):
                 constants = {c.value for c in ast.walk(node) if isinstance(c, ast.Constant)}
                 assert constants.isdisjoint({"simpson", "midpoint"}), path

@@ -59,6 +59,7 @@ def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypat
     assert abs(stages.p - newton.p).max() < 1e-33
 
 
+@pytest.mark.slow
 def test_their_derivatives_agree(by_loops, monkeypatch):
     stepper = ss.compile(model(), "gauss10", precision=40)
     stages, newton = runs(stepper, monkeypatch, tangents=2)

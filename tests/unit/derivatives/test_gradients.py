@@ -43,7 +43,7 @@ def costs():
     }
 
 
-@pytest.mark.parametrize("given", ["v", "p"])
+@pytest.mark.parametrize("given", sweep(["p", "v"]))
 def test_gradients_are_those_of_the_cost(double_pendulum, costs, given):
     def gradient(x):
         return double_pendulum.gradient(

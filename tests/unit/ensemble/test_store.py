@@ -20,14 +20,14 @@ from symsimpson.stepping.request import Request
 xarray = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
 
-ANGLES = np.random.default_rng(3).uniform(-2, 2, (200, 2))
-LENGTHS = np.linspace(0.2, 0.4, 200)
+ANGLES = np.random.default_rng(3).uniform(-2, 2, (40, 2))
+LENGTHS = np.linspace(0.2, 0.4, 40)
 WATCH = {"highest": ("max", "q1"), "../outside": ("mean", "energy"), "q": ("first", "q2 - 1")}
 GIVEN = {
     "p0": [0.0, 0.0],
     "h": 0.02,
-    "steps": 20,
-    "every": 4,
+    "steps": 9,
+    "every": 3,
     "reduce": WATCH,
     "parameters": {"l1": LENGTHS},
 }
@@ -45,7 +45,7 @@ def whole(stepper):
 
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(module, "_chunk", lambda stepper, task: 24)
+    monkeypatch.setattr(module, "_chunk", lambda stepper, task: 8)
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def assert_same(found, expected):
 def test_a_store_holds_the_same_bits(stepper, whole, tmp_path):
     found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "new")
     assert_same(found, whole)
-    assert found.q.chunks == (24, 6, 2)
+    assert found.q.chunks == (8, 4, 2)
     data, expected = found.to_xarray(), whole.to_xarray()
     assert set(data.variables) == set(expected.variables)
     assert set(data.coords) == set(expected.coords)
@@ -87,17 +87,17 @@ def test_a_store_holds_the_same_bits(stepper, whole, tmp_path):
 
 def test_only_what_is_missing_is_computed(stepper, whole, tmp_path, counted):
     found = stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
-    assert counted == [24] * 8 + [8]
+    assert counted == [8] * 5
     counted.clear()
     assert_same(stepper.ensemble(ANGLES, **GIVEN, store=str(tmp_path / "s")), whole)
     assert counted == []
-    shutil.rmtree(tmp_path / "s" / "status" / "c" / "3", ignore_errors=True)
-    (tmp_path / "s" / "status" / "c" / "3").unlink(missing_ok=True)
-    damaged = tmp_path / "s" / "status" / "c" / "5"
+    shutil.rmtree(tmp_path / "s" / "status" / "c" / "1", ignore_errors=True)
+    (tmp_path / "s" / "status" / "c" / "1").unlink(missing_ok=True)
+    damaged = tmp_path / "s" / "status" / "c" / "3"
     damaged.write_bytes(damaged.read_bytes()[:-3])
-    found.q[72:96] = 0.0
+    found.q[8:16] = 0.0
     assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
-    assert counted == [24, 24]
+    assert counted == [8, 8]
 
 
 def test_damage_is_said_and_not_read(stepper, tmp_path):
@@ -107,7 +107,7 @@ def test_damage_is_said_and_not_read(stepper, tmp_path):
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     with pytest.raises(RuntimeError, match="checksum"):
-        found.q[50]
+        found.q[20]
     (tmp_path / "s" / "zarr.json").write_text("{")
     with pytest.raises(ss.StorageError, match="cannot be opened"):
         stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s")
@@ -133,7 +133,7 @@ def after(monkeypatch):
 
 @pytest.mark.slow
 def test_interrupted_and_gone_on_with(stepper, tmp_path, counted, after):
-    many = np.tile(ANGLES, (20, 1))
+    many = np.tile(ANGLES, (100, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000}
     expected = stepper.ensemble(many, **given)
     after(module, "write_chunk", 3, lambda: signal.raise_signal(signal.SIGINT))
@@ -256,7 +256,7 @@ def sent(client, monkeypatch):
 
 @pytest.mark.slow
 def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
-    many = np.tile(ANGLES, (20, 1))
+    many = np.tile(ANGLES, (100, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "reduce": WATCH}
     expected = stepper.ensemble(many, **given)
     victim = next(iter(client.run(os.getpid).values()))
@@ -271,6 +271,7 @@ def test_a_worker_is_killed(stepper, client, sent, tmp_path, after):
     assert sent == []
 
 
+@pytest.mark.slow
 def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path, monkeypatch):
     canary = tmp_path / "canary"
     plain = cluster_module.run_on_cluster
@@ -290,7 +291,7 @@ def test_a_module_changed_in_the_store_is_not_executed(stepper, client, tmp_path
 
 @pytest.mark.slow
 def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
-    many = np.tile(ANGLES, (20, 1))
+    many = np.tile(ANGLES, (100, 1))
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 2000, "store": tmp_path / "s"}
     after(cluster_module, "_result", 3, lambda: signal.raise_signal(signal.SIGINT))
     found = stepper.ensemble(many, **given, client=client, on_failure="return")
@@ -298,6 +299,7 @@ def test_interrupt_on_a_cluster(stepper, client, tmp_path, after):
     assert (found.status == ss.Status.SUCCESS).any()
 
 
+@pytest.mark.slow
 def test_clients_that_make_no_sense(stepper, client, tmp_path):
     with pytest.raises(ss.InputError, match="client is str, not a synchronous client"):
         stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s", client="tcp://here")
@@ -322,4 +324,4 @@ def test_chunks_that_are_damaged_or_gone_are_computed_again(
         chunk.unlink()
     counted.clear()
     assert_same(stepper.ensemble(ANGLES, **GIVEN, store=tmp_path / "s"), whole)
-    assert counted == [24]
+    assert counted == [8]

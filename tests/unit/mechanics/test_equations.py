@@ -71,6 +71,7 @@ def test_linear_equations_are_differences_of_accelerations(name):
     assert np.abs(np.hstack([A, B]) - slopes).max() < 1e-6 * np.abs(slopes).max()
 
 
+@pytest.mark.slow
 def test_a_cart_is_linearised_as_sympy_does():
     system = ss.systems.cart_pole()
     t = dynamicsymbols._t

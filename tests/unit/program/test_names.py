@@ -11,7 +11,7 @@ import symsimpson as ss
 
 t = ss.time
 NAMES = [r"\theta_1", "lambda", "x 1", r"\dot{q}", "x'", "ϕ", "_x", "None", "$a$b$"]
-STEPS = 300
+STEPS = 100
 
 
 class Case:
@@ -35,11 +35,11 @@ class Case:
                 invariants={f"{name} v": q.diff()},
             )
         )
-        self.given = {"v0": [0.0, 0.1], "h": 0.01, "steps": STEPS, "inputs": {self.u: 0.1}}
+        self.given = {"v0": [0.0, 0.1], "h": 0.03, "steps": STEPS, "inputs": {self.u: 0.1}}
         self.run = self.stepper.integrate([1.0, 0.2], **self.given)
 
 
-@pytest.fixture(scope="module", params=sweep(NAMES, 3))
+@pytest.fixture(scope="module", params=sweep(NAMES, 2))
 def case(request):
     return Case(request.param)
 
@@ -49,7 +49,7 @@ def test_states_by_name(case):
         run = case.stepper.integrate(
             {case.other: 0.2, key: 1.0},
             v0={"q0": 0.1, case.q: 0.0},
-            h=0.01,
+            h=0.03,
             steps=STEPS,
             inputs={f"{case.name}_u": 0.1},
             parameters={f"{case.name}_m": 1.3},
@@ -68,7 +68,7 @@ def test_expressions(case):
     assert right.size == 1  # it crosses zero once, within the step before
     expressions = [q, name, sp.Eq(q, 0), q * case.m, f"2*{name}", f"{name} - 0*q0", f"{name}(t)"]
     for expression in expressions:
-        assert np.allclose(run.events(expression).t, right, atol=0.01), expression
+        assert np.allclose(run.events(expression).t, right, atol=0.03), expression
     assert len(run.events(q, wrap=[name])) == len(run.events(q, wrap=q)) == 1
     turns = run.events(q.diff()).t
     assert (run.events(ss.momenta(q)[0]).t == run.events(f"v_{name}").t).all()
@@ -141,7 +141,7 @@ def test_names_that_are_expressions_are_found_by_their_symbols_alone(name):
             "spelled", coordinates=(q,), kinetic=q.diff() ** 2 / 2, potential=-sp.cos(q)
         )
     )
-    run = stepper.integrate({q: 1.0}, v0=[0.0], h=0.01, steps=STEPS)
+    run = stepper.integrate({q: 1.0}, v0=[0.0], h=0.03, steps=STEPS)
     assert len(run.events(q)) == 1
     assert (run[name] == run.q[:, 0]).all()
     if name != "12":  # that is a number, and has no zero

@@ -17,7 +17,7 @@ def pendulum():
 
 
 def swing(stepper, angle=1.0, **options):
-    return stepper.integrate([angle], v0=[0.0], **({"h": 0.05, "steps": 400} | options))
+    return stepper.integrate([angle], v0=[0.0], **({"h": 0.05, "steps": 200} | options))
 
 
 def test_zeros_of_a_pendulum_are_those_of_elliptic_functions(pendulum):
@@ -25,7 +25,7 @@ def test_zeros_of_a_pendulum_are_those_of_elliptic_functions(pendulum):
     quarter = float(mpmath.ellipk(np.sin(0.5) ** 2)) / np.sqrt(9.81 / run.parameters["l"])
     found = run.events("theta")
     expected = quarter * np.arange(1, 2 * len(found), 2)
-    assert len(found) == int((20 / quarter + 1) // 2)
+    assert len(found) == int((10 / quarter + 1) // 2)
     assert np.abs(found.t - expected).max() < 1e-12
     assert np.abs(found["theta"]).max() < 1e-14
     assert (found.direction == np.where(np.arange(len(found)) % 2, 1, -1)).all()
@@ -66,11 +66,11 @@ def test_wrapped_angles_are_not_crossed_where_they_jump(pendulum):
 @pytest.mark.parametrize("place", sweep(["3.14", "3", "2.5", "3.1", "-3.1", "3.141592653589793"]))
 @pytest.mark.parametrize("h", sweep([0.1, -0.1, 0.01]))
 def test_wrapped_zeros_near_the_seam_are_all_found(pendulum, place, h):
-    run = pendulum.integrate([1.0], v0=[10.0], h=h, steps=round(14 / abs(h)))
+    run = pendulum.integrate([1.0], v0=[10.0], h=h, steps=round(7 / abs(h)))
     turns = abs(run.events(f"sin((theta - ({place}))/2)").t)
     for wrap in (True, "theta", ss.coordinates("theta")[0], ["theta"]):
         found = run.events(f"theta - ({place})", wrap=wrap)
-        assert len(found) == len(turns) > 20
+        assert len(found) == len(turns) > 8
         assert np.abs(abs(found.t) - turns).max() < 1e-12
     assert len(run.events(f"sin(theta - ({place}))", wrap=True)) == len(
         run.events(f"sin(theta - ({place}))")
