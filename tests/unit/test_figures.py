@@ -12,9 +12,10 @@ SPOKEN = ast.FunctionDef | ast.ClassDef | ast.Module
 
 @cache
 def every_node():
-    return [x for path in FILES for x in ast.walk(ast.parse(path.read_text("utf-8")))]
+    return tuple(x for path in FILES for x in ast.walk(ast.parse(path.read_text("utf-8"))))
 
 
+@cache
 def nodes(kind):
     return [x for x in every_node() if isinstance(x, kind)]
 

@@ -32,6 +32,7 @@ def test_eight_lanes_are_packed(scheme):
         assert single < packed / 5, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scheme", "least"),
     sweep(
