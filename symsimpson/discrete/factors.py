@@ -16,8 +16,9 @@ __all__ = ["Factors", "factorise"]
 
 #: Up to so many coordinates every order of elimination is tried.
 FEW = 3
-#: Longer expressions are left as they are.
-LONG = 60
+#: Longer expressions are left as they are, and sines and cosines in those that expand to more:
+#: SymPy takes seconds for them, and finds little.
+LONG, LONG_EXPANDED = 60, 40
 #: Factors longer than this are worth less than they cost.
 TOO_LONG = 5000
 
@@ -96,6 +97,8 @@ def _tidy(expression: sp.Expr) -> sp.Expr:
     """Return the shortest of a few ways to write an expression."""
     if sp.count_ops(expression) > LONG:
         return expression
-    candidates = [expression, sp.expand(expression), sp.cancel(expression)]
-    candidates.append(sp.trigsimp(candidates[1]))
+    expanded = sp.expand(expression)
+    candidates = [expression, expanded, sp.cancel(expression)]
+    if sp.count_ops(expanded) <= LONG_EXPANDED:
+        candidates.append(sp.trigsimp(expanded))
     return min(candidates, key=sp.count_ops)
