@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from numpy.typing import ArrayLike
@@ -95,6 +97,41 @@ class Examining(Differentiating):
         request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
         wanted = read_zeros(self.program, expression, direction, wrap)
         return poincare(self.program, request, wanted, progress, on_failure)
+
+    def export_c(self, path: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Write the steps in C99, for programs without Python: a header and a source file.
+
+        They ask for nothing but functions of ``<math.h>``; nothing is allocated. A step takes the
+        inputs that it is given, held over it. States are those of :meth:`integrate` to rounding.
+
+        Parameters
+        ----------
+        path : path
+            Of both files, without an ending; its name begins all names of C that they define.
+
+        Returns
+        -------
+        tuple of pathlib.Path
+            The header and the source.
+
+        Raises
+        ------
+        InputError
+            If the name is none of C; if the stepper has many digits, or a time of its own.
+        StorageError
+            If a file cannot be written.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile, symsimpson as ss
+        >>> stepper = ss.compile(ss.systems.pendulum())
+        >>> header, source = stepper.export_c(pathlib.Path(tempfile.mkdtemp()) / "swing")
+        >>> header.name, source.name, "int swing_step(" in header.read_text()
+        ('swing.h', 'swing.c', True)
+        """
+        from symsimpson.export.files import write_files
+
+        return write_files(self.program, path)
 
     def certify(
         self,

@@ -10,7 +10,17 @@ from symsimpson.cli.find import check_figure, find, state_of
 from symsimpson.errors import InputError
 from symsimpson.support.files import check_folder
 
-__all__ = ["SCHEMES", "bench", "certify", "check", "choose", "generate", "list_systems", "stress"]
+__all__ = [
+    "SCHEMES",
+    "bench",
+    "certify",
+    "check",
+    "choose",
+    "export",
+    "generate",
+    "list_systems",
+    "stress",
+]
 
 #: The schemes of which generated modules are kept.
 SCHEMES = ("midpoint", "simpson")
@@ -36,6 +46,16 @@ def generate(options: argparse.Namespace) -> int:
         system = find(name)
         for scheme in options.scheme or SCHEMES:
             print(write(system, scheme, options.directory))
+    return 0
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the steps of a system in another language."""
+    from symsimpson.api.compiling import compile as compile_system
+
+    stepper = compile_system(find(options.system), options.scheme)
+    for path in stepper.export_c(options.out):
+        print(path)
     return 0
 
 

@@ -67,6 +67,12 @@ def parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
 
+    one = command("export", commands.export, "write the steps in another language")
+    one.add_argument("system", help=SYSTEM)
+    one.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    one.add_argument("--language", choices=("c",), default="c", help="default: %(default)s, C99")
+    one.add_argument("--out", required=True, help="the files, without an ending: firmware/top")
+
     one = command("stress", commands.stress, "long runs, large steps, poles, chaos, large angles")
     one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the standard problems")
     _add_time(one)

@@ -1,9 +1,11 @@
 """What the pages say: their Python runs, and what they point to is there."""
 
 import re
+import subprocess
 
 import pytest
 from support.cases import sweep
+from support.in_c import build
 from support.places import ROOT
 
 GUIDE = sorted(f"notebooks/guide/{path.name}" for path in (ROOT / "notebooks/guide").glob("*.md"))
@@ -38,6 +40,16 @@ def test_python_on_a_page_runs(page, tmp_path, monkeypatch):
     assert blocks or page in WITHOUT_CODE
     for block in blocks:
         exec(compile(block, page, "exec"), names)
+
+
+def test_c_on_a_page_is_built_and_says_what_stands_there(tmp_path, monkeypatch):
+    text = (ROOT / "notebooks/guide/firmware.md").read_text("utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"```python\n(.*?)```", text, re.DOTALL)[1], {})
+    (tmp_path / "main.c").write_text(re.search(r"```c\n(.*?)```", text, re.DOTALL)[1])
+    program = build(tmp_path / "main.c", tmp_path / "cart.c", to="")
+    said = subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    assert said == re.search(r"```text\n(.*?)```", text, re.DOTALL)[1]
 
 
 @pytest.mark.parametrize("page", PAGES)

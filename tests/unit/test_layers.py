@@ -13,7 +13,7 @@ from support.places import PACKAGE
 SYMBOLIC = ("mechanics", "schemes", "discrete", "codegen")
 RUNNING = ("driver", "program", "stepping", "results", "run", "derivatives", "ensemble")
 #: What nothing below may import.
-TOP = ("analysis", "reference", "bench", "systems", "api", "cli")
+TOP = ("analysis", "reference", "bench", "systems", "api", "cli", "export")
 
 
 def loaded_by(statement):
@@ -66,6 +66,7 @@ def test_the_symbolic_half_does_without_numba():
         ("codegen", {*RUNNING, *TOP}),
         ("walk", {"graph", *SYMBOLIC, *RUNNING, *TOP}),
         *((room, {*RUNNING[k + 1 :], *SYMBOLIC, *TOP}) for k, room in enumerate(RUNNING)),
+        ("export", {*SYMBOLIC, *TOP}),
         ("systems", {*SYMBOLIC[1:], *RUNNING, *TOP}),
     ],
 )

@@ -1,0 +1,1 @@
+"""Steps in other languages: a module and its driver as one file of C."""

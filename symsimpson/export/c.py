@@ -1,0 +1,336 @@
+"""A module and what drives it as a file of C99 and its header: no allocation, no input or output.
+
+The functions are those of the module and of the driver, one for one, for one trajectory; what
+calls them for a step stands in ``step.c``. The C library is asked for functions of <math.h> alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from symsimpson.errors import InputError
+from symsimpson.export.expressions import Expressions, number
+from symsimpson.export.kinds import INT, POINTER, REAL, SET, Kinds
+from symsimpson.export.plain import Functions, Source
+from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
+from symsimpson.module.blocks import BLOCKS, TOLD
+from symsimpson.module.definitions import syntax
+from symsimpson.module.header import Header
+from symsimpson.module.interface import EXPLICIT, NEWTON_AFTER_STAGES, STAGES, constants
+from symsimpson.program.driver import driver_text
+from symsimpson.program.program import Program
+from symsimpson.program.sets import KernelSets
+from symsimpson.program.status import Status
+from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
+from symsimpson.walk.functions import read_functions
+from symsimpson.walk.text import read_text
+
+__all__ = ["CFiles", "written_c"]
+
+#: Outcomes of runs that are no outcomes of a step.
+OF_RUNS = (
+    Status.INTERRUPTED,
+    Status.DIVERGED,
+    Status.SINGULAR_JACOBIAN,
+    Status.FILE_ERROR,
+    Status.RATE_NOT_POSITIVE,
+)
+#: Functions of our own, written where they are called.
+HELPERS = {
+    "smaller": "static double smaller(double a, double b)\n{\n    return b < a ? b : a;\n}\n",
+    "larger": "static double larger(double a, double b)\n{\n    return b > a ? b : a;\n}\n",
+    "smaller_int": "static int smaller_int(int a, int b)\n{\n    return b < a ? b : a;\n}\n",
+    "larger_int": "static int larger_int(int a, int b)\n{\n    return b > a ? b : a;\n}\n",
+    "abs_int": "static int abs_int(int a)\n{\n    return a < 0 ? -a : a;\n}\n",
+    "square": "static double square(double a)\n{\n    return a * a;\n}\n",
+}
+#: Functions whose names <math.h> or C itself may have.
+RENAMED = {
+    "switch": "switch_to",
+    "finite": "all_finite",
+    "gamma": "gamma_of",
+    "kernel": "kernel_of",
+}
+
+
+@dataclass(frozen=True)
+class CFiles:
+    """The text of a header and of a source file, and what they need.
+
+    Attributes
+    ----------
+    header, source : str
+    library : tuple of str
+        Functions of the C library.
+    """
+
+    header: str
+    source: str
+    library: tuple[str, ...]
+
+
+class _Sets(KernelSets):
+    """Sets of kernels by their names."""
+
+    location = "a file of C"
+
+    def compile_set(self, label: str, names: list[str], *, any_angle: bool) -> list[Any]:
+        return names
+
+    def pack(self, mode: int, kernels: list[Any]) -> Any:
+        return mode, tuple(x or "0" for x in kernels)
+
+    def address(self, name: str, *, any_angle: bool = False) -> Any:
+        return name
+
+    @property
+    def all(self) -> list[tuple[int, tuple[str, ...]]]:
+        """Sets to take steps with, each where the one before fails, without repetitions."""
+        return list(dict.fromkeys(map(self.set, self.fallbacks)))
+
+
+def written_c(program: Program, prefix: str) -> CFiles:
+    """Write a stepper in C; ``prefix`` begins all names that other files see.
+
+    Raises
+    ------
+    InputError
+        If it computes with many digits, keeps a time of its own, or is too large for loops of C.
+    """
+    header = program.header
+    if not program.numbers.compiled:
+        raise InputError(
+            "a stepper of many digits cannot be exported: C has double precision.\n"
+            "Export the stepper compiled without precision; its equations are the same."
+        )
+    if header.retimed:
+        raise InputError(
+            f"{header.system} keeps a time of its own, and steps in C have the size that they are "
+            "given.\nExport the system before retimed()."
+        )
+    return _Writer(program, prefix).files()
+
+
+@dataclass(frozen=True, eq=False)
+class _Writer:
+    """Writes the parts of the files."""
+
+    program: Program
+    prefix: str
+
+    @property
+    def _header(self) -> Header:
+        return self.program.header
+
+    @cached_property
+    def _sets(self) -> list[tuple[int, tuple[str, ...]]]:
+        return _Sets(self._header, by_stages=self._header.by_stages).all
+
+    @cached_property
+    def _expressions(self) -> Expressions:
+        """Functions that a step calls, with the kinds of their numbers."""
+        text, driver = self.program.source, driver_text()
+        told = dict(zip(TOLD, self._header.told.tolist(), strict=True))
+        own, drives = read_text(text), read_functions(driver)
+        sources = [
+            Source(own.functions, own.constants, told, text.splitlines()),
+            Source(drives.functions, drives.constants, told, driver.splitlines()),
+        ]
+        functions = Functions(sources)
+        kinds = Kinds(functions)
+        names = {k: RENAMED.get(k, f"{k}_" if k in WORDS else k) for k in functions}
+        for kernel in self._kernels:
+            kinds.follow(kernel, [REAL, REAL, POINTER])
+        modes = {mode for mode, _ in self._sets}
+        kinds.follow("finite", [POINTER, INT, INT])
+        if EXPLICIT in modes:
+            for name in ("keep", "put_back"):
+                kinds.follow(name, [POINTER, INT, INT, POINTER])
+        else:
+            kinds.follow("solve_for", ["kernel *", REAL, REAL, *[POINTER] * 4])
+            kinds.follow("solve_to_rounding", ["kernel *", REAL, REAL, POINTER])
+            kinds.follow("recover", [SET, REAL, REAL, POINTER, INT])
+            if len(modes - {STAGES}) < len(self._sets):
+                kinds.follow("switch", [SET, REAL, REAL, POINTER])
+        if NEWTON_AFTER_STAGES in modes:
+            kinds.follow("watch", [SET, REAL, REAL, POINTER])
+        return Expressions(kinds, names)
+
+    @cached_property
+    def _kernels(self) -> list[str]:
+        """Kernels that are called by their address, or from outside."""
+        called = [x for _, kernels in self._sets for x in kernels if x != "0"]
+        return list(dict.fromkeys([*called, "legendre", "energy"]))
+
+    def files(self) -> CFiles:
+        """Write both files."""
+        write = self._expressions
+        functions = [
+            line
+            for name in _in_order(write.kinds)
+            for line in written_function(write.kinds.functions[name], write)
+        ]
+        step = self._filled("step.c").splitlines()
+        for name in re.findall(r"\b[A-Z][A-Z_]+\b", "\n".join(step)):  # constants that it names
+            told = {**write.kinds.functions["finite"].source.told, **constants()}
+            if name in BLOCKS or name == "ROWS":
+                write.constants.setdefault(name, self._header.layout[name])
+            elif name in told and name not in TOLD:
+                write.constants.setdefault(name, told[name])
+        lines = [
+            *comment(self._said()),
+            "",
+            "#include <math.h>",
+            f'#include "{self.prefix}.h"',
+            "",
+            *self._constants(),
+            "typedef void kernel(double h, double t, double *W);",
+            "typedef struct {",
+            "    int mode;",
+            "    kernel *call[7];",
+            "} kernels;",
+            "",
+            *(HELPERS[name] for name in sorted(write.helpers)),
+            *functions,
+            *self._tables_of_kernels(),
+            *step,
+        ]
+        return CFiles(self._filled("step.h"), "\n".join(lines) + "\n", tuple(sorted(write.library)))
+
+    def _said(self) -> str:
+        """Return what the file says of itself."""
+        header = self._header
+        doc = syntax(self.program.source).body[0].value.value  # type: ignore[attr-defined]
+        about = re.sub("(?m)^(State|Parameters):", r"    \1:", doc.split("Kernels take")[0].strip())
+        return (
+            f"{about}\n\nWritten by symsimpson from the module of digest {header.digest[:16]}; "
+            "change the system, not this file. W is the workspace, blocks of rows; a lane is a "
+            "trajectory, of which there is one. Sums are compensated: -ffast-math would undo it."
+        )
+
+    def _faced(self) -> str:
+        """Return what the header says of itself."""
+        header = self._header
+        pairs = zip(header.parameters, header.defaults, strict=True)
+        parameters = ", ".join(f"{name} ({value:g})" for name, value in pairs) or "none"
+        return (
+            f"{header.system}: {header.scheme}, of order {header.order}. Written by symsimpson; "
+            "change the system, not this file.\n\n"
+            f"    Coordinates: {', '.join(header.coordinates)}\n"
+            f"    Parameters, with the values of the declaration: {parameters}\n"
+            f"    Inputs, held over a step: {', '.join(header.inputs) or 'none'}\n\n"
+            "Nothing is allocated, and nothing is kept outside of a state."
+        )
+
+    def _constants(self) -> Iterator[str]:
+        """Write blocks of the workspace in their order, then all other constants."""
+        found = self._expressions.constants
+        whole = {k: v for k, v in found.items() if isinstance(v, (int, np.integer))}
+        blocks = {k: whole.pop(k) for k in sorted(whole, key=whole.__getitem__) if k in BLOCKS}
+        yield "/* the workspace: first row of each block */"
+        yield "enum {"
+        for name, value in blocks.items():
+            line = f"    {name} = {value},"
+            yield f"{line:<36}/* {BLOCKS[name].doc} */"
+        yield f"    ROWS = {whole.pop('ROWS')}"
+        yield "};"
+        yield ""
+        yield "/* sizes and strides, limits, outcomes */"
+        yield "enum {"
+        yield from _wrapped(", ".join(f"{name} = {number(x)}" for name, x in whole.items()))
+        yield "};"
+        yield ""
+        for name, value in found.items():
+            if name in whole or name in blocks or name == "ROWS":
+                continue
+            table = np.asarray(value)
+            kind = "int" if table.dtype.kind == "i" else "double"
+            places = "".join(f"[{size}]" for size in table.shape)
+            line = f"static const {kind} {name}{places} = {_entries(table)};"
+            yield from textwrap.wrap(line, WIDTH, subsequent_indent="    ")
+        yield ""
+
+    def _tables_of_kernels(self) -> Iterator[str]:
+        yield "/* sets of kernels, each for steps at which the one before fails */"
+        yield "static const kernels SETS[] = {"
+        for mode, names in self._sets:
+            yield f"    {{{mode}, {{0, {', '.join(names)}}}}},"
+        yield "};"
+        yield f"enum {{ NUMBER_OF_SETS = {len(self._sets)}, STRETCH = {FALLBACK_STRETCH} }};"
+        yield ""
+
+    def _filled(self, name: str) -> str:
+        """Fill in a text that stands beside this file, for the kind of steps that are taken."""
+        header = self._header
+        modes = {mode for mode, _ in self._sets}
+        explicit, n = EXPLICIT in modes, header.n
+        outcomes = [x for x in Status if x not in OF_RUNS]
+        text = resources.files("symsimpson.export").joinpath(name).read_text("utf-8")
+        parts = {
+            "explicit": explicit,
+            "solved": not explicit,
+            "watched": NEWTON_AFTER_STAGES in modes,
+            "inputs": bool(header.inputs),
+            "free": not header.inputs,
+            "switched": "switch" in self._expressions.kinds.signatures,
+            "staged": STAGES in modes,
+        }
+        for part, kept in parts.items():
+            found = r"\g<1>" if kept else ""
+            text = re.sub(
+                rf"^ *//if {part}\n(.*?)^ *//end {part}\n", found, text, flags=re.M | re.S
+            )
+        width = max(len(x.name) for x in outcomes)
+        return Template(text).substitute(
+            prefix=self.prefix,
+            PREFIX=self.prefix.upper(),
+            n=n,
+            parameters=len(header.parameters),
+            sized=max(1, len(header.parameters)),
+            inputs=len(header.inputs),
+            rows=header.rows,
+            hopeless=" || ".join(f"W[STATUS] == {x.value}" for x in HOPELESS),
+            said="\n".join(comment(self._faced())),
+            outcomes=",\n".join(
+                f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
+            ),
+        )
+
+
+def _in_order(kinds: Kinds) -> Iterator[str]:
+    """Give functions behind those that they call."""
+    given: set[str] = set()
+
+    def reach(name: str) -> Iterator[str]:
+        if name in given:
+            return
+        given.add(name)
+        for one in kinds.functions[name].body:
+            for x in ast.walk(one):
+                if isinstance(x, ast.Name) and x.id in kinds.signatures:
+                    yield from reach(x.id)
+        yield name
+
+    for name in list(kinds.signatures):
+        yield from reach(name)
+
+
+def _entries(table: Any) -> str:
+    if table.ndim:
+        return f"{{{', '.join(map(_entries, table))}}}"
+    return number(table.item())
+
+
+def _wrapped(text: str) -> list[str]:
+    inner = " " * 4
+    return textwrap.wrap(text, WIDTH, initial_indent=inner, subsequent_indent=inner)

@@ -1,0 +1,228 @@
+"""Functions of Python as C writes them, with their comments."""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+from symsimpson.errors import InputError
+from symsimpson.export.expressions import Expressions
+from symsimpson.export.kinds import INT
+from symsimpson.export.plain import Function
+from symsimpson.export.scopes import Scopes, used, with_lengths
+
+__all__ = ["WIDTH", "comment", "written_function"]
+
+#: How a line that declares numbers begins.
+DECLARED = re.compile(r"\s+(const (?:double|int)) ")
+#: Where lines are broken: at spaces, but not behind an operator.
+BREAK = re.compile(r"(?<![-+*/?:<>=&|]) ")
+#: No line of the file is longer.
+WIDTH = 96
+#: Words that are no names in C, or not everywhere; those of the texts may be.
+WORDS = frozenset(
+    re.findall(
+        r"\w+",
+        "auto break case char const continue default do double else enum extern float for goto if "
+        "inline int long register restrict return short signed sizeof static struct switch typedef "
+        "union unsigned void volatile while asm typeof linux unix",
+    )
+)
+#: Names that are macros of <math.h>, or may be.
+MACRO = re.compile("[A-Z][A-Z0-9_]+")
+
+
+def comment(text: str, indent: str = "") -> list[str]:
+    """Write a comment of C over as many lines as it takes; what stands further right stays so."""
+    text = text.replace("*/", "* /").replace("/*", "/ *")
+    lines: list[str] = []
+    for right, group in groupby(text.split("\n"), key=lambda x: x.startswith(" ") or not x):
+        some, width = list(group), WIDTH - len(indent) - 6
+        lines += some if right else textwrap.wrap(" ".join(some), width)
+    if len(lines) == 1:
+        return [f"{indent}/* {lines[0]} */"]
+    rest = [f"{indent} * {x}".rstrip() for x in lines[1:]]
+    return [f"{indent}/* {lines[0]}", *rest, f"{indent} */"]
+
+
+def written_function(function: Function, expressions: Expressions) -> list[str]:
+    """Write a function; the kinds of its arguments are known."""
+    return _Body(function, expressions).written()
+
+
+@dataclass
+class _Body:
+    """Writes the statements of a function."""
+
+    function: Function
+    expressions: Expressions
+    pairs: int = 0
+
+    def written(self) -> list[str]:
+        """Return the lines of the function, and an empty one behind it."""
+        name, write = self.function.name, self.expressions
+        signature, kinds = write.kinds.signatures[name], write.kinds.names[name]
+        body = used(with_lengths(self.function.body))
+        write.renamed = {x: f"{x}_" for x in kinds if x in WORDS or MACRO.fullmatch(x)}
+        self.scopes = Scopes(body, set(self.function.arguments))
+        read = {x.id for one in body for x in ast.walk(one) if isinstance(x, ast.Name)}
+        arguments = [_declared(kinds[x], self._name(x)) for x in self.function.arguments]
+        arguments += ["double *result"] if signature.several else []
+        head = f"{signature.returned or 'void'} {write.called[name]}({', '.join(arguments)})"
+        lines = comment(self.function.doc) if self.function.doc else []
+        lines += [*_broken(f"static {head}", ""), "{"]
+        unused = [f"(void){x};" for x in self.function.arguments if x not in read]
+        lines += [f"    {' '.join(unused)}"] if unused else []
+        for one in sorted(self.scopes.ahead & self.scopes.stored):
+            value = "0" if kinds[one] == INT else "0.0"
+            lines.append(f"    {_declared(kinds[one], self._name(one))} = {value};")
+        return [*lines, *self._block(body, "    "), "}", ""]
+
+    def _block(self, body: list[ast.stmt], indent: str) -> list[str]:
+        lines: list[str] = []
+        line, joined = -1, ""
+        for one in body:
+            beside = one.lineno == line  # values that one line of the text gives
+            if not beside:
+                lines += self._comments(one, indent)
+            found = list(self._statement(one, indent))
+            declares = DECLARED.match(found[0]) if len(found) == 1 else None
+            if declares and beside and declares[1] == joined and len(lines[-1] + found[0]) < WIDTH:
+                lines[-1] = f"{lines[-1][:-1]}, {found[0][declares.end() :]}"
+            else:
+                lines += found
+            line, joined = one.lineno, declares[1] if declares else ""
+        return lines
+
+    def _comments(self, one: ast.stmt, indent: str) -> list[str]:
+        """Return the comments above a statement."""
+        lines, at, found = self.function.source.lines, one.lineno - 2, []
+        while at >= 0 and lines[at].lstrip().startswith("# "):
+            found.append(lines[at].strip("# \n"))
+            at -= 1
+        return comment(" ".join(reversed(found)), indent) if found else []
+
+    def _statement(self, one: ast.stmt, indent: str) -> Iterator[str]:
+        write, name = self.expressions.write, self.function.name
+        inner = indent + "    "
+        match one:
+            case ast.For(target=ast.Name(id=index), iter=ast.Call(args=bounds), body=body):
+                index = self._name("turn" if index == "_" else index)
+                first, last, by = _bounds(bounds)
+                back = isinstance(by, ast.UnaryOp)
+                on = f"{index} += {self._text(by)}" if ast.unparse(by) != "1" else f"{index}++"
+                head = (
+                    f"{index} = {self._text(first)}; {index} {'<>'[back]} {self._text(last)}; {on}"
+                )
+                yield from _broken(f"for (int {head}) {{", indent)
+                yield from self._block(body, inner)
+                yield f"{indent}}}"
+            case ast.If(test=test, body=body, orelse=orelse):
+                yield from _broken(f"if ({write(test, name)}) {{", indent)
+                yield from self._block(body, inner)
+                if orelse:
+                    yield f"{indent}}} else {{"
+                    yield from self._block(orelse, inner)
+                yield f"{indent}}}"
+            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
+                for target, value in zip(targets, values, strict=True):
+                    yield from self._assigned(one, target, write(value, name), indent)
+            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
+                yield from self._several(one, targets, call, indent)
+            case ast.Assign(targets=[target], value=ast.Call(func=func, args=[shape])) if (
+                ast.unparse(func) in ("np.empty", "np.zeros")
+            ):
+                yield from self._array(target, func, shape, indent)
+            case ast.Assign(targets=[target], value=value):
+                yield from self._assigned(one, target, write(value, name), indent)
+            case ast.AugAssign(target=target, op=op, value=value):
+                sign = {ast.Add: "+=", ast.Sub: "-=", ast.Mult: "*=", ast.Div: "/="}[type(op)]
+                text = f"{write(target, name)} {sign} {write(value, name)};"
+                yield from _broken(text, indent)
+            case ast.Return(value=None):
+                yield f"{indent}return;"
+            case ast.Return(value=ast.Tuple(elts=values)):
+                for k, value in enumerate(values):
+                    yield from _broken(f"result[{k}] = {write(value, name)};", indent)
+            case ast.Return(value=ast.expr() as value):
+                yield from _broken(f"return {write(value, name)};", indent)
+            case ast.Break():
+                yield f"{indent}break;"
+            case ast.Expr(value=ast.Call() as call):
+                yield from _broken(f"{write(call, name)};", indent)
+            case _:
+                raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(one)}.")
+
+    def _several(
+        self, one: ast.stmt, targets: list[ast.expr], call: ast.Call, indent: str
+    ) -> Iterator[str]:
+        """Write a call that gives several numbers; sine and cosine are those of the C library."""
+        write, name = self.expressions.write, self.function.name
+        called, given = ast.unparse(call.func), [write(x, name) for x in call.args]
+        if called == "sincos":
+            for target, what in zip(targets, ("sin", "cos"), strict=True):
+                self.expressions.library.add(what)
+                yield from self._assigned(one, target, f"{what}({given[0]})", indent)
+            return
+        self.pairs += 1
+        place = f"{called}_{self.pairs}"
+        yield f"{indent}double {place}[{len(targets)}];"
+        called = self.expressions.called[called]
+        yield from _broken(f"{called}({', '.join([*given, place])});", indent)
+        for k, target in enumerate(targets):
+            yield from self._assigned(one, target, f"{place}[{k}]", indent)
+
+    def _array(
+        self, target: ast.expr, func: ast.expr, shape: ast.expr, indent: str
+    ) -> Iterator[str]:
+        """Write an array of a function's own, of a length that the compiler knows."""
+        size = self._text(shape)
+        name = self._name(ast.unparse(target))
+        yield f"{indent}double {name}[{size}]{' = {0}' if 'zeros' in ast.unparse(func) else ''};"
+
+    def _assigned(self, one: ast.stmt, target: ast.expr, value: str, indent: str) -> Iterator[str]:
+        """Write an assignment, and declare what first gets a value by it."""
+        to = self.expressions.write(target, self.function.name)
+        if isinstance(target, ast.Name):
+            if (target.id, id(one)) in self.scopes.unread:
+                return
+            fixed = self.scopes.begins.get((target.id, id(one)))
+            if fixed is not None:
+                kind = self.expressions.kinds.names[self.function.name][target.id]
+                to = _declared(kind, to, fixed=fixed)
+        yield from _broken(f"{to} = {value};", indent)
+
+    def _name(self, name: str) -> str:
+        return self.expressions.renamed.get(name, name)
+
+    def _text(self, node: ast.expr) -> str:
+        return self.expressions.write(node, self.function.name)
+
+
+def _bounds(bounds: list[ast.expr]) -> list[ast.expr]:
+    """Return the first number of a range, that behind its end, and the distance of two."""
+    return [*([ast.Constant(0)] if len(bounds) == 1 else []), *bounds, ast.Constant(1)][:3]
+
+
+def _declared(kind: str, name: str, *, fixed: bool = False) -> str:
+    """Write the declaration of a name."""
+    if kind.endswith("*"):
+        return f"{kind}{'const ' if fixed else ''}{name}"
+    return f"{'const ' if fixed else ''}{kind} {name}"
+
+
+def _broken(text: str, indent: str) -> list[str]:
+    """Break a line before an operator, or behind a comma."""
+    lines, parts = [], BREAK.split(text)
+    line = indent + parts[0]
+    for part in parts[1:]:
+        if len(line) + len(part) + 1 > WIDTH:
+            lines.append(line)
+            line = f"{indent}        {part}"
+        else:
+            line += f" {part}"
+    return [*lines, line]

@@ -1,0 +1,172 @@
+/* Take one step by one set of kernels; return the status, 0 where it was taken. */
+static int take(const kernels *kernels, double h, double t, double *W)
+{
+    //if explicit
+    double kept[4 * $n];
+    W[ACTIVE] = 1.0;
+    W[COUNT] = 1.0;
+    keep(W, POSITION, POSITION + 4 * $n, kept);
+    kernels->call[ADVANCE](h, t, W);
+    if (!all_finite(W, POSITION, POSITION + 4 * $n)) {
+        put_back(W, POSITION, POSITION + 4 * $n, kept);
+        W[STATUS] = NOT_FINITE;
+    }
+    //end explicit
+    //if solved
+    int event = 0;
+    //if watched
+    if (kernels->mode == NEWTON_AFTER_STAGES) {
+        kernels->call[MEASURE](h, t, W);
+        W[COUNT] = W[LARGEST_SQUARED];
+    }
+    //end watched
+    W[ACTIVE] = 1.0;
+    int found = solve_for(kernels->call[ITERATE], h, t, W, W + ACTIVE, W + RELATIVE,
+        W + CONTRACTION);
+    if (found == UNSOLVED) {
+        found = solve_to_rounding(kernels->call[ITERATE], h, t, W);
+    }
+    if (found != 0) {
+        event = FAILED;
+    } else {
+        W[ACTIVE] = 1.0;
+        kernels->call[ADVANCE](h, t, W);
+        event = W[IN_DOUBT] != 0.0 ? SUSPICIOUS : 0;
+    }
+    if (event != 0) {
+        recover(kernels, h, t, W, event);
+    }
+    //if watched
+    if (kernels->mode == NEWTON_AFTER_STAGES && W[STATUS] == 0.0) {
+        watch(kernels, h, t, W);
+    }
+    //end watched
+    //end solved
+    return (int)W[STATUS];
+}
+
+/* Begin in a workspace in which another run may have been. */
+static int begin(double h, double t, ${prefix}_state *state, const double *q, const double *p,
+    const double *v, const double *parameters)
+{
+    double *const W = state->workspace;
+    for (int row = 0; row < ROWS; row++) {
+        W[row] = 0.0;
+    }
+    for (int k = 0; k < $parameters; k++) {
+        W[PARAMETER + k] = parameters[k];
+    }
+    for (int a = 0; a < $n; a++) {
+        W[POSITION + a] = q[a];
+        if (v) {
+            W[VELOCITY + a] = v[a];
+        } else {
+            W[MOMENTUM + a] = p[a];
+        }
+    }
+    W[ACTIVE] = 1.0;
+    W[CONTRACTION] = 1.0;
+    state->h = h;
+    state->set = 0;
+    state->left = 0;
+    prepare(h, t, W);
+    if (v) {
+        legendre(h, t, W);
+    }
+    SETS[0].call[START](h, t, W);
+    if (W[MASS_PIVOT] < 0.0 || !all_finite(W, VELOCITY, VELOCITY + $n)) {
+        W[STATUS] = BAD_INPUT;
+    }
+    return (int)W[STATUS];
+}
+
+int ${prefix}_begin(double h, double t, ${prefix}_state *state, const double q[$n],
+    const double p[$n], const double parameters[$sized])
+{
+    return begin(h, t, state, q, p, 0, parameters);
+}
+
+int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const double q[$n],
+    const double v[$n], const double parameters[$sized])
+{
+    return begin(h, t, state, q, 0, v, parameters);
+}
+
+/* Go on with another set of kernels. */
+static void go_on_with(int set, double h, double t, ${prefix}_state *state)
+{
+    double *const W = state->workspace;
+    //if switched
+    if (SETS[set].mode != STAGES && SETS[state->set].mode != STAGES) {
+        switch_to(&SETS[set], h, t, W);
+    } else {
+    //end switched
+        W[ACTIVE] = 1.0;
+        W[STATUS] = 0.0;
+        W[CONTRACTION] = 1.0;
+        SETS[set].call[PREPARE](h, t, W);
+        SETS[set].call[START](h, t, W);
+    //if switched
+    }
+    //end switched
+    state->set = set;
+    state->left = set > 0 ? STRETCH : 0;
+}
+
+int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inputs,
+    const double *parameters)
+{
+    double *const W = state->workspace;
+    int anew = h != state->h;
+    for (int k = 0; parameters && k < $parameters; k++) {
+        anew |= W[PARAMETER + k] != parameters[k];
+        W[PARAMETER + k] = parameters[k];
+    }
+    //if inputs
+    for (int k = 0; k < $inputs; k++) {
+        for (int i = 0; i < INPUT_STRIDE; i++) {
+            W[INPUT + k * INPUT_STRIDE + i] = inputs[k];
+        }
+    }
+    //end inputs
+    //if free
+    (void)inputs;
+    //end free
+    if (anew) {
+        W[ACTIVE] = 1.0;
+        W[CONTRACTION] = 1.0;
+        W[LARGEST_SQUARED] = 0.0;
+        SETS[state->set].call[PREPARE](h, t, W);
+        SETS[state->set].call[START](h, t, W);
+        state->h = h;
+    }
+    W[STATUS] = 0.0;
+    while (take(&SETS[state->set], h, t, W) != 0) {
+        if (state->set + 1 == NUMBER_OF_SETS || $hopeless) {
+            return (int)W[STATUS];
+        }
+        go_on_with(state->set + 1, h, t, state);
+    }
+    if (state->left > 0 && --state->left == 0) {
+        go_on_with(0, h, t + h, state);
+    }
+    return 0;
+}
+
+double ${prefix}_energy(double t, ${prefix}_state *state, double v[$n])
+{
+    double *const W = state->workspace;
+    energy(state->h, t, W);
+    for (int a = 0; v && a < $n; a++) {
+        v[a] = W[VELOCITY + a];
+    }
+    return W[ENERGY];
+}
+
+void ${prefix}_get(const ${prefix}_state *state, double q[$n], double p[$n])
+{
+    for (int a = 0; a < $n; a++) {
+        q[a] = state->workspace[POSITION + a];
+        p[a] = state->workspace[MOMENTUM + a];
+    }
+}
