@@ -151,10 +151,10 @@ def test_velocities_in_expressions(pendulum):
     turning = run.events("p_theta")
     for expression in ("v_theta", theta.diff(), sp.Eq(2 * theta.diff(), 0)):
         assert np.abs(run.events(expression).t - turning.t).max() < 1e-12
-    section = pendulum.poincare(theta.diff(), [1.0], v0=[0.0], h=0.05, steps=400)
+    section = pendulum.poincare(theta.diff(), [1.0], v0=[0.0], h=0.05, steps=200)
     assert np.abs(section.t - turning.t).max() < 1e-12
     many = pendulum.ensemble(
-        [[1.0], [0.5]], v0=[0.0], h=0.05, steps=400, reduce={"fastest": ("max", theta.diff())}
+        [[1.0], [0.5]], v0=[0.0], h=0.05, steps=200, reduce={"fastest": ("max", theta.diff())}
     )
     assert many["fastest"][0] == run["v_theta"].max()
     top = ss.compile(ss.systems.double_pendulum())

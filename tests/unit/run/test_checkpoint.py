@@ -328,5 +328,5 @@ def test_a_stepper_that_is_no_file_is_not_needed(kept):
     done = subprocess.run(
         [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True
     )
-    assert "300 steps" in done.stdout
+    assert f"{STEPS} steps" in done.stdout
     assert Path(path).exists()
