@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -38,27 +38,31 @@ def points_of(
     numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
     shape = columns[1].shape[:-1]
     found = {}
-    for name, corners in _functions(system).items():
+    places = _function(system)(*numbers) if system.positions else []
+    for (name, given), corners in zip((system.positions or {}).items(), places, strict=True):
         rows = [
-            np.stack([np.broadcast_to(axis(*numbers), shape) for axis in corner], axis=-1)
+            np.stack([np.broadcast_to(axis, shape) for axis in corner], axis=-1)
             for corner in corners
         ]
-        single = not isinstance((system.positions or {})[name][0], tuple)
+        single = not isinstance(given[0], tuple)
         found[name] = np.asarray(rows[0] if single else np.stack(rows, axis=-2), dtype=np.float64)
     return found
 
 
 @lru_cache(maxsize=64)
-def _functions(system: Declared) -> dict[str, list[list[Callable[..., Any]]]]:
-    """Return functions of t, positions and parameters, for each axis of each corner."""
+def _function(system: Declared) -> Callable[..., Any]:
+    """Return a function of t, positions and parameters that gives all axes of all corners.
+
+    It is one for all points: to print one takes as long as there are arguments.
+    """
     # coordinates are functions of time: plain symbols stand for them, and for the time
     plain = {x: sp.Dummy() for x in (time, *system.coordinates)}
-    arguments = [*plain.values(), *system.parameters]
-
-    def made(corner: Iterable[sp.Expr]) -> list[Callable[..., Any]]:
-        return [sp.lambdify(arguments, x.xreplace(plain), "numpy") for x in corner]
-
-    return {
-        name: [made(x) for x in (given if isinstance(given[0], tuple) else (given,))]
-        for name, given in (system.positions or {}).items()
-    }
+    corners = [
+        [
+            [x.xreplace(plain) for x in one]
+            for one in (given if isinstance(given[0], tuple) else [given])
+        ]
+        for given in (system.positions or {}).values()
+    ]
+    made: Callable[..., Any] = sp.lambdify([*plain.values(), *system.parameters], corners, "numpy")
+    return made
