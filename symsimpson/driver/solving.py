@@ -66,7 +66,7 @@ def rounding(W, at, h, lane):
 def solve_to_rounding(iterate, h, t, W, at):
     """Iterate on; lanes are done, too, whose corrections are made of rounding and do not shrink.
 
-    Corrections wait where doubts will be told when the step is closed: nothing is allocated.
+    Corrections are kept in the row IN_DOUBT, which is free until the step is closed.
     """
     active, before = W[at[ACTIVE]], W[at[IN_DOUBT]]
     for lane in range(LANES):

@@ -31,7 +31,7 @@ from symsimpson.program.driver import driver_text
 from symsimpson.program.program import Program
 from symsimpson.program.sets import KernelSets
 from symsimpson.program.status import Status
-from symsimpson.stepping.run import FALLBACK_STRETCH, HOPELESS
+from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import read_text
 
@@ -54,6 +54,10 @@ HELPERS = {
     "abs_int": "static int abs_int(int a)\n{\n    return a < 0 ? -a : a;\n}\n",
     "square": "static double square(double a)\n{\n    return a * a;\n}\n",
 }
+#: Copies of a workspace stand on the stack, of which programs have 8 MB.
+MOST_STACK = 2**22
+#: What other files see, behind the prefix.
+PUBLIC = ("state", "begin", "begin_moving", "step", "energy", "get")
 #: Functions whose names <math.h> or C itself may have.
 RENAMED = {
     "switch": "switch_to",
@@ -118,7 +122,17 @@ def written_c(program: Program, prefix: str) -> CFiles:
             f"{header.system} keeps a time of its own, and steps in C have the size that they are "
             "given.\nExport the system before retimed()."
         )
+    if header.newton_unknowns and _stack(header) > MOST_STACK:
+        raise InputError(
+            f"a step of {header.system} would take {_stack(header) / 2**20:.0f} MB of stack in C.\n"
+            "Export an explicit scheme, as 'kahan_li8', where M is constant; or fewer coordinates."
+        )
     return _Writer(program, prefix).files()
+
+
+def _stack(header: Header) -> int:
+    """Return the bytes of copies that are made of a workspace while a step is looked at."""
+    return 8 * (2 * header.rows + 9 * header.layout["UNKNOWNS"] + 64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +162,8 @@ class _Writer:
         ]
         functions = Functions(sources)
         kinds = Kinds(functions)
-        names = {k: RENAMED.get(k, f"{k}_" if k in WORDS else k) for k in functions}
+        taken = {*WORDS, *(f"{self.prefix}_{x}" for x in PUBLIC)}
+        names = {k: RENAMED.get(k, f"{k}_" if k in taken else k) for k in functions}
         for kernel in self._kernels:
             kinds.follow(kernel, [REAL, REAL, POINTER])
         modes = {mode for mode, _ in self._sets}
@@ -228,8 +243,22 @@ class _Writer:
             "change the system, not this file.\n\n"
             f"    Coordinates: {', '.join(header.coordinates)}\n"
             f"    Parameters, with the values of the declaration: {parameters}\n"
-            f"    Inputs, held over a step: {', '.join(header.inputs) or 'none'}\n\n"
-            "Nothing is allocated, and nothing is kept outside of a state."
+            f"    Inputs, held constant during a step: {', '.join(header.inputs) or 'none'}\n\n"
+            "Arrays q, v, p, parameters and inputs have this order; p are conjugate momenta dL/dv, "
+            "units are those of the declaration, angles are not wrapped. Nothing is allocated, and "
+            f"nothing is kept outside the state, of {8 * header.rows + 16} bytes: threads may each "
+            f"have one.{self._held()}"
+        )
+
+    def _held(self) -> str:
+        """Return what is said of constraints."""
+        names = self._header.constraints
+        if not names:
+            return ""
+        return (
+            f"\n\nThe start must satisfy the constraints {', '.join(names)}, and velocities or "
+            "momenta what follows from them; this is not checked here. In Python "
+            "stepper.consistent(...) finds such a start."
         )
 
     def _constants(self) -> Iterator[str]:
@@ -247,7 +276,8 @@ class _Writer:
         yield ""
         yield "/* sizes and strides, limits, outcomes */"
         yield "enum {"
-        yield from _wrapped(", ".join(f"{name} = {number(x)}" for name, x in whole.items()))
+        pairs = ", ".join(f"{name}~=~{number(x)}" for name, x in whole.items())
+        yield from (line.replace("~", " ") for line in _wrapped(pairs))
         yield "};"
         yield ""
         for name, value in found.items():
@@ -296,15 +326,23 @@ class _Writer:
             PREFIX=self.prefix.upper(),
             n=n,
             parameters=len(header.parameters),
-            sized=max(1, len(header.parameters)),
             inputs=len(header.inputs),
             rows=header.rows,
-            hopeless=" || ".join(f"W[STATUS] == {x.value}" for x in HOPELESS),
+            stack=_stack(header),
+            defaults=", ".join(map(number, header.defaults)) or "0.0",
             said="\n".join(comment(self._faced())),
             outcomes=",\n".join(
                 f"    {self.prefix.upper()}_{x.name:<{width}} = {x.value}" for x in outcomes
             ),
+            meanings="\n".join(comment("\n".join(_meanings(outcomes)))),
         )
+
+
+def _meanings(outcomes: list[Status]) -> Iterator[str]:
+    """Give a sentence for each outcome, as lines that stay lines."""
+    yield "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
+    for one in outcomes[1:]:
+        yield f"  {one.name}: {one.message}"
 
 
 def _in_order(kinds: Kinds) -> Iterator[str]:

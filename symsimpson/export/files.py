@@ -27,7 +27,7 @@ def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, P
     """
     place = read_path("path", path)
     name = place.name.removesuffix(".c").removesuffix(".h")
-    if not NAME.fullmatch(name) or name in WORDS:
+    if not NAME.fullmatch(name) or name in {*WORDS, "math"}:
         raise InputError(
             f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.\n"
             "Take letters and digits, and a letter first: 'firmware/top'."

@@ -71,6 +71,10 @@ class Kinds:
                     self.of(one, name)
                 for statement in body:
                     self._look(statement, name, local)
+            case ast.For(target=ast.Name(id=index), iter=ast.Name(), body=body):  # over a table
+                local[index] = INT
+                for statement in body:
+                    self._look(statement, name, local)
             case ast.If(test=test, body=body, orelse=orelse):
                 self.of(test, name)
                 for statement in [*body, *orelse]:

@@ -11,7 +11,7 @@ from itertools import groupby
 
 from symsimpson.errors import InputError
 from symsimpson.export.expressions import Expressions
-from symsimpson.export.kinds import INT
+from symsimpson.export.kinds import INT, constant_of
 from symsimpson.export.plain import Function
 from symsimpson.export.scopes import Scopes, used, with_lengths
 
@@ -29,7 +29,9 @@ WORDS = frozenset(
         r"\w+",
         "auto break case char const continue default do double else enum extern float for goto if "
         "inline int long register restrict return short signed sizeof static struct switch typedef "
-        "union unsigned void volatile while asm typeof linux unix",
+        "union unsigned void volatile while asm typeof linux unix bool true false nullptr complex "
+        "imaginary constexpr static_assert alignas alignof thread_local typeof_unqual "
+        "math_errhandling",
     )
 )
 #: Names that are macros of <math.h>, or may be.
@@ -37,12 +39,14 @@ MACRO = re.compile("[A-Z][A-Z0-9_]+")
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """Write a comment of C over as many lines as it takes; what stands further right stays so."""
+    """Write a comment of C over as many lines as it takes; indented lines stay lines."""
     text = text.replace("*/", "* /").replace("/*", "/ *")
     lines: list[str] = []
     for right, group in groupby(text.split("\n"), key=lambda x: x.startswith(" ") or not x):
         some, width = list(group), WIDTH - len(indent) - 6
-        lines += some if right else textwrap.wrap(" ".join(some), width)
+        for line in some if right else [" ".join(some)]:
+            further = line[: len(line) - len(line.lstrip())]
+            lines += textwrap.wrap(line, width, subsequent_indent=further) or [""]
     if len(lines) == 1:
         return [f"{indent}/* {lines[0]} */"]
     rest = [f"{indent} * {x}".rstrip() for x in lines[1:]]
@@ -119,6 +123,13 @@ class _Body:
                     f"{index} = {self._text(first)}; {index} {'<>'[back]} {self._text(last)}; {on}"
                 )
                 yield from _broken(f"for (int {head}) {{", indent)
+                yield from self._block(body, inner)
+                yield f"{indent}}}"
+            case ast.For(target=ast.Name(id=index), iter=ast.Name() as table, body=body):
+                place, size = f"{index}_place", len(constant_of(table.id, self.function))
+                head = f"int {place} = 0; {place} < {size}; {place}++"
+                yield f"{indent}for ({head}) {{"
+                yield f"{inner}const int {self._name(index)} = {self._text(table)}[{place}];"
                 yield from self._block(body, inner)
                 yield f"{indent}}}"
             case ast.If(test=test, body=body, orelse=orelse):

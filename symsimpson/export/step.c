@@ -45,6 +45,9 @@ static int take(const kernels *kernels, double h, double t, double *W)
     return (int)W[STATUS];
 }
 
+/* parameters of the declaration */
+static const double DEFAULTS[] = {$defaults};
+
 /* Begin in a workspace in which another run may have been. */
 static int begin(double h, double t, ${prefix}_state *state, const double *q, const double *p,
     const double *v, const double *parameters)
@@ -54,7 +57,7 @@ static int begin(double h, double t, ${prefix}_state *state, const double *q, co
         W[row] = 0.0;
     }
     for (int k = 0; k < $parameters; k++) {
-        W[PARAMETER + k] = parameters[k];
+        W[PARAMETER + k] = parameters ? parameters[k] : DEFAULTS[k];
     }
     for (int a = 0; a < $n; a++) {
         W[POSITION + a] = q[a];
@@ -74,20 +77,24 @@ static int begin(double h, double t, ${prefix}_state *state, const double *q, co
         legendre(h, t, W);
     }
     SETS[0].call[START](h, t, W);
-    if (W[MASS_PIVOT] < 0.0 || !all_finite(W, VELOCITY, VELOCITY + $n)) {
+    energy(h, t, W);
+    if (W[MASS_PIVOT] < 0.0 || h == 0.0 || h - h != 0.0 || !all_finite(W, POSITION, POSITION + $n)
+            || !all_finite(W, MOMENTUM, MOMENTUM + $n) || !all_finite(W, VELOCITY, VELOCITY + $n)
+            || !all_finite(W, PARAMETER, PARAMETER + $parameters)
+            || !all_finite(W, ENERGY, ENERGY + 1)) {
         W[STATUS] = BAD_INPUT;
     }
     return (int)W[STATUS];
 }
 
 int ${prefix}_begin(double h, double t, ${prefix}_state *state, const double q[$n],
-    const double p[$n], const double parameters[$sized])
+    const double p[$n], const double *parameters)
 {
     return begin(h, t, state, q, p, 0, parameters);
 }
 
 int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const double q[$n],
-    const double v[$n], const double parameters[$sized])
+    const double v[$n], const double *parameters)
 {
     return begin(h, t, state, q, 0, v, parameters);
 }
@@ -125,7 +132,7 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
     //if inputs
     for (int k = 0; k < $inputs; k++) {
         for (int i = 0; i < INPUT_STRIDE; i++) {
-            W[INPUT + k * INPUT_STRIDE + i] = inputs[k];
+            W[INPUT + k * INPUT_STRIDE + i] = inputs ? inputs[k] : 0.0;
         }
     }
     //end inputs
@@ -142,7 +149,8 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
     }
     W[STATUS] = 0.0;
     while (take(&SETS[state->set], h, t, W) != 0) {
-        if (state->set + 1 == NUMBER_OF_SETS || $hopeless) {
+        if (state->set + 1 == NUMBER_OF_SETS
+            || W[STATUS] == COORDINATE_SINGULARITY) {
             return (int)W[STATUS];
         }
         go_on_with(state->set + 1, h, t, state);
@@ -153,7 +161,7 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
     return 0;
 }
 
-double ${prefix}_energy(double t, ${prefix}_state *state, double v[$n])
+double ${prefix}_energy(double t, ${prefix}_state *state, double *v)
 {
     double *const W = state->workspace;
     energy(state->h, t, W);

@@ -12,7 +12,7 @@ enum {
     ${PREFIX}_INPUTS = $inputs
 };
 
-/* What a call came to: 0, or why the step was not taken. The state is that before it then. */
+$meanings
 enum {
 $outcomes
 };
@@ -25,22 +25,25 @@ typedef struct {
     int left;
 } ${prefix}_state;
 
-/* Begin at positions and momenta, or at positions and velocities. */
+/* Begin at positions and momenta, or at positions and velocities. Parameters may be null: they are
+ * then those of the declaration. BAD_INPUT where a number is not finite, h is 0, or the mass matrix
+ * is not positive definite. */
 int ${prefix}_begin(double h, double t, ${prefix}_state *state, const double q[$n],
-    const double p[$n], const double parameters[$sized]);
+    const double p[$n], const double *parameters);
 int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const double q[$n],
-    const double v[$n], const double parameters[$sized]);
+    const double v[$n], const double *parameters);
 
-/* Take the step from t to t + h. Inputs are those of this step; null where there are none.
- * Parameters are null where they are as before. Another h than before, or other parameters, cost
- * a few iterations more in this step. */
+/* Take the step from t to t + h. Inputs may be null for zeros, parameters where they are those of
+ * the step before. With another h, or other parameters, the step begins its iteration anew; both
+ * are kept whether the step is taken or not. Some steps are looked at twice, which takes up to
+ * $stack bytes of stack. */
 int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inputs,
     const double *parameters);
 
-/* Return the energy, and give the velocities, where v is not null. */
-double ${prefix}_energy(double t, ${prefix}_state *state, double v[$n]);
+/* Return the energy at t, and write velocities to v, where v is not null. */
+double ${prefix}_energy(double t, ${prefix}_state *state, double *v);
 
-/* Give positions and momenta. */
+/* Write positions and momenta to q and p. */
 void ${prefix}_get(const ${prefix}_state *state, double q[$n], double p[$n]);
 
 #ifdef __cplusplus

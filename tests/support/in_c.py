@@ -49,9 +49,8 @@ class InC:
         return self._function(name)(*given, *map(self._pointer, kept))
 
     def begin(self, h, q, p=None, v=None, parameters=None, t=0.0):
-        values = self.header.defaults if parameters is None else parameters
         name = "begin" if v is None else "begin_moving"
-        return self._call(name, h, t, q, p if v is None else v, [*values, 0.0])
+        return self._call(name, h, t, q, p if v is None else v, parameters)
 
     def step(self, h, t=0.0, inputs=None, parameters=None):
         return self._call("step", h, t, inputs, parameters)

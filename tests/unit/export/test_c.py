@@ -31,6 +31,7 @@ PAIRS = [
     ("fermi_pasta_ulam", "midpoint"),
     ("water", "gauss10"),
     ("kepler", "radau3"),
+    ("outer_solar_system", "simpson"),
 ]
 
 
@@ -117,7 +118,16 @@ def test_a_step_that_is_not_taken_says_why_and_moves_nothing(tmp_path):
     assert made.step(float("nan"), 0.03) != 0
     assert np.array_equal(made.get(), before)
     assert made.step(0.01, 0.03) == 0
-    assert made.begin(0.01, [np.nan, 0.0], p=[0.0, 0.0]) == ss.Status.BAD_INPUT
+
+
+def test_a_start_that_is_none_is_refused(tmp_path):
+    made = InC(ss.compile(DRIVEN, "gauss4"), tmp_path)
+    assert made.begin(0.1, [0.1], v=[0.0]) == 0
+    start = {"h": 0.1, "q": [0.1], "v": [0.0], "parameters": [1.5]}
+    for what, value in (("h", 0.0), ("h", np.nan), ("q", [np.nan]), ("q", [np.inf])):
+        assert made.begin(**start | {what: value}) == ss.Status.BAD_INPUT
+    assert made.begin(**start | {"parameters": [np.nan]}) == ss.Status.BAD_INPUT
+    assert made.begin(0.1, [0.1], p=[np.inf]) == ss.Status.BAD_INPUT
 
 
 def test_explicit_steps_that_leave_the_numbers(tmp_path):
@@ -143,7 +153,7 @@ def test_other_kernels_where_stages_fail(tmp_path):
 
 
 def test_words_of_c_and_whatever_symbols_hold(tmp_path):
-    names = ["double", "register", "*/ #error", "y1", "INFINITY"]
+    names = ["math_errhandling", "register", "*/ #error", "y1", "INFINITY"]
     q = [sp.Function(name)(ss.time) for name in names]
     k = sp.Symbol("main", positive=True)
     system = ss.MechanicalSystem(
@@ -184,7 +194,7 @@ def test_other_compilers_take_the_files(flags, tmp_path):
     build(source, flags=[*flags, "-Wall", "-Werror"], to="-c")
 
 
-@pytest.mark.parametrize("name", ["3x", "a b", "int", "ϕ", ".h"])
+@pytest.mark.parametrize("name", ["3x", "a b", "int", "math", "ϕ", ".h"])
 def test_names_that_are_none_of_c(name, tmp_path):
     with pytest.raises(ss.InputError, match="begins no name of C"):
         ss.compile(ss.systems.pendulum()).export_c(f"{tmp_path}/{name}")
@@ -197,3 +207,16 @@ def test_what_has_no_counterpart_is_refused(tmp_path):
         ss.compile(ss.systems.kepler().retimed("encounters")).export_c(tmp_path / "a")
     with pytest.raises(ss.StorageError, match="no folder"):
         ss.compile(ss.systems.pendulum()).export_c(tmp_path / "no" / "a")
+
+
+def test_prefixes_that_functions_of_the_file_have(tmp_path):
+    system = ss.systems.double_pendulum()
+    made = InC(ss.compile(system), tmp_path, "keep")  # keep_step is one of the module's own
+    assert made.begin(0.01, [0.5, 0.2], p=[0.0, 0.0]) == 0
+    assert made.step(0.01) == 0
+
+
+@pytest.mark.slow
+def test_what_would_not_fit_on_the_stack_is_refused(tmp_path):
+    with pytest.raises(ss.InputError, match="MB of stack"):
+        ss.compile(ss.systems.cloth(), "simpson").export_c(tmp_path / "cloth")
