@@ -78,12 +78,12 @@ class _Lists(ast.NodeTransformer):
         first, second = node.slice.elts
         if getattr(node.value, "id", "") == "W":
             first, second = second, first
-        outer = ast.Subscript(node.value, first, ast.Load())
-        return ast.Subscript(outer, second, node.ctx)
+        outer = ast.copy_location(ast.Subscript(node.value, first, ast.Load()), node)
+        return ast.copy_location(ast.Subscript(outer, second, node.ctx), node)
 
     def visit_Name(self, node):
         found = self.places.get(node.id) if isinstance(node.ctx, ast.Load) else None
-        return node if found is None else ast.Constant(found)
+        return node if found is None else ast.copy_location(ast.Constant(found), node)
 
 
 @cache
@@ -100,8 +100,7 @@ def _bind(text, arithmetic):
         for node in tree.body
         if isinstance(node, ast.Assign) and type(getattr(node.value, "value", None)) is int
     }
-    tree = ast.fix_missing_locations(_Lists(places).visit(tree))
-    return bind(tree, arithmetic)
+    return bind(_Lists(places).visit(tree), arithmetic)
 
 
 def call(address, h, t, W):
