@@ -120,6 +120,27 @@ def test_a_step_that_is_not_taken_says_why_and_moves_nothing(tmp_path):
     assert made.step(0.01, 0.03) == 0
 
 
+def test_another_solution_of_a_step_is_not_taken(tmp_path):
+    """What is in doubt is followed from smaller steps, and refused where it is not their end."""
+    stepper, start, h = ss.compile(ss.systems.double_pendulum(), "midpoint"), [2.8, 2.9], 0.1
+    made = InC(stepper, tmp_path)
+    assert made.begin(h, start, p=[0.0, 0.0]) == 0
+    found = [made.step(h, h * k) for k in range(6)]
+    run = stepper.integrate(start, p0=[0.0, 0.0], h=h, steps=6, on_failure="return")
+    assert (run.steps, run.status) == (5, ss.Status.STEP_TOO_LARGE)
+    assert found == [0] * 5 + [ss.Status.STEP_TOO_LARGE]
+    assert np.abs(made.get()[0] - run.q[-1]).max() < 1e-13
+
+
+def test_parameters_change_at_the_same_step(tmp_path):
+    stepper = ss.compile(DRIVEN, "gauss4")
+    made = InC(stepper, tmp_path)
+    assert made.begin(0.05, [0.3], v=[0.1]) == 0
+    assert made.step(0.05, 0.0, None, [2.0]) == 0
+    run = stepper.integrate([0.3], v0=[0.1], h=0.05, steps=1, inputs=0.0, parameters={"w": 2.0})
+    assert made.get()[0] == pytest.approx(run.q[-1], abs=1e-15)
+
+
 def test_a_start_that_is_none_is_refused(tmp_path):
     made = InC(ss.compile(DRIVEN, "gauss4"), tmp_path)
     assert made.begin(0.1, [0.1], v=[0.0]) == 0
