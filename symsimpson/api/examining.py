@@ -129,7 +129,7 @@ class Examining(Differentiating):
         >>> header.name, source.name, "int swing_step(" in header.read_text()
         ('swing.h', 'swing.c', True)
         """
-        from symsimpson.export.files import write_files
+        from symsimpson.export.written import write_files
 
         return write_files(self.program, path)
 

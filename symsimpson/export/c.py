@@ -20,8 +20,8 @@ import numpy as np
 
 from symsimpson.errors import InputError
 from symsimpson.export.expressions import Expressions, number
-from symsimpson.export.kinds import INT, POINTER, REAL, SET, Kinds
-from symsimpson.export.plain import Functions, Source
+from symsimpson.export.kinds import INT, KERNEL, POINTER, REAL, SET, Kinds
+from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import WIDTH, WORDS, comment, written_function
 from symsimpson.module.blocks import BLOCKS, TOLD
 from symsimpson.module.definitions import syntax
@@ -35,7 +35,7 @@ from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
 from symsimpson.walk.text import read_text
 
-__all__ = ["CFiles", "written_c"]
+__all__ = ["HELPERS", "written_c"]
 
 #: Outcomes of runs that are no outcomes of a step.
 OF_RUNS = (
@@ -59,28 +59,7 @@ MOST_STACK = 2**22
 #: What other files see, behind the prefix.
 PUBLIC = ("state", "begin", "begin_moving", "step", "energy", "get")
 #: Functions whose names <math.h> or C itself may have.
-RENAMED = {
-    "switch": "switch_to",
-    "finite": "all_finite",
-    "gamma": "gamma_of",
-    "kernel": "kernel_of",
-}
-
-
-@dataclass(frozen=True)
-class CFiles:
-    """The text of a header and of a source file, and what they need.
-
-    Attributes
-    ----------
-    header, source : str
-    library : tuple of str
-        Functions of the C library.
-    """
-
-    header: str
-    source: str
-    library: tuple[str, ...]
+RENAMED = {"switch": "switch_to", "finite": "all_finite"}
 
 
 class _Sets(KernelSets):
@@ -103,8 +82,10 @@ class _Sets(KernelSets):
         return list(dict.fromkeys(map(self.set, self.fallbacks)))
 
 
-def written_c(program: Program, prefix: str) -> CFiles:
-    """Write a stepper in C; ``prefix`` begins all names that other files see.
+def written_c(program: Program, prefix: str) -> tuple[str, str]:
+    """Return the header and the source of a stepper in C.
+
+    ``prefix`` begins all names that other files see.
 
     Raises
     ------
@@ -168,12 +149,13 @@ class _Writer:
             kinds.follow(kernel, [REAL, REAL, POINTER])
         modes = {mode for mode, _ in self._sets}
         kinds.follow("finite", [POINTER, INT, INT])
+        kinds.follow("begin", [SET, KERNEL, REAL, REAL, POINTER])
         if EXPLICIT in modes:
             for name in ("keep", "put_back"):
                 kinds.follow(name, [POINTER, INT, INT, POINTER])
         else:
-            kinds.follow("solve_for", ["kernel *", REAL, REAL, *[POINTER] * 4])
-            kinds.follow("solve_to_rounding", ["kernel *", REAL, REAL, POINTER])
+            kinds.follow("solve_for", [KERNEL, REAL, REAL, *[POINTER] * 4])
+            kinds.follow("solve_to_rounding", [KERNEL, REAL, REAL, POINTER])
             kinds.follow("recover", [SET, REAL, REAL, POINTER, INT])
             if len(modes - {STAGES}) < len(self._sets):
                 kinds.follow("switch", [SET, REAL, REAL, POINTER])
@@ -187,8 +169,8 @@ class _Writer:
         called = [x for _, kernels in self._sets for x in kernels if x != "0"]
         return list(dict.fromkeys([*called, "legendre", "energy"]))
 
-    def files(self) -> CFiles:
-        """Write both files."""
+    def files(self) -> tuple[str, str]:
+        """Write the header and the source."""
         write = self._expressions
         functions = [
             line
@@ -196,12 +178,10 @@ class _Writer:
             for line in written_function(write.kinds.functions[name], write)
         ]
         step = self._filled("step.c").splitlines()
+        agreed = {**constants(), **self._header.layout}
         for name in re.findall(r"\b[A-Z][A-Z_]+\b", "\n".join(step)):  # constants that it names
-            told = {**write.kinds.functions["finite"].source.told, **constants()}
-            if name in BLOCKS or name == "ROWS":
-                write.constants.setdefault(name, self._header.layout[name])
-            elif name in told and name not in TOLD:
-                write.constants.setdefault(name, told[name])
+            if name in agreed:
+                write.constants.setdefault(name, agreed[name])
         lines = [
             *comment(self._said()),
             "",
@@ -220,7 +200,7 @@ class _Writer:
             *self._tables_of_kernels(),
             *step,
         ]
-        return CFiles(self._filled("step.h"), "\n".join(lines) + "\n", tuple(sorted(write.library)))
+        return self._filled("step.h"), "\n".join(lines) + "\n"
 
     def _said(self) -> str:
         """Return what the file says of itself."""
@@ -313,7 +293,6 @@ class _Writer:
             "inputs": bool(header.inputs),
             "free": not header.inputs,
             "switched": "switch" in self._expressions.kinds.signatures,
-            "staged": STAGES in modes,
         }
         for part, kept in parts.items():
             found = r"\g<1>" if kept else ""

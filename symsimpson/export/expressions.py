@@ -33,8 +33,6 @@ OPERATORS: dict[type, tuple[str, int]] = {
     ast.Gt: (" > ", LESS),
     ast.GtE: (" >= ", LESS),
 }
-#: Functions of the C library that have another name in Python.
-RENAMED = {"gamma": "tgamma", "loggamma": "lgamma", "np.sqrt": "sqrt", "np.log": "log"}
 #: Powers that are written as products, where a name is raised.
 SHORT = 4
 
@@ -64,8 +62,8 @@ class Expressions:
         Names in C of local names, where these are taken.
     constants : dict
         Values of the constants that are named, by their names in C.
-    helpers, library : set of str
-        Functions of this package's own and of the C library that are called.
+    helpers : set of str
+        Functions of this package's own that are called.
     """
 
     kinds: Kinds
@@ -73,7 +71,6 @@ class Expressions:
     renamed: dict[str, str] = field(default_factory=dict)
     constants: dict[str, Any] = field(default_factory=dict)
     helpers: set[str] = field(default_factory=set)
-    library: set[str] = field(default_factory=set)
 
     def write(self, node: ast.expr, name: str, around: int = CHOICE) -> str:
         """Write an expression in a function, as an operand of something that binds so tightly."""
@@ -142,8 +139,7 @@ class Expressions:
             return sign.join(self.write(x, name, EQUAL) for x in (left, right)), tight
         first = self.write(left, name, tight)
         second = self.write(right, name, tight + 1)  # sums are added up in the same order
-        whole = {self.kinds.of(x, name) for x in (left, right)} == {INT}
-        if isinstance(op, ast.Div) and whole:
+        if isinstance(op, ast.Div) and {self.kinds.of(x, name) for x in (left, right)} == {INT}:
             first = f"(double){self.write(left, name, WHOLE)}"
         return f"{first}{sign}{second}", tight
 
@@ -165,7 +161,6 @@ class Expressions:
             if exponent == 2:
                 self.helpers.add("square")
                 return f"square({self.write(base, name)})", WHOLE
-        self.library.add("pow")
         return f"pow({self.write(base, name)}, {self.write(to, name)})", WHOLE
 
     def _call(self, called: str, given: list[ast.expr], name: str) -> tuple[str, int]:
@@ -194,6 +189,4 @@ class Expressions:
                 while len(written) > 2:
                     written = [f"{called}({written[0]}, {written[1]})", *written[2:]]
                 return f"{called}({', '.join(written)})", WHOLE
-        called = RENAMED.get(called, called)
-        self.library.add(called)
         return f"{called}({', '.join(written)})", WHOLE

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from symsimpson.errors import InputError
-from symsimpson.export.plain import Function
+from symsimpson.export.single import Function
 
 __all__ = ["INT", "KERNEL", "POINTER", "REAL", "SET", "Kinds", "Signature", "constant_of"]
 
@@ -65,14 +65,10 @@ class Kinds:
 
     def _look(self, node: ast.stmt, name: str, local: dict[str, str]) -> None:
         match node:
-            case ast.For(target=ast.Name(id=index), iter=ast.Call(args=bounds), body=body):
+            case ast.For(target=ast.Name(id=index), iter=over, body=body):
                 local[index] = INT
-                for one in bounds:
+                for one in getattr(over, "args", ()):  # of a range; a table has none
                     self.of(one, name)
-                for statement in body:
-                    self._look(statement, name, local)
-            case ast.For(target=ast.Name(id=index), iter=ast.Name(), body=body):  # over a table
-                local[index] = INT
                 for statement in body:
                     self._look(statement, name, local)
             case ast.If(test=test, body=body, orelse=orelse):

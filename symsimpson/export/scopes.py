@@ -55,17 +55,10 @@ class _Unread(ast.NodeTransformer):
         self.read, self.found = read, False
 
     def visit_Assign(self, node: ast.Assign) -> ast.stmt | None:
-        (target,), value = node.targets, node.value
+        (target,) = node.targets
         if isinstance(target, ast.Name) and target.id not in self.read:
             self.found = True
             return None
-        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-            pairs = list(zip(target.elts, value.elts, strict=True))
-            kept = [(a, b) for a, b in pairs if getattr(a, "id", None) in {None, *self.read}]
-            if len(kept) < len(pairs):
-                self.found = True
-                target.elts, value.elts = [a for a, _ in kept], [b for _, b in kept]
-                return node if kept else None
         return node
 
 

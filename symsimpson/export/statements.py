@@ -12,8 +12,8 @@ from itertools import groupby
 from symsimpson.errors import InputError
 from symsimpson.export.expressions import Expressions
 from symsimpson.export.kinds import INT, constant_of
-from symsimpson.export.plain import Function
 from symsimpson.export.scopes import Scopes, used, with_lengths
+from symsimpson.export.single import Function
 
 __all__ = ["WIDTH", "comment", "written_function"]
 
@@ -139,9 +139,6 @@ class _Body:
                     yield f"{indent}}} else {{"
                     yield from self._block(orelse, inner)
                 yield f"{indent}}}"
-            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
-                for target, value in zip(targets, values, strict=True):
-                    yield from self._assigned(one, target, write(value, name), indent)
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
                 yield from self._several(one, targets, call, indent)
             case ast.Assign(targets=[target], value=ast.Call(func=func, args=[shape])) if (
@@ -176,7 +173,6 @@ class _Body:
         called, given = ast.unparse(call.func), [write(x, name) for x in call.args]
         if called == "sincos":
             for target, what in zip(targets, ("sin", "cos"), strict=True):
-                self.expressions.library.add(what)
                 yield from self._assigned(one, target, f"{what}({given[0]})", indent)
             return
         self.pairs += 1

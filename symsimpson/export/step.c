@@ -49,7 +49,7 @@ static int take(const kernels *kernels, double h, double t, double *W)
 static const double DEFAULTS[] = {$defaults};
 
 /* Begin in a workspace in which another run may have been. */
-static int begin(double h, double t, ${prefix}_state *state, const double *q, const double *p,
+static int begin_at(double h, double t, ${prefix}_state *state, const double *q, const double *p,
     const double *v, const double *parameters)
 {
     double *const W = state->workspace;
@@ -67,16 +67,10 @@ static int begin(double h, double t, ${prefix}_state *state, const double *q, co
             W[MOMENTUM + a] = p[a];
         }
     }
-    W[ACTIVE] = 1.0;
-    W[CONTRACTION] = 1.0;
     state->h = h;
     state->set = 0;
     state->left = 0;
-    prepare(h, t, W);
-    if (v) {
-        legendre(h, t, W);
-    }
-    SETS[0].call[START](h, t, W);
+    begin(&SETS[0], v ? legendre : 0, h, t, W);
     energy(h, t, W);
     if (W[MASS_PIVOT] < 0.0 || h == 0.0 || h - h != 0.0 || !all_finite(W, POSITION, POSITION + $n)
             || !all_finite(W, MOMENTUM, MOMENTUM + $n) || !all_finite(W, VELOCITY, VELOCITY + $n)
@@ -90,13 +84,13 @@ static int begin(double h, double t, ${prefix}_state *state, const double *q, co
 int ${prefix}_begin(double h, double t, ${prefix}_state *state, const double q[$n],
     const double p[$n], const double *parameters)
 {
-    return begin(h, t, state, q, p, 0, parameters);
+    return begin_at(h, t, state, q, p, 0, parameters);
 }
 
 int ${prefix}_begin_moving(double h, double t, ${prefix}_state *state, const double q[$n],
     const double v[$n], const double *parameters)
 {
-    return begin(h, t, state, q, 0, v, parameters);
+    return begin_at(h, t, state, q, 0, v, parameters);
 }
 
 /* Go on with another set of kernels. */
@@ -108,11 +102,9 @@ static void go_on_with(int set, double h, double t, ${prefix}_state *state)
         switch_to(&SETS[set], h, t, W);
     } else {
     //end switched
-        W[ACTIVE] = 1.0;
-        W[STATUS] = 0.0;
-        W[CONTRACTION] = 1.0;
-        SETS[set].call[PREPARE](h, t, W);
-        SETS[set].call[START](h, t, W);
+        const double largest = W[LARGEST_SQUARED];
+        begin(&SETS[set], 0, h, t, W);
+        W[LARGEST_SQUARED] = largest;
     //if switched
     }
     //end switched
@@ -140,11 +132,7 @@ int ${prefix}_step(double h, double t, ${prefix}_state *state, const double *inp
     (void)inputs;
     //end free
     if (anew) {
-        W[ACTIVE] = 1.0;
-        W[CONTRACTION] = 1.0;
-        W[LARGEST_SQUARED] = 0.0;
-        SETS[state->set].call[PREPARE](h, t, W);
-        SETS[state->set].call[START](h, t, W);
+        begin(&SETS[state->set], 0, h, t, W);
         state->h = h;
     }
     W[STATUS] = 0.0;

@@ -93,15 +93,12 @@ def f():
 @cache
 def all_imports():
     """What each module of the package imports of it, in whatever place, for types alone, too."""
-    return dict(_all_imports())
-
-
-def _all_imports():
     files = {
         ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path
         for path in PACKAGE.rglob("*.py")
     }
     files = {name.removesuffix(".__init__"): path for name, path in files.items()}
+    imported = {}
     for name, path in files.items():
         found = set()
         for node in ast.walk(tree(path)):
@@ -110,7 +107,8 @@ def _all_imports():
                 found |= (whole & files.keys()) or {node.module}
             elif isinstance(node, ast.Import):
                 found |= {alias.name for alias in node.names}
-        yield name, (found & files.keys()) - {name}
+        imported[name] = (found & files.keys()) - {name}
+    return imported
 
 
 def test_there_is_no_circle_of_imports_of_any_kind():

@@ -6,9 +6,10 @@ import ctypes
 import pytest
 from support.in_c import COMPILER, build
 
+from symsimpson.export.c import HELPERS
 from symsimpson.export.expressions import Expressions
 from symsimpson.export.kinds import REAL, Kinds
-from symsimpson.export.plain import Functions, Source
+from symsimpson.export.single import Functions, Source
 from symsimpson.export.statements import written_function
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="there is no compiler of C")
@@ -86,15 +87,10 @@ def test_numbers_are_those_of_python(name, tmp_path):
     head = """#include <math.h>
 static const int ORDER[3] = {2, 0, 1};
 static const double TABLE[2][3] = {{0.5, 1.5, -2.0}, {3.0, 0.25, 7.0}};
-static inline double smaller(double a, double b) { return b < a ? b : a; }
-static inline double larger(double a, double b) { return b > a ? b : a; }
-static inline int smaller_int(int a, int b) { return b < a ? b : a; }
-static inline int larger_int(int a, int b) { return b > a ? b : a; }
-static inline double square(double a) { return a * a; }
 """
     source = tmp_path / "lines.c"
     call = f"double call(double a, double b, double c) {{ return {name}(a, b, c); }}"
-    source.write_text("\n".join([head, *lines, call, ""]))
+    source.write_text("\n".join([head, *map(HELPERS.get, write.helpers), *lines, call, ""]))
     flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wno-unused-const-variable"]
     found = ctypes.CDLL(str(build(source, flags=flags))).call
     found.restype, found.argtypes = ctypes.c_double, [ctypes.c_double] * 3

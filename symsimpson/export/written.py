@@ -32,8 +32,8 @@ def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, P
             f"path is {os.fspath(path)!r}, and {name!r} begins no name of C.\n"
             "Take letters and digits, and a letter first: 'firmware/top'."
         )
-    files = written_c(program, name)
+    texts = written_c(program, name)
     made = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")
-    for target, text in zip(made, (files.header, files.source), strict=True):
+    for target, text in zip(made, texts, strict=True):
         write_text(target, text, "C file")
     return made
