@@ -22,6 +22,8 @@ DOCS = {
     "constraint_values": "phi at a point.",
     "curves": "Phi v', -v.phi_qq.v.",
     "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
+    "hold_velocities": "What constraints ask of velocities: Phi v = 0 and A v = b.",
+    "rates": "A v - b and its derivatives by q and v at a point.",
 }
 #: What is evaluated is asked for by its name and indices.
 Entry = Callable[..., Expression]
@@ -53,6 +55,22 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
         "constraint_values": values,
         "pushes": [*pushes, *curves],
     }
+    positions = len(low.equations.plain.constraints)
+    rolling = range(positions, held.count)
+    if rolling:
+        own = [(c - positions, c) for c in rolling]
+        rates = [Store(Row("RATE", k), entry("rate", c)) for k, c in own]
+        stores["pushes"] += rates
+        stores["hold_velocities"] = [
+            Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
+            for c in count
+        ]
+        stores["rates"] = rates + [
+            Store(Row(block, k * low.n + a), entry(what, c, a))
+            for block, what in (("RATE_Q", "rate_q"), ("RATE_V", "Phi"))
+            for k, c in own
+            for a in range(low.n)
+        ]
     cleared = (Call("clear_constraints"),)
     first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
     return [

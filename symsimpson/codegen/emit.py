@@ -35,7 +35,6 @@ from symsimpson.codegen.thresholds import thresholds
 from symsimpson.discrete.equations import DiscreteEquations
 from symsimpson.mechanics.domain import has_real_energy
 from symsimpson.module.interface import INTERFACE, OPTIONS, SIGNATURE
-from symsimpson.schemes.scheme import Scheme
 
 __all__ = ["emit"]
 
@@ -152,6 +151,7 @@ def _facts(equations: DiscreteEquations, module: Module) -> dict[str, object]:
         # texts, so that many digits are not lost
         "input_places": tuple(str(sp.N(c, 50)) for c in scheme.quadrature.nodes if names.inputs),
         "constraints": names.constraints,
+        "carried": plain.carried,
         "conformal": plain.rate is not None,
         "retimed": system.retiming is not None,
     }
@@ -192,7 +192,7 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
         f"ROW_ORDER = {_literal(equations.rows)}",
         f"COLUMN_ORDER = {_literal(equations.columns)}",
     ]
-    lines += _scheme_tables(scheme, row)
+    lines += _scheme_tables(equations, row)
     lines += ["", "# how loops go over coordinates, unknowns and matrix entries"]
     for name, value in module.tables.items():
         lines += folded(f"{name} = ", _table(value, number), "    ")
@@ -204,10 +204,12 @@ def _tables(equations: DiscreteEquations, module: Module, printer: Printer) -> s
     return "\n".join([*lines, ""])
 
 
-def _scheme_tables(scheme: Scheme, row: Callable[[Iterable[sp.Expr]], str]) -> list[str]:
+def _scheme_tables(
+    equations: DiscreteEquations, row: Callable[[Iterable[sp.Expr]], str]
+) -> list[str]:
     """Write the tables of a scheme as arrays: an index into a tuple compiles to branches."""
     lines = []
-    for name, table in scheme.tables.items():
+    for name, table in equations.tables.items():
         if isinstance(table[0], sp.Expr):
             lines += folded(f"{name} = ", f"array({row(table)})", "    ")
             continue
@@ -226,6 +228,9 @@ def _computed_tables(equations: DiscreteEquations, module: Module) -> str:
     if not scheme.exact:
         names = "POINTS, PLACES, WEIGHTS, BASIS, BASIS_SLOPE, EXTRAPOLATION, END_SLOPE, START_SLOPE"
         lines.append(f'{names} = path_tables("{kind}", {s}, {d})')
+        if equations.plain.velocity_constraints:
+            names = "PLACES, BASIS, BASIS_SLOPE"
+            lines.append(f"{names} = with_gauss_points({names}, {d})")
     if "STRIDE" in module.tables:
         lines.append(f'STAGE_TABLE = stage_table("{kind}", {s})')
         if equations.looked_at:

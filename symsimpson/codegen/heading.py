@@ -9,7 +9,9 @@ from dataclasses import replace
 from symsimpson.codegen.ir import Module
 from symsimpson.codegen.printer import formula
 from symsimpson.discrete.equations import DiscreteEquations
+from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.read import tree_size
+from symsimpson.mechanics.plain import Plain
 
 __all__ = ["banner", "docstring", "folded"]
 
@@ -50,6 +52,23 @@ _HELD = (
 )
 
 
+#: What constraints of velocities add to the equations.
+_ROLLING = (
+    "    A v = b at the Gauss points of the path, and at the end for p1; their rows of A stand",
+    "    behind those of Phi, with multipliers at the same points",
+)
+
+
+def _constraints(plain: Plain) -> tuple[Value, ...]:
+    """Write what vanishes: phi, and A v - b."""
+    graph, v = plain.graph, plain.numbers(plain.v)
+    rates = (
+        graph.add([*graph.products(row, v), scaled(-1, b)])
+        for *row, b in plain.velocity_constraints.values()
+    )
+    return (*plain.constraints.values(), *rates)
+
+
 def docstring(equations: DiscreteEquations, module: Module) -> str:
     """Write what the module integrates, by which scheme, and how it is run."""
     system, scheme = equations.system, equations.scheme
@@ -83,14 +102,15 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
         elif name != "a" or value[0]:
             text = formula(plain.graph, value, shown)
             lines += folded(f"    {name} = ", text, "        ")
-    for name, value in zip(names.constraints, plain.constraints.values(), strict=True):
+    for name, value in zip(names.constraints, _constraints(plain), strict=True):
         if tree_size(plain.graph, value) <= _SHOWN:
             text = formula(plain.graph, value, shown)
             lines += folded(f"    {name}: 0 = ", text, "        ")
     lines += [
         "",
         *scheme.formula,
-        *(_HELD[bool(module.newton_unknowns)] if plain.constraints else ()),
+        *(_HELD[bool(module.newton_unknowns)] if plain.held else ()),
+        *(_ROLLING if plain.velocity_constraints else ()),
         "",
         *folded("State: ", ", ".join(f"{q}, p_{q}" for q in names.coordinates), "    "),
         *folded("Parameters: ", ", ".join(names.parameters) or "none", "    "),

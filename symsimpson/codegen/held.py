@@ -26,16 +26,19 @@ class Held:
         That of the coordinate at each place of coordinates alone, then that of each constraint.
     count : int
         Number of constraints.
+    velocities : int
+        Number of those, the last ones, that are constraints of velocities.
     """
 
     storage: Storage
     place: tuple[int, ...]
     count: int
+    velocities: int = 0
 
     @classmethod
-    def dense(cls, n: int, count: int) -> Held:
+    def dense(cls, n: int, count: int, velocities: int = 0) -> Held:
         """Put the constraints behind all coordinates, and keep all entries."""
-        return cls(Storage.dense(n + count), tuple(range(n + count)), count)
+        return cls(Storage.dense(n + count), tuple(range(n + count)), count, velocities)
 
     @classmethod
     def chain(
@@ -74,6 +77,7 @@ class Held:
         steps = self.storage.constants("HELD", blocks)
         return {
             "CONSTRAINTS": self.count,
+            **({"HOLONOMIC": self.count - self.velocities} if self.velocities else {}),
             "HELD_PLACE": self.place,
             "CONSTRAINT_AT": tuple(item - n if item >= n else -1 for item in self.storage.order),
             "HELD_PLACES": len(self.place),
@@ -86,9 +90,9 @@ class Held:
         }
 
 
-def dense(n: int, constraints: int) -> tuple[Storage, Held | None]:
+def dense(n: int, constraints: int, velocities: int = 0) -> tuple[Storage, Held | None]:
     """Keep the order of coordinates, constraints behind them if there are any, and all entries."""
-    return Storage.dense(n), Held.dense(n, constraints) if constraints else None
+    return Storage.dense(n), Held.dense(n, constraints, velocities) if constraints else None
 
 
 def smaller(

@@ -88,6 +88,8 @@ def lower(equations: DiscreteEquations) -> Module:
 def unrolled(equations: DiscreteEquations) -> bool:
     """Return whether the equations are written as straight-line code instead of loops."""
     few = all(_size(part) <= UNROLLED_UNKNOWNS for part in equations.parts)
+    if equations.plain.velocity_constraints:  # a walk through loops unrolls them
+        return False
     if equations.plain.constraints:  # drifts of these are loops
         few = equations.unknowns.size <= CONSTRAINED_UNKNOWNS and not drifting(equations)
     most = CONSTRAINED_LINES if equations.plain.constraints else MOST_LINES
@@ -159,8 +161,9 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     alike = plain.conservative
     found = families(plain) if alike else ()
     met = constraint_families(plain) if alike else ()
-    storage, held = dense(low.n, len(low.multipliers))
-    if "sparse" in equations.exploit and alike:
+    storage, held = dense(low.n, len(low.multipliers), len(plain.velocity_constraints))
+    rolling = plain.velocity_constraints
+    if "sparse" in equations.exploit and alike and not rolling:
         # an explicit step solves with M alone
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
         storage, held = smaller(storage, held, both, met, degree)
@@ -175,7 +178,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         tables |= own
     else:
         functions = unrolled_functions(low, names)
-    if held and alike and (storage.banded or _many(met)):
+    if held and alike and not rolling and (storage.banded or _many(met)):
         more, own = constraint_family_functions(low, met, places, drifting=kicked)
         functions += more
         tables |= own
@@ -245,6 +248,7 @@ def _loops(
         plain.rate is not None,
         held,
         constant_mass,
+        bool(plain.velocity_constraints),
     )
 
 

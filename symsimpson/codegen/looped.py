@@ -19,6 +19,7 @@ __all__ = ["LoopKernels", "equation_constants", "solve_constants", "solve_tables
 
 _NODE = ("W", "h", "node", "lane")
 _POINT = ("W", "h", "point", "lane")
+_AT_NODE = "t + PLACES[node] * h"
 
 
 def _call(name: str, *arguments: str) -> Call:
@@ -45,6 +46,8 @@ class LoopKernels:
         How constraints stand among the coordinates, if there are any.
     constant_mass : bool
         Whether M is, so that its factors may stay in their place from step to step.
+    rolling : bool
+        Whether some constraints are those of velocities.
     """
 
     storage: Storage
@@ -55,6 +58,7 @@ class LoopKernels:
     damped: bool
     held: Held | None
     constant_mass: bool
+    rolling: bool = False
 
     @property
     def cleared(self) -> int:
@@ -82,7 +86,7 @@ class LoopKernels:
 
     def time_at_node(self) -> tuple[Statement, ...]:
         """Keep the time at a node of the step and the inputs there, if something needs them."""
-        return self._time("t + PLACES[node] * h", "node")
+        return self._time(_AT_NODE, "node")
 
     def _velocity(self, time: str = "t") -> tuple[Statement, ...]:
         """Factorise M at the state."""
@@ -101,7 +105,8 @@ class LoopKernels:
 
     def solve_momentum(self) -> tuple[Statement, ...]:
         """Solve for the velocity, with these factors."""
-        names = ("allow_no_change", "solve_held") if self.held else ("solve_mass",)
+        asked = "hold_velocities" if self.rolling else "allow_no_change"
+        names = (asked, "solve_held") if self.held else ("solve_mass",)
         return tuple(map(_call, ("momentum_to_solve", *names)))
 
     def equations(self) -> Kernel:
@@ -115,6 +120,7 @@ class LoopKernels:
             _call("clear_residual"),
             *self.matrix(_call("assemble_rows", *_NODE)),
             *self.points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
+            *self.rates(_call("assemble_rates", *_NODE)),
         )
 
     def matrix(self, *at_nodes: Statement) -> tuple[Statement, ...]:
@@ -133,8 +139,18 @@ class LoopKernels:
         """Go over control points, if there are constraints at them."""
         if not self.held:
             return ()
-        here = _call("control_point", "W", "point", "lane")
-        return (Loop("point", over, (here, _call(function), *body)),)
+        here = [_call("control_point", "W", "point", "lane")]
+        if self.rolling and not self.autonomous:
+            here.append(_call("node_time", "W", "t + POINTS[point] * h", "lane"))
+        return (Loop("point", over, (*here, _call(function), *body)),)
+
+    def rates(self, *body: Statement) -> tuple[Statement, ...]:
+        """Go over the points at which A v = b is asked for, behind the nodes of the path."""
+        if not self.rolling:
+            return ()
+        timed = () if self.autonomous else (_call("node_time", "W", _AT_NODE, "lane"),)
+        here = (_call("path", *_NODE), *timed, _call("rates"))
+        return (Loop("node", "range(NODES, NODES + DEGREE)", (*here, *body)),)
 
     def pivoted(self, *, following: bool) -> Kernel:
         """Return Newton's iteration for all equations, where the fixed order of elimination fails.

@@ -84,7 +84,7 @@ class Lowering:
         self.node_u = self._base(
             [f"{u}_i" for u in self.names.inputs], "NODE_INPUT", Level.ITERATION
         )
-        held, degree = len(equations.plain.constraints), equations.scheme.degree
+        held, degree = len(equations.plain.held), equations.scheme.degree
         #: h mu at the control points 0..d-1, unknowns of a step with constraints.
         self.impulses = [
             self._base(
@@ -96,9 +96,7 @@ class Lowering:
             for k in range(degree if held else 0)
         ]
         self.multipliers = self._base(
-            [f"lambda_{c}" for c in range(len(equations.plain.constraints))],
-            "MULTIPLIER",
-            Level.ITERATION,
+            [f"lambda_{c}" for c in range(held)], "MULTIPLIER", Level.ITERATION
         )
         self.weights = self._base(
             [f"w_{k}" for k in range(2 * self.n + 1)] if equations.second else [],

@@ -204,7 +204,7 @@ class NameTable:
         )
         self.invariants = _shown(system.plain.invariants, "invariant")
         self.forces = _shown(system.plain.forces, "force")
-        self.constraints = _shown(system.plain.constraints, "constraint")
+        self.constraints = _shown(system.plain.held, "constraint")
 
     def of(self, plain: Plain, symbols: Iterable[sp.Symbol]) -> tuple[str, ...]:
         """Return the names of plain symbols of parameters and inputs, of h and t."""

@@ -31,6 +31,7 @@ def sizes(
     return Sizes(
         n=low.n,
         m=held.count if held else 0,
+        rolling=held.velocities if held else 0,
         parameters=len(low.names.parameters),
         inputs=len(low.names.inputs),
         invariants=len(low.names.invariants),

@@ -1,4 +1,4 @@
-"""Constraints at a point of a step: phi, Phi = dphi/dq, and the forces of multipliers."""
+"""Constraints at a point of a step: phi, Phi = dphi/dq, A v - b, and the forces of multipliers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
 from symsimpson.graph.derive import Derivatives, gradient
-from symsimpson.graph.nodes import Graph, Value
+from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.constraints import accelerations
 
@@ -22,24 +22,31 @@ def derive_constraints(plain: Plain) -> Jet:
     Returns
     -------
     Jet
-        Outputs ``("phi", c)``, ``("Phi", c, a)``, ``("pull", a, b)``, the second derivatives of
-        lambda.phi; and of a state ``("curve", c)``, v.phi_qq.v, and ``("push", a)``,
-        L_q + f - (d L_v/dq) v - d L_v/dt, which is M v' + Phi^T lambda. Symbols l_c stand for the
-        multipliers.
+        Outputs ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
+        derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``,
+        ``("rate", c)``, A v - b, and ``("rate_q", c, a)``; and of a state ``("curve", c)``,
+        v.phi_qq.v or the like of A v - b, and ``("push", a)``, L_q + f - (d L_v/dq) v - d L_v/dt,
+        which is M v' + Phi^T lambda + A^T nu. Symbols l_c stand for the multipliers.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     q, v = places[:n], places[n : 2 * n]
     multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
-    L, *values = rebuilt(plain.graph, [plain.L, *plain.constraints.values(), *plain.f], {}, graph)
-    phi, f = values[: len(multipliers)], values[len(multipliers) :]
+    held = plain.held_rows(graph)
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
     derivatives, time = Derivatives(graph), graph.symbol(plain.t.name)[1]
-    slopes, push, curve = accelerations(graph, L, phi, f, (q, v, time))
-    outputs: dict[Key, Value] = {("phi", c): value for c, value in enumerate(phi)}
-    outputs |= {("Phi", c, a): x for c, row in enumerate(slopes) for a, x in enumerate(row)}
+    rows, push, curve, rates = accelerations(graph, L, held, f, (q, v, time))
+    m = len(held.phi)
+    outputs: dict[Key, Value] = {("phi", c): value for c, value in enumerate(held.phi)}
+    outputs |= {("Phi", c, a): x for c, row in enumerate(rows) for a, x in enumerate(row)}
     outputs |= {("curve", c): value for c, value in enumerate(curve)}
     outputs |= {("push", a): value for a, value in enumerate(push)}
-    held = graph.add(graph.products(phi, multipliers))
-    for a, slope in enumerate(gradient(graph, held, q)):
-        outputs |= {("pull", a, b): derivatives(slope, x) for b, x in enumerate(q)}
+    for c, (*_, b) in enumerate(held.rows, m):
+        outputs |= {("phi", c): ZERO, ("b", c): b, ("rate", c): rates[c]}
+        outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
+    pulls = gradient(graph, graph.add(graph.products(held.phi, multipliers[:m])), q)
+    for a, slope in enumerate(pulls):
+        turned = graph.products([row[a] for row in rows[m:]], multipliers[m:])
+        pull = graph.add([slope, *turned])
+        outputs |= {("pull", a, b): derivatives(pull, x) for b, x in enumerate(q)}
     return written_as_jet(plain, graph, outputs)

@@ -16,7 +16,7 @@ zero (Marsden and West 2001, equations 1.5.3 and 2.2.6).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
@@ -110,9 +110,20 @@ class DiscreteEquations:
         return works or self.varied is not None or self.system.retiming is not None
 
     @property
+    def tables(self) -> Mapping[str, Any]:
+        """The scheme's tables; rows for the points at which A v = b is asked for stand behind."""
+        found = dict(self.scheme.tables)
+        if found and self.plain.velocity_constraints:
+            places, values, slopes = self.scheme.at_gauss_points
+            found["PLACES"] += places
+            found["BASIS"] += values
+            found["BASIS_SLOPE"] += slopes
+        return found
+
+    @property
     def unknowns(self) -> Unknowns:
         """The unknowns of the equations, where nothing is reduced."""
-        held = len(self.plain.constraints)
+        held = len(self.plain.held)
         others = (held,) * self.scheme.degree if held else ()
         return Unknowns(self.scheme.degree, len(self.plain.q), others)
 
@@ -214,7 +225,7 @@ def discretise(
         rates = damping_rates(plain)
         assert rates is not None
         plain = replace(plain, rates=rates, acting=undamped(plain))
-    free = not (explicit or plain.constraints)
+    free = not (explicit or plain.held)
     # weights are not differentiated: where what is varied stands in them, damping is a force
     still = _free_of(plain, structure.damping, varied or ()) and plain.step[0] not in (varied or ())
     if "conformal" in wanted and structure.damping is not None and free and still:
@@ -289,6 +300,12 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
     if not isinstance(scheme, Composition):
         return
     names, plain = [q.func.__name__ for q in system.coordinates], system.plain
+    if plain.velocity_constraints:
+        raise SchemeError(
+            f"{scheme.name} has drifts that leave the velocity constraints "
+            f"{', '.join(map(repr, plain.velocity_constraints))}.\n"
+            "Choose a scheme of the family, as 'simpson' or 'gauss8'."
+        )
     if plain.constraints and (plain.dragged or not scheme.of_verlet):
         why = (
             "friction in its kicks is not held by them"

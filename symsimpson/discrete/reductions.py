@@ -219,7 +219,7 @@ def reduce(structure: Structure, scheme: Scheme, exploit: frozenset[str]) -> tup
     -------
     tuple of Part
     """
-    if structure.plain.constraints:
+    if structure.plain.held:
         every = tuple(range(structure.n))
         if isinstance(scheme, Composition):
             return (Composed(every, scheme.kicks, scheme.drifts),)

@@ -30,8 +30,9 @@ def consistent(
     v0: ArrayLike,
     fixed: Iterable[Any],
     parameters: Mapping[Any, Any] | None,
+    t: float,
 ) -> tuple[Reals, Reals]:
-    """Return the nearest q and v with phi(q) = 0 and Phi v = 0, measured by M(q0)."""
+    """Return the nearest q and v with phi(q) = 0, Phi v = 0 and A v = b, measured by M(q0)."""
     names = [spelled(q) for q in system.coordinates]
     q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
     held = {spelled(x) for x in fixed}
@@ -41,15 +42,21 @@ def consistent(
             f"{system.name}: fixed names {', '.join(sorted(unknown))}, but the coordinates are "
             f"{', '.join(names)}."
         )
-    if not system.constraints:
+    if not (system.constraints or system.velocity_constraints):
         return q, v
     free, start = [i for i, name in enumerate(names) if name not in held], q
-    at = _functions(system, parameters)
+    at = _functions(system, parameters, t)
+    m = len(system.constraints)
     _, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
+
+    def of_positions(q: Reals) -> tuple[Reals, Reals]:
+        values, slopes, _ = at(q)
+        return values[:m], slopes[:m]
+
     # the nearest of all; where the way to it does not settle, one that Newton's method reaches
     for nearest in (True, False):
-        found, left = _followed(at, q, free, metric, nearest=nearest)
+        found, left = _followed(of_positions, q, free, metric, nearest=nearest)
         if left <= 1e-12:
             break
     if not left <= 1e-12:
@@ -60,15 +67,15 @@ def consistent(
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
         )
     q = found
-    _, slopes, mass = at(q)
+    b, slopes, mass = at(q)
     metric = _positive(mass, slopes)[np.ix_(free, free)]
-    wanted = -slopes @ v
+    wanted = np.where(np.arange(len(b)) < m, 0.0, b) - slopes @ v
     v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), wanted)
     return q, v
 
 
 def _followed(
-    at: Callable[[Reals], tuple[Reals, Reals, Reals]],
+    at: Callable[[Reals], tuple[Reals, Reals]],
     start: Reals,
     free: Sequence[int],
     metric: Reals,
@@ -78,7 +85,7 @@ def _followed(
     """Return positions that satisfy the constraints, and how far off they are."""
     q, goal, best, stalled = start.copy(), start[free], np.inf, 0
     for _ in range(MOST):
-        phi, slopes, _ = at(q)
+        phi, slopes = at(q)
         size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
         off = np.abs(phi) / np.where(size > 0, size, 1.0)
         if not np.isfinite(off).all():
@@ -122,24 +129,25 @@ def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
 
 
 def _functions(
-    system: Declared, given: Mapping[Any, Any] | None
+    system: Declared, given: Mapping[Any, Any] | None, t: float
 ) -> Callable[[Reals], tuple[Reals, Reals, Reals]]:
-    """Return phi, Phi and M as a function of q."""
+    """Return phi and behind it b, Phi and behind it A, and M, as a function of q."""
     plain, n = system.plain, system.n
     values = read_values("parameters", "parameter", system.parameters, given)
     graph, places = plain.graph, plain.numbers(plain.q)
-    phi = list(plain.constraints.values())
+    phi, rows = list(plain.constraints.values()), list(plain.velocity_constraints.values())
     slopes = [x for row in constraints.slopes(graph, phi, places) for x in row]
+    slopes += [x for row in rows for x in row[:-1]]
     mass = [plain.entry(i, j) for i in range(n) for j in range(n)]
-    wanted: list[Value] = [*phi, *slopes, *mass]
+    wanted: list[Value] = [*phi, *(row[-1] for row in rows), *slopes, *mass]
     known = dict(zip(plain.numbers(plain.parameters), values, strict=True))
-    known[plain.time] = 0.0
+    known[plain.time] = t
 
     def at(q: Reals) -> tuple[Reals, Reals, Reals]:
         point = known | dict(zip(places, q.tolist(), strict=True))
         found = evaluated(graph, [k for _, k in wanted], point, mpmath.fp)
         numbers = np.array([float(c) * float(found[k]) if c else 0.0 for c, k in wanted])
-        m = len(phi)
+        m = len(phi) + len(rows)
         return (
             numbers[:m],
             numbers[m : m + m * n].reshape(m, n),

@@ -1,13 +1,14 @@
-"""Holonomic constraints phi(q) = 0: read, checked, and states that satisfy them.
+"""Holonomic constraints phi(q) = 0 are read and checked; what those of both kinds determine.
 
 L - lambda.phi is the Lagrangian with multipliers lambda, so that p' = L_q - Phi^T lambda with
-Phi = dphi/dq (Hairer, Lubich and Wanner, Geometric Numerical Integration, VII.1).
+Phi = dphi/dq (Hairer, Lubich and Wanner, Geometric Numerical Integration, VII.1). Constraints
+A v = b pull by -A^T nu (Lagrange and d'Alembert): their rows stand behind those of Phi.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import mpmath
 import numpy as np
@@ -18,13 +19,14 @@ from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.mechanics.checks import fail, spell
-from symsimpson.mechanics.plain import Plain, Symbols
+from symsimpson.mechanics.plain import Held, Plain, Symbols
 from symsimpson.mechanics.quadratic import SAMPLES, conditioned, rank, samples
 
 __all__ = [
+    "Accelerations",
     "accelerations",
     "check_held_mass",
-    "check_independent",
+    "check_number",
     "names_of",
     "read_constraints",
     "regular_mass",
@@ -34,8 +36,29 @@ __all__ = [
 Read = Callable[[str, Any], Value]
 
 
-def names_of(name: str, constraints: Any) -> dict[str, sp.Expr]:
-    """Return the constraints by name; those of a list are called "1", "2", ...
+class Accelerations(NamedTuple):
+    """What determines accelerations and multipliers.
+
+    Attributes
+    ----------
+    rows : list of lists of Value
+        W: Phi, then A.
+    push : list of Value
+        L_q + f - (d L_v/dq) v - d L_v/dt.
+    curve : list of Value
+        How Phi v and A v - b change with q and t, so that W v' = -curve.
+    rates : list of Value
+        Phi v, then A v - b.
+    """
+
+    rows: list[list[Value]]
+    push: list[Value]
+    curve: list[Value]
+    rates: list[Value]
+
+
+def names_of(name: str, constraints: Any, first: int = 1) -> dict[str, sp.Expr]:
+    """Return the constraints by name; those of a list are called "1", "2", ..., from a first one.
 
     Raises
     ------
@@ -51,7 +74,7 @@ def names_of(name: str, constraints: Any) -> dict[str, sp.Expr]:
     if isinstance(constraints, Mapping):
         found = dict(constraints)
     elif isinstance(constraints, Sequence) and not isinstance(constraints, str):
-        found = {str(i): expression for i, expression in enumerate(constraints, 1)}
+        found = {str(i): expression for i, expression in enumerate(constraints, first)}
     else:
         raise fail(
             name,
@@ -79,9 +102,9 @@ def read_constraints(
     Raises
     ------
     ModelError
-        If one is not an equation of positions, or if there are too many.
+        If one is not an equation of positions.
     """
-    graph, n = symbols.graph, len(symbols.q)
+    graph = symbols.graph
     found: dict[str, Value] = {}
     q = set(symbols.numbers(symbols.q))
     for key, expression in given.items():
@@ -98,54 +121,46 @@ def read_constraints(
                 "vanishes on all positions that are allowed.",
             )
         found[key] = value
-    if len(found) >= n:
-        raise fail(
-            name,
-            f"there are {len(found)} constraints on {n} coordinates.",
-            "Nothing could move. There must be fewer constraints than coordinates.",
-        )
-    check_independent(name, found, symbols)
     return found
 
 
 def accelerations(
     graph: Graph,
     L: Value,
-    phi: Sequence[Value],
+    held: Held,
     f: Sequence[Value],
     places: tuple[Sequence[int], Sequence[int], int],
-) -> tuple[list[list[Value]], list[Value], list[Value]]:
-    """Return what determines accelerations and multipliers: M v' + Phi^T lambda = push.
+) -> Accelerations:
+    """Return what determines accelerations and multipliers: M v' + W^T lambda = push.
 
     Parameters
     ----------
     graph : Graph
     L : Value
-    phi, f : sequences of Value
-        Constraints, and forces by coordinate.
+    held : Held
+        The constraints.
+    f : sequence of Value
+        Forces by coordinate.
     places : tuple
         The nodes of q and of v, and that of t.
-
-    Returns
-    -------
-    slopes : list of lists of Value
-        Phi, a row for each constraint.
-    push : list of Value
-        L_q + f - (d L_v/dq) v - d L_v/dt.
-    curve : list of Value
-        v.phi_qq.v, so that Phi v' = -curve.
     """
     q, v, time = places
-    derivatives, rows = Derivatives(graph), slopes(graph, phi, q)
+    derivatives, rows = Derivatives(graph), slopes(graph, held.phi, q)
     rates = [graph.add(graph.products(row, v)) for row in rows]
-    curve = [graph.add(graph.products([derivatives(rate, x) for x in q], v)) for rate in rates]
+    for *row, b in held.rows:
+        rows.append(row)
+        rates.append(graph.add([*graph.products(row, v), scaled(-1, b)]))
+    curve = []
+    for rate in rates:
+        moving = graph.products([derivatives(rate, x) for x in q], v)
+        curve.append(graph.add([*moving, derivatives(rate, time)]))
     forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
     push = []
     for force, own, momentum in zip(forces, f, momenta, strict=True):
         *turned, drift = gradient(graph, momentum, [*q, time])
         moving = graph.products([scaled(-1, slope) for slope in turned], v)
         push.append(graph.add([force, own, *moving, scaled(-1, drift)]))
-    return rows, push, curve
+    return Accelerations(rows, push, curve, rates)
 
 
 def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Value]]:
@@ -154,22 +169,38 @@ def slopes(graph: Graph, phi: Iterable[Value], q: Sequence[int]) -> list[list[Va
     return [[derivatives(value, x) for x in q] for value in phi]
 
 
-def check_independent(name: str, constraints: Mapping[str, Value], symbols: Symbols) -> None:
-    """Refuse constraints of which one follows from others everywhere.
+def check_number(name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbols) -> None:
+    """Refuse constraints that leave nothing to move, or of which one follows from others.
+
+    Parameters
+    ----------
+    name : str
+        Of the system.
+    rows : mapping from str to sequence of Value
+        By what they hold velocities, Phi v or A v, of each constraint.
+    symbols : Symbols
 
     Raises
     ------
     ModelError
         With the names of the fewest first ones that depend on each other.
     """
-    rows = slopes(symbols.graph, constraints.values(), symbols.numbers(symbols.q))
-    if not rows or _clearly_independent(symbols, rows):
+    if not rows:
         return
-    names = list(constraints)
-    for count in range(1, len(rows) + 1):
-        if rank(symbols.graph, rows[:count]) == count:
+    if len(rows) >= len(symbols.q):
+        raise fail(
+            name,
+            f"there are {len(rows)} constraints on {len(symbols.q)} coordinates.",
+            "Nothing could move. There must be fewer constraints than coordinates.",
+        )
+    every = list(rows.values())
+    if _clearly_independent(symbols, every):
+        return
+    names = list(rows)
+    for count in range(1, len(every) + 1):
+        if rank(symbols.graph, every[:count]) == count:
             continue
-        others = [k for k in range(count - 1) if _needed(symbols, rows[:count], k)]
+        others = [k for k in range(count - 1) if _needed(symbols, every[:count], k)]
         with_it = ", ".join(repr(names[k]) for k in [*others, count - 1])
         raise fail(
             name,
@@ -179,10 +210,7 @@ def check_independent(name: str, constraints: Mapping[str, Value], symbols: Symb
 
 
 def check_held_mass(
-    name: str,
-    M: Mapping[tuple[int, int], Value],
-    constraints: Mapping[str, Value],
-    symbols: Symbols,
+    name: str, M: Mapping[tuple[int, int], Value], rows: Sequence[Sequence[Value]], symbols: Symbols
 ) -> None:
     """Refuse kinetic energies that vanish for velocities which the constraints leave free.
 
@@ -192,10 +220,9 @@ def check_held_mass(
     """
     n = len(symbols.q)
     mass = [[M.get((max(i, j), min(i, j)), ZERO) for j in range(n)] for i in range(n)]
-    rows = slopes(symbols.graph, constraints.values(), symbols.numbers(symbols.q))
     columns = [list(column) for column in zip(*rows, strict=True)]
     matrix = [row + column for row, column in zip(mass, columns, strict=True)]
-    matrix += [row + [ZERO] * len(rows) for row in rows]
+    matrix += [[*row, *[ZERO] * len(rows)] for row in rows]
     if _clearly_independent(symbols, matrix) or rank(symbols.graph, matrix) == len(matrix):
         return
     bare = [i for i, row in enumerate(mass) if not any(c for c, _ in row)]
@@ -254,9 +281,8 @@ def _check_positions(name: str, key: str, expression: Any, symbols: Symbols) -> 
             name,
             f"the constraint {key!r} contains the velocity {spell(velocities[0])}: it is no "
             "constraint of positions.",
-            "A non-holonomic constraint (a wheel that rolls, a blade) makes a flow that is not "
-            "symplectic, and no variational step follows from it. If it is the time derivative of "
-            "an equation of positions, give that equation.",
+            "Give it as velocity_constraints={...}, as those of a wheel that rolls or of a blade; "
+            "if it is the time derivative of an equation of positions, give that equation.",
         )
     if symbols.t in expression.xreplace(symbols.replace).free_symbols:
         raise fail(

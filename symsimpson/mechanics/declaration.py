@@ -14,7 +14,7 @@ from symsimpson.graph.findings import Findings
 from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.checks import check_names, fail, spell
-from symsimpson.mechanics.constraints import check_held_mass, read_constraints
+from symsimpson.mechanics.constraints import check_held_mass, check_number, read_constraints, slopes
 from symsimpson.mechanics.coordinates import momenta
 from symsimpson.mechanics.declared import LARGE, Declared
 from symsimpson.mechanics.expressions import read_expression
@@ -27,6 +27,7 @@ from symsimpson.mechanics.quadratic import (
     polynomial,
     quadratic_form,
 )
+from symsimpson.mechanics.velocities import read_velocity_constraints, warn_of_integrable
 
 __all__ = ["energies", "read_energies"]
 
@@ -90,8 +91,16 @@ def read_energies(
         )
     gyroscopic = polynomial(name, "gyroscopic term", linear, s)
     constraints = read_constraints(name, given.constraints, s, read)
-    if constraints:
-        check_held_mass(name, parts.M, constraints, s)
+    rolling = read_velocity_constraints(
+        name, given.velocity_constraints, constraints, s, read_timed
+    )
+    of_positions = slopes(s.graph, constraints.values(), s.numbers(s.q))
+    rows = dict(zip(constraints, of_positions, strict=True))
+    rows |= {key: list(row[:-1]) for key, row in rolling.items()}
+    check_number(name, rows, s)
+    warn_of_integrable(name, rolling, of_positions, s)
+    if rows:
+        check_held_mass(name, parts.M, list(rows.values()), s)
     else:
         check_degenerate(name, Polynomial(parts.M, gyroscopic.a, ZERO), s)
         if not given.mass_checked:
@@ -139,10 +148,11 @@ def read_energies(
         forces=forces,
         u=s.u,
         constraints=constraints,
+        velocity_constraints=rolling,
     )
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
-    held = [f"lambda_{key}" for key in constraints]
+    held = [f"lambda_{key}" for key in rows]
     check_names(name, names, [*held, *(key for key in invariants if key not in written_out)])
     return plain, MappingProxyType(positions), MappingProxyType(invariants)
 

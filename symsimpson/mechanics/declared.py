@@ -34,6 +34,7 @@ class Declared:
     dissipation: sp.Expr | None
     inputs: tuple[sp.Expr, ...]
     constraints: Mapping[str, sp.Expr]
+    velocity_constraints: Mapping[str, sp.Expr]
     units: Mapping[Any, str]
     mass_checked: ClassVar[bool]
     plain: Plain

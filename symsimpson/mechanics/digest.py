@@ -18,6 +18,7 @@ def fingerprint(system: Declared) -> str:
     forces = [value for force in plain.forces.values() for value in force]
     values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
     values += plain.constraints.values()
+    values += [value for row in plain.velocity_constraints.values() for value in row]
     nodes = plain.graph.reached(n for _, n in values)
     place = {n: k for k, n in enumerate(nodes)}
 
@@ -43,5 +44,6 @@ def fingerprint(system: Declared) -> str:
         *([list(plain.forces)] if plain.forces else []),
         *([list(map(str, system.inputs))] if system.inputs else []),
         *([["constraints", *plain.constraints]] if plain.constraints else []),
+        *([["of velocities", *rolling]] if (rolling := plain.velocity_constraints) else []),
     ]
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()

@@ -6,7 +6,7 @@ from typing import Any
 
 import sympy as sp
 
-from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.checks import fail
 from symsimpson.mechanics.coordinates import time
 
 __all__ = ["read_method"]
@@ -14,13 +14,13 @@ __all__ = ["read_method"]
 
 def read_method(
     name: str, lm: Any
-) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr]]:
-    """Return L, the coordinates, the generalised forces and the holonomic constraints.
+) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr], list[sp.Expr]]:
+    """Return L, the coordinates, the generalised forces, and the constraints of both kinds.
 
     Raises
     ------
     ModelError
-        If it is no LagrangesMethod, or has constraints of velocities.
+        If it is no LagrangesMethod.
     """
     try:
         lagrangian, coordinates = lm._L[0], tuple(lm.q)
@@ -38,14 +38,7 @@ def read_method(
             if kane
             else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
         ) from None
-    if rolling:
-        raise fail(
-            name,
-            f"the LagrangesMethod has non-holonomic constraints: {spell(rolling)}.",
-            "Their flow is not symplectic, and no variational step follows from them. If they "
-            "are time derivatives of equations of positions, give those as hol_coneqs.",
-        )
-    return lagrangian, coordinates, loads, held
+    return lagrangian, coordinates, loads, held, rolling
 
 
 def _generalised(method: Any) -> dict[Any, sp.Expr]:

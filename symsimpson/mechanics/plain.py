@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import sympy as sp
 from sympy.core.function import AppliedUndef
@@ -13,15 +13,23 @@ from sympy.core.function import AppliedUndef
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Graph, Value, scaled
 from symsimpson.graph.read import written
+from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.signs import Signs
 from symsimpson.mechanics.coordinates import time
 
-__all__ = ["Plain", "Symbols", "unfrozen"]
+__all__ = ["Held", "Plain", "Symbols", "unfrozen"]
 
 Matrix: TypeAlias = sp.ImmutableDenseMatrix
 SIGNS = ("positive", "negative", "nonnegative", "nonpositive")
 #: Stands for the time.
 TIME = sp.Symbol("t_0", real=True)
+
+
+class Held(NamedTuple):
+    """Constraints: phi of those of positions; of A v = b the rows of A, each with b behind it."""
+
+    phi: tuple[Value, ...]
+    rows: tuple[tuple[Value, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -31,9 +39,10 @@ class Plain:
     ``q``, ``v``, ``p``, ``t``, ``u`` and ``parameters`` are real symbols with names of our own,
     which the graph's symbols bear, too. ``M`` holds the entries on and below the diagonal that are
     not zero. M, a and V may depend on t as well. ``forces`` has the components of each named force,
-    ``u`` the inputs of them; ``constraints`` are phi(q) = 0. A step may take damping into account
-    by itself: -2 ``rate`` L_v by its weights, ``rates`` times M v in its kicks. Then ``acting`` are
-    the forces that are left.
+    ``u`` the inputs of them; ``constraints`` are phi(q) = 0, ``velocity_constraints`` the rows of
+    A(t, q) v = b(t, q), each with b behind it. A step may take damping into account by itself:
+    -2 ``rate`` L_v by its weights, ``rates`` times M v in its kicks. Then ``acting`` are the forces
+    that are left.
     """
 
     graph: Graph
@@ -50,6 +59,7 @@ class Plain:
     forces: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     u: tuple[sp.Symbol, ...] = ()
     constraints: Mapping[str, Value] = field(default_factory=dict)
+    velocity_constraints: Mapping[str, tuple[Value, ...]] = field(default_factory=dict)
     rate: Value | None = None
     rates: tuple[Value, ...] = ()
     acting: tuple[Value, ...] | None = None
@@ -60,9 +70,22 @@ class Plain:
         return (*self.q, *self.v, *self.p, *self.parameters, *self.u, self.t)
 
     @property
+    def held(self) -> tuple[str, ...]:
+        """Names of all constraints, those of velocities behind those of positions."""
+        return (*self.constraints, *self.velocity_constraints)
+
+    @property
     def multipliers(self) -> tuple[sp.Symbol, ...]:
         """A symbol for the multiplier of each constraint."""
-        return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.constraints)))
+        return tuple(sp.Symbol(f"l_{c}", real=True) for c in range(len(self.held)))
+
+    def held_rows(self, graph: Graph) -> Held:
+        """Write the constraints in another graph, whose symbols have the names of these."""
+        phi, rows = list(self.constraints.values()), list(self.velocity_constraints.values())
+        values = rebuilt(self.graph, [*phi, *(x for row in rows for x in row)], {}, graph)
+        width, behind = len(self.q) + 1, values[len(phi) :]
+        split = tuple(tuple(behind[k * width : (k + 1) * width]) for k in range(len(rows)))
+        return Held(tuple(values[: len(phi)]), split)
 
     @property
     def step(self) -> tuple[sp.Symbol, sp.Symbol, sp.Symbol]:
@@ -110,9 +133,10 @@ class Plain:
 
     @cached_property
     def autonomous(self) -> bool:
-        """Whether neither L nor a force depends on t."""
-        nodes = self.graph.nodes
-        return all(self.time not in nodes[n].symbols for _, n in (*self.energies, *self.f))
+        """Whether neither L, nor a force, nor a velocity constraint depends on t."""
+        rows = (value for row in self.velocity_constraints.values() for value in row)
+        written = (*self.energies, *self.f, *rows)
+        return all(self.time not in self.graph.nodes[n].symbols for _, n in written)
 
     @cached_property
     def dragged(self) -> bool:
@@ -122,8 +146,13 @@ class Plain:
 
     @cached_property
     def conservative(self) -> bool:
-        """Whether the energy is constant: there are no forces, and t stands nowhere."""
-        return not self.forces and self.autonomous
+        """Whether the energy is constant: no force, no t, and no constraint that does work."""
+        return not self.forces and self.autonomous and not self.carried
+
+    @property
+    def carried(self) -> bool:
+        """Whether a velocity constraint A v = b has a b, by which it does work."""
+        return any(row[-1][0] for row in self.velocity_constraints.values())
 
     @cached_property
     def powers(self) -> dict[str, Value]:

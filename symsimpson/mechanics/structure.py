@@ -182,6 +182,11 @@ def analyse(system: Declared) -> Structure:
     )
 
 
+def _of_constraints(plain: Plain) -> list[Value]:
+    rows = plain.velocity_constraints.values()
+    return [*plain.constraints.values(), *(value for row in rows for value in row)]
+
+
 class _Look:
     """Answers about the Lagrangian of a system."""
 
@@ -190,7 +195,7 @@ class _Look:
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
         self._positions = frozenset(self.q)
-        written = (*plain.energies, *plain.f, *plain.constraints.values())
+        written = (*plain.energies, *plain.f, *_of_constraints(plain))
         self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
         own, self.P = both[: len(self.q)], both[len(self.q) :]
@@ -220,10 +225,11 @@ class _Look:
     def _held_together(self) -> set[tuple[int, int]]:
         """List the pairs of coordinates that stand in one constraint."""
         nodes, place = self._plain.graph.nodes, {x: i for i, x in enumerate(self.q)}
-        groups = [
-            [place[x] for x in nodes[n].symbols & place.keys()]
-            for _, n in self._plain.constraints.values()
-        ]
+        present = [nodes[n].symbols for _, n in self._plain.constraints.values()]
+        for row in self._plain.velocity_constraints.values():
+            moved = [x for x, (c, _) in zip(self.q, row, strict=False) if c]
+            present.append(frozenset(moved).union(*(nodes[n].symbols for _, n in row)))
+        groups = [[place[x] for x in symbols & place.keys()] for symbols in present]
         return {(i, k) for group in groups for i in group for k in group if i != k}
 
     def moves(self, value: Value) -> int:
@@ -244,6 +250,8 @@ class _Look:
         rigid = not any(self._dragged(plain.f[i]) for i in group)
         nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
         held = any(nodes[n].symbols & own_q for _, n in plain.constraints.values())
+        pulled = {i for row in plain.velocity_constraints.values() for i in group if row[i][0]}
+        held = held or bool(pulled)
         separable = constant and rigid and all(vanishes(plain.a[i]) for i in group)
         forces = [self._slope[i] for i in group]
         x = [self.q[i] for i in group]
@@ -251,7 +259,9 @@ class _Look:
         return Subsystem(
             coordinates=tuple(group),
             cyclic=tuple(
-                i for i in group if vanishes(self.F[i]) and self.q[i] not in self._present
+                i
+                for i in group
+                if vanishes(self.F[i]) and self.q[i] not in self._present and i not in pulled
             ),
             constant_mass=constant,
             separable=separable,

@@ -85,6 +85,10 @@ class MechanicalSystem(Described):
         Holonomic constraints phi(q) = 0 in coordinates and parameters, fewer than coordinates:
         ``{"rod": x**2 + y**2 - l**2}``. M must be positive definite only for velocities with
         dphi/dq.v = 0.
+    velocity_constraints : mapping from str to expression, or sequence of expressions, optional
+        Expressions linear in the velocities that vanish, A(q, t) v - b(q, t), as those of wheels
+        that roll and of blades: ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They pull by
+        -A^T nu, which does no work on what they allow (Lagrange and d'Alembert).
     units : mapping from str or symbol to str, optional
         Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``: labels of figures and data, by
         which figures draw angles and lengths on axes of their own. Nothing is converted.
@@ -128,6 +132,7 @@ class MechanicalSystem(Described):
     dissipation: sp.Expr | None = field(kw_only=True, default=None)
     inputs: tuple[sp.Expr, ...] = field(kw_only=True, default=())
     constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
+    velocity_constraints: Mapping[str, sp.Expr] = field(kw_only=True, default_factory=dict)
     units: Mapping[Any, str] = field(kw_only=True, default_factory=dict)
     mass_checked: ClassVar[bool] = False  # M/g of a retimed system was
     #: Makes a system in another time: a function of the module that extends this one.
@@ -141,8 +146,10 @@ class MechanicalSystem(Described):
         parameters = read_parameters(name, self.parameters, coordinates)
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
-        constraints = MappingProxyType(names_of(name, self.constraints))
-        object.__setattr__(self, "constraints", constraints)
+        constraints = names_of(name, self.constraints)
+        rolling = names_of(name, self.velocity_constraints, len(constraints) + 1)
+        object.__setattr__(self, "constraints", MappingProxyType(constraints))
+        object.__setattr__(self, "velocity_constraints", MappingProxyType(rolling))
         with _stage("reading", name) as seconds:
             plain, positions, invariants = read_energies(name, coordinates, parameters, self)
         others = [*parameters, *inputs, *invariants, *positions]
@@ -175,6 +182,7 @@ class MechanicalSystem(Described):
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
+        velocity_constraints: Constraints = (),
         units: Mapping[Any, str] = NO_UNITS,
     ) -> MechanicalSystem:
         """Declare a system by its Lagrangian.
@@ -185,7 +193,7 @@ class MechanicalSystem(Described):
             As for :class:`MechanicalSystem`.
         lagrangian : sympy expression
             Quadratic in the velocities; linear terms are allowed.
-        constraints
+        constraints, velocity_constraints
             As for :class:`MechanicalSystem`.
 
         Raises
@@ -224,6 +232,7 @@ class MechanicalSystem(Described):
             dissipation=dissipation,
             inputs=tuple(given),
             constraints=names_of(name, constraints),
+            velocity_constraints=names_of(name, velocity_constraints, len(constraints) + 1),
             units=units,
         )
 
@@ -240,23 +249,26 @@ class MechanicalSystem(Described):
         dissipation: sp.Expr | None = None,
         inputs: Sequence[sp.Expr] = (),
         constraints: Constraints = (),
+        velocity_constraints: Constraints = (),
         units: Mapping[Any, str] = NO_UNITS,
     ) -> MechanicalSystem:
         """Declare a system by a :class:`sympy.physics.mechanics.LagrangesMethod`.
 
         Parameters
         ----------
-        name, parameters, positions, invariants, forces, dissipation, inputs, constraints, units
-            As for :class:`MechanicalSystem`; ``constraints`` stand beside those of ``lm``.
+        name, parameters, positions, invariants, forces, dissipation, inputs, units
+            As for :class:`MechanicalSystem`.
+        constraints, velocity_constraints
+            As for :class:`MechanicalSystem`; they stand beside those of ``lm``.
         lm : sympy.physics.mechanics.LagrangesMethod
             Its ``forcelist`` becomes the generalised force named "forcelist": each pair is a point
-            with a force, or a frame with a torque. Its holonomic constraints get the names
-            "1", "2", ...
+            with a force, or a frame with a torque. Its constraints get the names "1", "2", ...,
+            in its order.
 
         Raises
         ------
         ModelError
-            If ``lm`` has constraints that are not holonomic, or as above.
+            If ``lm`` is none, or as above.
 
         Examples
         --------
@@ -267,7 +279,7 @@ class MechanicalSystem(Described):
         >>> ss.MechanicalSystem.from_lagranges_method("quartic", method, {}).potential
         x(t)**4
         """
-        lagrangian, coordinates, loads, held = read_method(name, lm)
+        lagrangian, coordinates, loads, held, rolling = read_method(name, lm)
         if loads:
             forces = {**(forces or {}), "forcelist": loads}
         return cls.from_lagrangian(
@@ -281,13 +293,22 @@ class MechanicalSystem(Described):
             dissipation=dissipation,
             inputs=inputs,
             constraints={**names_of(name, constraints), **names_of(name, held)},
+            velocity_constraints={
+                **names_of(name, velocity_constraints),
+                **names_of(name, rolling, len(held) + 1),
+            },
             units=units,
         )
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of coordinates, less that of constraints."""
+        """Number of coordinates, less that of constraints of positions."""
         return self.n - len(self.constraints)
+
+    @property
+    def velocity_degrees_of_freedom(self) -> int:
+        """Number of coordinates, less that of all constraints: velocities that are free."""
+        return self.degrees_of_freedom - len(self.velocity_constraints)
 
     def consistent(
         self,
@@ -295,6 +316,7 @@ class MechanicalSystem(Described):
         v0: ArrayLike,
         fixed: Iterable[Any] = (),
         parameters: Mapping[Any, Any] | None = None,
+        t: float = 0.0,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the nearest state that satisfies the constraints.
 
@@ -305,12 +327,14 @@ class MechanicalSystem(Described):
             Those that stay as they are.
         parameters : mapping, optional
             Values other than the defaults.
+        t : float
+            The time, where velocity constraints depend on it.
 
         Returns
         -------
         q0, v0 : ndarray, shape (n,)
-            They satisfy phi(q) = 0 and dphi/dq.v = 0 to rounding. The change is the smallest in
-            the norm of M; where its minimization does not converge, it is merely small.
+            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. The change is the
+            smallest in the norm of M; where its minimization does not converge, it is merely small.
 
         Raises
         ------
@@ -330,7 +354,7 @@ class MechanicalSystem(Described):
         """
         from symsimpson.mechanics.consistent import consistent
 
-        return consistent(self, q0, v0, fixed, parameters)
+        return consistent(self, q0, v0, fixed, parameters, t)
 
     @property
     def retiming(self) -> Any:

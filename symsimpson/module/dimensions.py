@@ -13,8 +13,8 @@ class Sizes:
 
     Attributes
     ----------
-    n, m, parameters, inputs, invariants, powers : int
-        Numbers of coordinates, constraints, and so on.
+    n, m, rolling, parameters, inputs, invariants, powers : int
+        Numbers of coordinates, constraints, those of velocities among them, and so on.
     degree, nodes, unknowns : int
         Degree of the path, nodes and unknowns of a step.
     entries, bordered, jacobian : int
@@ -45,6 +45,7 @@ class Sizes:
 
     n: int
     m: int = 0
+    rolling: int = 0
     parameters: int = 0
     inputs: int = 0
     invariants: int = 0

@@ -74,6 +74,7 @@ class Header:
     inputs: tuple[str, ...] = ()
     input_places: tuple[str, ...] = ()
     constraints: tuple[str, ...] = ()
+    carried: bool = False
     autonomous: bool = True
     conformal: bool = False
     retimed: bool = False
@@ -104,6 +105,11 @@ class Header:
         """Number of coordinates."""
         return len(self.coordinates)
 
+    @property
+    def velocity_constraints(self) -> tuple[str, ...]:
+        """Names of the constraints, the last ones, that are constraints of velocities."""
+        return self.constraints[self.layout.get("HOLONOMIC", len(self.constraints)) :]
+
     @cached_property
     def from_start(self) -> frozenset[str]:
         """Names of parameters that follow from the start of a run: E0 and the rate there."""
@@ -117,7 +123,7 @@ class Header:
     @property
     def conservative(self) -> bool:
         """Whether the energy is constant."""
-        return self.autonomous and not self.forces
+        return self.autonomous and not self.forces and not self.carried
 
     @property
     def powers(self) -> int:

@@ -81,8 +81,8 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     """Write Hamilton's equations in (q, p).
 
     q' = v with M v = p - a, and p' = dL/dq + f at (t, q, v). Where something depends on t, it is
-    the last unknown, of the rate 1. With constraints M v + Phi^T nu = p - a and Phi v = 0, and
-    p' = dL/dq + f - Phi^T lambda.
+    the last unknown, of the rate 1. With constraints M v + Phi^T nu = p - a and Phi v = 0, A v = b
+    where they are those of velocities, and p' = dL/dq + f - Phi^T lambda.
     """
     plain = system.plain
     p, n = _symbols("p", len(plain.q)), len(plain.q)
@@ -90,12 +90,13 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     slopes = gradient(graph, L, plain.numbers(plain.q))
     forces = map(graph.add, zip(slopes, plain.f, strict=True))
     outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(forces)}
-    held = len(plain.constraints)
+    held = len(plain.held)
     if held:
         outputs |= _accelerating(plain)
     lines = Lines(plain, outputs)
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
-    solution, found = _solve(lines.held_mass(), [*momenta, *([sp.S.Zero] * held)], "v")
+    carried = [lines.value("b", c) for c in range(held)]
+    solution, found = _solve(lines.held_mass(), [*momenta, *carried], "v")
     v = found[:n]
     known = dict(zip(plain.v, v, strict=True))
     rates = [lines.value("F", i).xreplace(known) for i in range(n)]
@@ -188,7 +189,7 @@ class Lines:
         level = plain.level(plain.graph)
         program = share(Program.of(plain.graph, outputs, level))
         self._outputs = program.outputs
-        self._n, self._held = len(plain.q), len(plain.constraints)
+        self._n, self._held = len(plain.q), len(plain.held)
         self.early: list[Definition] = []
         self.later: list[Definition] = []
         symbols = plain.symbols
@@ -239,13 +240,13 @@ def _mass_and_a(plain: Plain) -> dict[Key, Value]:
 def _accelerating(plain: Plain) -> dict[Key, Value]:
     """Return what determines accelerations, and Phi."""
     places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
-    slopes, push, curve = accelerations(
-        plain.graph, plain.L, list(plain.constraints.values()), plain.f, places
-    )
+    graph, held = plain.graph, plain.held_rows(plain.graph)
+    slopes, push, curve, _ = accelerations(graph, plain.L, held, plain.f, places)
     found: dict[Key, Value] = {
         ("Phi", c, i): x for c, row in enumerate(slopes) for i, x in enumerate(row)
     }
     found |= {("push", i): value for i, value in enumerate(push)}
+    found |= {("b", c): row[-1] for c, row in enumerate(held.rows, len(held.phi))}
     return found | {("curve", c): value for c, value in enumerate(curve)}
 
 

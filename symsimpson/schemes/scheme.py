@@ -136,6 +136,14 @@ class Scheme:
             "EXTRAPOLATION": self.extrapolation,
         }
 
+    @property
+    def at_gauss_points(self) -> tuple[tuple[sp.Expr, ...], Table, Table]:
+        """The d Gauss points, and the basis and its slopes there: d by d + 1."""
+        points = gauss(self.degree).nodes
+        values = (lagrange_basis(self.points, c) for c in points)
+        basis = tuple(tuple(map(_number, row)) for row in values)
+        return points, basis, tuple(map(self._slopes, points))
+
     def oscillator(self, x: float) -> NDArray[np.float64]:
         """Return the matrix of a step of q'' = -q with h = x.
 

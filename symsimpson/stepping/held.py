@@ -85,23 +85,24 @@ def project_start(
         phi = at("CONSTRAINT", m, rest)
         off = np.abs(phi.astype(np.float64)) / scale
         if attempt == 0 and not off.max() <= missed:
-            raise _violation_error(program, q, other, given, values, off, "q0 does not satisfy")
+            raise _violation_error(program, t, q, other, given, values, off, "q0 does not satisfy")
         if off.max() <= 4 * numbers.epsilon:
             break
         q = q + at("HELD_CHANGE", n, rest)
     else:
         if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
-            raise _violation_error(program, q, other, given, values, off, "q0 is not led to")
+            raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
     speeds = other.astype(np.float64)
     if given == "v0":
-        taken = (slopes @ speeds[..., None])[..., 0]
+        asked = at("CURVATURE", m, rest, "start").astype(np.float64)
+        taken = (slopes @ speeds[..., None])[..., 0] - asked
     else:  # what the constraints take from p is of no effect, but was surely meant otherwise
         pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
         taken = pulls * size**2
     off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
-        raise _violation_error(program, q, other, given, values, off, what)
+        raise _violation_error(program, t, q, other, given, values, off, what)
     return q, other
 
 
@@ -142,7 +143,14 @@ def name_dependent(names: Sequence[str], slopes: Reals) -> str:
 
 
 def _violation_error(
-    program: Program, q: Reals, other: Reals, given: str, values: Reals, off: Reals, what: str
+    program: Program,
+    t: Any,
+    q: Reals,
+    other: Reals,
+    given: str,
+    values: Reals,
+    off: Reals,
+    what: str,
 ) -> InputError:
     """Return the error that names the worst violation and suggests a consistent start."""
     worst = np.nan_to_num(off, nan=np.inf)
@@ -155,13 +163,13 @@ def _violation_error(
     )
     system = program.declared
     if system is None:
-        return InputError(f"{text}\nGive a start with phi = 0 and dphi/dq.v = 0.")
+        return InputError(f"{text}\nGive a start with phi = 0, dphi/dq.v = 0 and A v = b.")
     call = "system.consistent(q0, v0)"
     try:
         velocities = other[member] if given == "v0" else 0 * other[member]
         parameters = dict(zip(program.parameters, values[member], strict=True))
         near = system.consistent(
-            q[member].astype(np.float64), velocities.astype(np.float64), parameters=parameters
+            q[member].astype(np.float64), velocities.astype(np.float64), (), parameters, float(t)
         )
         rounded = [np.round(x, 6).tolist() for x in near]
         shown = f"q0={rounded[0]}, v0={rounded[1]}"

@@ -27,6 +27,7 @@ FILES = (
     "checks",
     "constraints",
     "rattle",
+    "rolling",
     "stage_iteration",
     "stage_loops",
     "collocation",

@@ -123,6 +123,13 @@ def path_tables(kind, nodes, degree):
     )
 
 
+def with_gauss_points(places, values, slopes_there, degree):
+    """The same tables, with rows for Gauss points of the path behind those of its nodes."""
+    _, c, _, more_values, more_slopes, *_ = path_tables("gauss", degree, degree)
+    tables = (places, c), (values, more_values), (slopes_there, more_slopes)
+    return tuple(array([*table, *more]) for table, more in tables)
+
+
 def shares_up_to(c, b, end):
     """The integrals up to an end of the Lagrange polynomials of the nodes, each by its weight."""
     one = 10**DIGITS
