@@ -37,8 +37,12 @@ class Held:
 
     @classmethod
     def dense(cls, n: int, count: int, velocities: int = 0) -> Held:
-        """Put the constraints behind all coordinates, and keep all entries."""
-        return cls(Storage.dense(n + count), tuple(range(n + count)), count, velocities)
+        """Put the constraints behind all coordinates, and keep all entries.
+
+        Those of velocities join all blocks; elimination takes all coordinates before them.
+        """
+        storage = Storage.dense(n + count, by_place=velocities > 0)
+        return cls(storage, tuple(range(n + count)), count, velocities)
 
     @classmethod
     def chain(

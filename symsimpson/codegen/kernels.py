@@ -198,6 +198,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     own_tables = {**storage.node_constants(), "MASS_BAND": storage.band_of(plain.M)}
     if not isinstance(part, Composed):
         kernels.append(loops.equations())
+        kernels += [loops.pivoted(following=False)] if loops.in_order else []
         if part.columns and equations.plain.powers:
             functions.append(power_function(low))
             kernels.append(loops.work(following=False))
@@ -249,6 +250,7 @@ def _loops(
         held,
         constant_mass,
         bool(plain.velocity_constraints),
+        bool(plain.velocity_constraints) and not low.stiffened,
     )
 
 

@@ -48,6 +48,8 @@ class LoopKernels:
         Whether M is, so that its factors may stay in their place from step to step.
     rolling : bool
         Whether some constraints are those of velocities.
+    in_order : bool
+        Whether Newton's method needs no exchange of rows, but for a few steps.
     """
 
     storage: Storage
@@ -59,6 +61,7 @@ class LoopKernels:
     held: Held | None
     constant_mass: bool
     rolling: bool = False
+    in_order: bool = False
 
     @property
     def cleared(self) -> int:
@@ -119,7 +122,7 @@ class LoopKernels:
         return (
             _call("clear_residual"),
             *self.matrix(_call("assemble_rows", *_NODE)),
-            *self.points("range(DEGREE + 1)", "constrain", _call("assemble_constraint", *_POINT)),
+            *self.points(self.every_point, "constrain", _call("assemble_constraint", *_POINT)),
             *self.rates(_call("assemble_rates", *_NODE)),
         )
 
@@ -134,6 +137,12 @@ class LoopKernels:
             _call("assemble_matrix", "W", "h", "lane"),
             *((_call("assemble_matrix_of_drag"),) if self.dragged else ()),
         )
+
+    @property
+    def every_point(self) -> str:
+        """The control points at which constraints pull, or phi = 0: there is no pull at the end."""
+        of_positions = self.held is not None and self.held.count > self.held.velocities
+        return "range(DEGREE + 1)" if of_positions else "range(DEGREE)"
 
     def points(self, over: str, function: str, *body: Statement) -> tuple[Statement, ...]:
         """Go over control points, if there are constraints at them."""
@@ -165,13 +174,21 @@ class LoopKernels:
         doc = "One Newton iteration with row pivoting, where the fixed order of elimination fails."
         return Kernel(PIVOTED, doc, lanes((When(body),)))
 
-    def _corrected(self, *leave: Statement) -> tuple[Statement, ...]:
+    def _corrected(self, *leave: Statement, in_order: bool = False) -> tuple[Statement, ...]:
         """Solve for a correction, leave out of it what follows, and apply it."""
         solve = (_call("solve_pivoted"), *leave, _call("update_increments"))
         if self.held:
+            matrix = ("JACOBIAN + SOLVE_OFFSET", "SOLVE_UNKNOWNS", "SOLVE_STRIDE", "lane")
+            find = (_call("solve_pivoted"),)
+            if in_order:
+                right = (matrix[0], "RESIDUAL", *matrix[1:])
+                find = (
+                    _call("factor_in_order", "W", *matrix),
+                    _call("solve_in_order", "W", *right),
+                )
             parted = _call("part_rows", "W", "RESIDUAL", "lane")
             applied = map(_call, ("update_increments", "update_multipliers"))
-            solve = (_call("join_equations"), _call("solve_pivoted"), parted, *applied)
+            solve = (_call("join_equations"), *find, parted, *applied)
         return (*solve, *convergence(bool(self.held)))
 
     def step(self, part: Constrained | Coupled | Separable) -> list[Kernel]:
@@ -200,7 +217,7 @@ class LoopKernels:
             rows = self.all_rows()
         if isinstance(part, Separable) and part.last is not None:
             rows = (*self._end_of_path(), *rows)
-        newton: tuple[Statement, ...] = (*rows, *self._corrected())
+        newton: tuple[Statement, ...] = (*rows, *self._corrected(in_order=self.in_order))
         held = (_call("project_momentum"), _call("carry_multipliers")) if self.held else ()
         following: tuple[Statement, ...] = (
             *again,
@@ -237,7 +254,9 @@ class LoopKernels:
             *beginning,
             Kernel(
                 "newton",
-                "One Newton iteration, assembled node by node, with row pivoting.",
+                "One Newton iteration, assembled node by node, with row pivoting."
+                if not self.in_order
+                else "One Newton iteration, assembled node by node.",
                 lanes((When(newton),)),
             ),
             Kernel(

@@ -29,16 +29,20 @@ class Storage:
     band : int
         Largest distance of two places whose coordinates meet; n - 1 if dense.
     banded : bool
+    by_place : bool
+        Whether blocks of a dense system stand together at each place, as in a band: elimination
+        takes all of one item before the next one.
     """
 
     order: tuple[int, ...]
     band: int
     banded: bool
+    by_place: bool = False
 
     @classmethod
-    def dense(cls, n: int) -> Storage:
+    def dense(cls, n: int, *, by_place: bool = False) -> Storage:
         """Keep the order, and all entries."""
-        return cls(tuple(range(n)), n - 1, banded=False)
+        return cls(tuple(range(n)), n - 1, banded=False, by_place=by_place)
 
     @property
     def n(self) -> int:
@@ -90,8 +94,8 @@ class Storage:
         """
         half, unknowns = self._half(blocks), self.unknowns(blocks)
         return {
-            f"{prefix}_ROW_STEP": 1 if self.banded else self.n,
-            f"{prefix}_PLACE_STEP": blocks if self.banded else 1,
+            f"{prefix}_ROW_STEP": 1 if self.banded or self.by_place else self.n,
+            f"{prefix}_PLACE_STEP": blocks if self.banded or self.by_place else 1,
             f"{prefix}_STRIDE": 3 * half if self.banded else unknowns,
             f"{prefix}_OFFSET": before + (half if self.banded else 0),
         }
