@@ -106,6 +106,11 @@ def _symplectic(s: Subject) -> Iterator[Check]:
         reason = "Without forces a step would be symplectic."
         yield Check.not_asked("symplectic", what, reason)
         return
+    if s.rolling:
+        what = "not asked: velocity constraints make a flow that is not symplectic"
+        reason = "Their forces follow from no Lagrangian (van der Schaft and Maschke, 1994)."
+        yield Check.not_asked("symplectic", what, reason)
+        return
     n = s.n
     D, E = s.precise.tangent(s.z, s.h)
     # units of q and p in which both halves of the derivative are of like size
@@ -152,7 +157,7 @@ def _reversible(s: Subject) -> Iterator[Check]:
 def _momenta(s: Subject) -> Iterator[Check]:
     """momenta: what linear symmetries conserve."""
     reason = "A linear symmetry of L conserves its momentum exactly, at any h."
-    if s.forced:
+    if s.forced and not s.rolling:
         worst, found = momentum_balance(s)
         if found:
             names = ", ".join(symmetry.name for symmetry in found)
@@ -275,17 +280,21 @@ def _constraints(s: Subject) -> Iterator[Check]:
     if not held:
         return
     run = s.compiled(1000, every=10)
-    slopes = run._slopes()
+    slopes, m = run._slopes(), run.constraint_error.shape[1]
     size = np.linalg.norm(slopes, axis=2)
-    reach = np.maximum(1.0, np.abs(run.q).max(axis=1))[:, None]
-    off = float((np.abs(run.constraint_error) / (size * reach)).max())
-    yield Check.at_most(
-        "constraints",
-        off,
-        4 * FLOAT64.epsilon,
-        "phi(q) in 1000 steps, relative to its slope and to q",
-        "Imposed anew in each step: a rounding, and no drift.",
-    )
+    for what, name, error, states in (
+        ("constraints", "phi(q)", run.constraint_error / size[:, :m], "q"),
+        ("rolling", "A v - b", run.velocity_constraint_error / size[:, m:], "v"),
+    ):
+        if error.size:
+            reach = np.maximum(1.0, np.abs(getattr(run, states)).max(axis=1))[:, None]
+            yield Check.at_most(
+                what,
+                float((np.abs(error) / reach).max()),
+                4 * FLOAT64.epsilon,
+                f"{name} in 1000 steps, relative to its slope and to {states}",
+                "Imposed anew in each step: a rounding, and no drift.",
+            )
     pulls = run._evaluated("start", "MULTIPLIER", len(held))
     part = np.abs((pulls[..., None] * slopes).sum(axis=1)).max()
     yield Check.at_most(

@@ -74,37 +74,42 @@ class Precise:
         end = self.run(z, h, steps, every=None, t0=t0)
         return np.concatenate([end.q[0], end.p[0]])
 
-    def placed(self, z: Iterable[Any]) -> Vector:
-        """Return a state without what constraints do not allow; as it is, where there are none."""
+    def placed(self, z: Iterable[Any], t: Any = 0) -> Vector:
+        """Return a state without what constraints do not allow; as it is, where there are none.
+
+        Those of velocities may ask for others at another time.
+        """
         point = np.array([self.context.convert(x) for x in z], dtype=object)
         held, n = self.program.header.constraints, self.n
         if not held:
             return point
         q, p = point[:n], point[n:]
         values = self.program.values(self.parameters)[None]
-        q = project_start(self.program, q[None], 0 * q[None], "v0", values, 0, NEARBY)[0][0]
-        taken = self._at("start", "MULTIPLIER", len(held), q, p)
-        return np.concatenate([q, p - taken @ self.slopes(q)])
+        q = project_start(self.program, q[None], 0 * q[None], "", values, t, NEARBY)[0][0]
+        taken = self._at("start", "MULTIPLIER", len(held), q, p, t)
+        return np.concatenate([q, p - taken @ self.slopes(q, t)])
 
-    def slopes(self, q: Vector) -> Vector:
-        """Return dphi/dq of all constraints, shape (m, n)."""
+    def slopes(self, q: Vector, t: Any = 0) -> Vector:
+        """Return dphi/dq of all constraints, shape (m, n), and behind them A of A v = b."""
         header = self.program.header
-        rows = self._at("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"], q, 0 * q)
+        rows = self._at("multipliers", "CONSTRAINT_QQ", header.layout["HELD_SIZE"], q, 0 * q, t)
         return slopes_of(header, rows)
 
-    def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector) -> Vector:
+    def _at(self, kernel: str, block: str, count: int, q: Vector, p: Vector, t: Any = 0) -> Vector:
         """Evaluate a kernel at a state."""
         numbers, at = self._numbers, self.program.header.layout
         with numbers.working():
             W = self._prepared
             W[at["POSITION"] : at["POSITION"] + self.n, 0] = numbers.read(list(q))
             W[at["MOMENTUM"] : at["MOMENTUM"] + self.n, 0] = numbers.read(list(p))
-            self._call(kernel, W)
+            self._call(kernel, W, t)
             return numbers.result(W[at[block] : at[block] + count, 0])
 
-    def _call(self, kernel: str, W: Vector) -> None:
+    def _call(self, kernel: str, W: Vector, t: Any = 0) -> None:
         """Call a kernel of a state."""
-        self.program.kernels.address(kernel)(*self._one_and_zero, W)
+        one, zero = self._one_and_zero
+        time = self._numbers.read([t])[0] if t else zero
+        self.program.kernels.address(kernel)(one, time, W)
 
     @cached_property
     def _one_and_zero(self) -> tuple[Any, Any]:

@@ -86,6 +86,11 @@ class Subject:
         """Whether forces act beside those of L."""
         return bool(self.stepper.program.header.forces)
 
+    @property
+    def rolling(self) -> bool:
+        """Whether there are velocity constraints."""
+        return bool(self.stepper.program.header.velocity_constraints)
+
     @cached_property
     def symmetries(self) -> list[Symmetry]:
         """The linear symmetries of the system; none where forces may change their momenta."""
@@ -105,7 +110,8 @@ class Subject:
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
         declared = self.stepper.program.declared
-        if not self.stepper.program.header.conservative:
+        header = self.stepper.program.header
+        if not header.conservative or header.velocity_constraints:  # H alone does not tell
             if declared is None:
                 raise InputError("a module by itself does not tell what its forces are")
             equations = canonical(declared).function("mpmath")
@@ -114,7 +120,7 @@ class Subject:
                 *(self.stepper.program.default_inputs or {}).values(),
             )
             values = [mpmath.mpf(x) for x in given]
-            start += [] if self.stepper.program.header.autonomous else [mpmath.mpf(0)]
+            start += [] if header.autonomous else [mpmath.mpf(0)]
 
             def forced(y: Any) -> list[Any]:
                 return list(equations(*y, *values))
@@ -122,7 +128,7 @@ class Subject:
             rates = forced
         # with constraints p has a part that has no effect, of which the last line gets rid
         found = extrapolate(rates, start, [end], local, MOST)[0][: 2 * self.n]
-        return list(self.precise.placed(found))
+        return list(self.precise.placed(found, end))
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:
         """Integrate in double precision."""

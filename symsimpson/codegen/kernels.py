@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import accumulate
 
 from symsimpson.codegen.coefficients import coefficient_loops
@@ -193,7 +194,10 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         kernels.append(_watched(low, loops.before_state()))
     if equations.plain.powers:
         state = Point("state", low.q, low.v, low.t, low.inputs(0))
-        kernels.append(_power(low, state, loops.before_state()))
+        if plain.carried:
+            state = replace(state, multipliers=low.multipliers)
+        before = loops.before_multipliers() if plain.carried else loops.before_state()
+        kernels.append(_power(low, state, before))
     blocks = 0
     own_tables = {**storage.node_constants(), "MASS_BAND": storage.band_of(plain.M)}
     if not isinstance(part, Composed):
@@ -211,6 +215,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     else:
         own_tables |= {} if loops.alike else {"REACHED": tuple(accumulate(part.drifts))}
         own_tables |= held.constants(degree) if held else {}
+    own_tables |= {"CARRIED": len(plain.forces)} if plain.carried else {}
     tables = own_tables | tables
     unknowns = blocks * low.n + (equations.unknowns.behind if blocks else 0)
     return _finish_module(low, loops, functions, kernels, tables, unknowns)
@@ -251,6 +256,7 @@ def _loops(
         constant_mass,
         bool(plain.velocity_constraints),
         bool(plain.velocity_constraints) and not low.stiffened,
+        plain.carried,
     )
 
 

@@ -50,6 +50,8 @@ class LoopKernels:
         Whether some constraints are those of velocities.
     in_order : bool
         Whether Newton's method needs no exchange of rows, but for a few steps.
+    carried : bool
+        Whether velocity constraints do work.
     """
 
     storage: Storage
@@ -62,6 +64,7 @@ class LoopKernels:
     constant_mass: bool
     rolling: bool = False
     in_order: bool = False
+    carried: bool = False
 
     @property
     def cleared(self) -> int:
@@ -218,7 +221,8 @@ class LoopKernels:
         if isinstance(part, Separable) and part.last is not None:
             rows = (*self._end_of_path(), *rows)
         newton: tuple[Statement, ...] = (*rows, *self._corrected(in_order=self.in_order))
-        held = (_call("project_momentum"), _call("carry_multipliers")) if self.held else ()
+        kept = (_call("keep_taken"),) if self.carried else ()
+        held = (*kept, _call("project_momentum"), _call("carry_multipliers")) if self.held else ()
         following: tuple[Statement, ...] = (
             *again,
             *held,
@@ -327,7 +331,12 @@ class LoopKernels:
         exchange = _call("exchange_steps")
         first = (*self.all_rows(), _call("solve_following")) if following else ()
         nodes = self.nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
-        step = (exchange, *first, nodes, exchange, _call("sum_work"))
+        pulled, ended = (), ()
+        if self.carried:
+            added = _call("add_carried", "W", "h", "lane")
+            pulled = self.points("range(DEGREE)", "hold_velocities", added)
+            ended = (*self.start("t + h"), _call("hold_velocities"), _call("add_carried_end"))
+        step = (exchange, *first, nodes, *pulled, exchange, *ended, _call("sum_work"))
         doc = "Add the work of forces in the step that was taken, and the integral of dL/dt."
         return Kernel("work", doc, lanes((When(step),)))
 
@@ -335,14 +344,17 @@ class LoopKernels:
         """Return what finds the velocities of a state."""
         return (*self._velocity(), *self.solve_momentum())
 
-    def multipliers(self) -> Kernel:
-        """Return phi and the multipliers at a state: those that keep its accelerations allowed."""
+    def before_multipliers(self) -> tuple[Statement, ...]:
+        """Return what finds phi, and multipliers that keep accelerations allowed, at a state."""
         # all at one place: its slopes and factors serve three solves
         nearest = (*self._velocity(), *map(_call, ("constrain", "change_to_constraints")))
         names = ("pushes", "push_to_solve", "solve_held", "constraint_forces")
+        return (*nearest, *self.solve_momentum(), *map(_call, names))
+
+    def multipliers(self) -> Kernel:
+        """Return the kernel of phi and of multipliers at a state."""
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
-        body = (*nearest, *self.solve_momentum(), *map(_call, names))
-        return Kernel("multipliers", doc, lanes(body))
+        return Kernel("multipliers", doc, lanes(self.before_multipliers()))
 
 
 def equation_constants(storage: Storage, degree: int, held: Held | None) -> dict[str, object]:

@@ -51,6 +51,7 @@ def sizes(
         timed=not plain.autonomous or cost_of_time(low),
         damped=loops.damped,
         constrained=held is not None,
+        carried=plain.carried,
         drifting=drifting(low.equations),
         retimed=low.equations.system.retiming is not None,
         **(stages.sizes if stages is not None else {}),

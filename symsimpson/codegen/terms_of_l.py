@@ -88,11 +88,15 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:
-    """Store what changes the energy at a point."""
-    return [
-        Store(Row("POWER", k), low.template.entry(point, "powers", "power", name))
-        for k, name in enumerate(low.equations.plain.powers)
-    ]
+    """Store what changes the energy at a point; constraints do so where multipliers are known."""
+    plain = low.equations.plain
+    found = {name: low.template.entry(point, "powers", "power", name) for name in plain.powers}
+    if plain.carried and point.multipliers:
+        rolling = range(len(plain.constraints), len(plain.held))
+        b = [low.held.entry(point, "powers", "b", c) for c in rolling]
+        pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
+        found["of constraints"] = low.graph.total(pulls)
+    return [Store(Row("POWER", k), value) for k, value in enumerate(found.values())]
 
 
 def power_function(low: Lowering) -> Function:

@@ -86,6 +86,8 @@ def _followed(
     q, goal, best, stalled = start.copy(), start[free], np.inf, 0
     for _ in range(MOST):
         phi, slopes = at(q)
+        if not len(phi):
+            return q, 0.0
         size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
         off = np.abs(phi) / np.where(size > 0, size, 1.0)
         if not np.isfinite(off).all():

@@ -18,6 +18,8 @@ __all__ = ["DISSIPATION", "TOTAL", "check_used", "read_forces", "read_inputs"]
 
 #: Names of the forces that Rayleigh's function gives, and of the sum of all.
 DISSIPATION, TOTAL = "dissipation", "total"
+#: Names of what is no force but does work, too.
+OTHERS = (TOTAL, "constraints")
 
 Read = Callable[[str, Any], Value]
 Forces = Mapping[Any, Any]
@@ -163,7 +165,7 @@ def _components(
     taken: set[str] = set()
     for key, value in forces.items():
         if isinstance(key, str):
-            if key in taken or key in (TOTAL, DISSIPATION):
+            if key in taken or key in (*OTHERS, DISSIPATION):
                 raise _taken(name, key)
             if not isinstance(value, Mapping):
                 raise fail(
@@ -175,7 +177,7 @@ def _components(
             yield from ((key, coordinate, part) for coordinate, part in value.items())
             continue
         own = key.func.__name__ if key in coordinates else ""
-        if own in taken or own in (TOTAL, DISSIPATION):
+        if own in taken or own in (*OTHERS, DISSIPATION):
             raise _taken(name, own)
         taken.add(own)
         yield own, key, value
@@ -186,7 +188,8 @@ def _taken(name: str, key: str) -> Exception:
         name,
         f"two forces would have the name {key!r}.",
         f"run.work[{key!r}] could be either. A force given by coordinate has the coordinate's "
-        f"name, that of the dissipation is {DISSIPATION!r}, and the sum of all is {TOTAL!r}.",
+        f"name, that of the dissipation is {DISSIPATION!r}; {' and '.join(map(repr, OTHERS))} are "
+        "taken.",
     )
 
 

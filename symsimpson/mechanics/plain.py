@@ -11,7 +11,7 @@ import sympy as sp
 from sympy.core.function import AppliedUndef
 
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import Graph, Value, scaled
+from symsimpson.graph.nodes import ZERO, Graph, Value, scaled
 from symsimpson.graph.read import written
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.graph.signs import Signs
@@ -156,11 +156,16 @@ class Plain:
 
     @cached_property
     def powers(self) -> dict[str, Value]:
-        """The power f.v of each force and, where t stands in L or a force, dL/dt behind them."""
+        """The power f.v of each force and, where t stands in L or a force, dL/dt behind them.
+
+        Between them that of velocity constraints that move, which act where no node is.
+        """
         graph, v = self.graph, self.numbers(self.v)
         found = {
             f"of {name}": graph.add(graph.products(force, v)) for name, force in self.forces.items()
         }
+        if self.carried:
+            found["of constraints"] = ZERO
         if not self.autonomous:
             (found["dL_dt"],) = gradient(graph, self.L, [self.time])
         return found

@@ -25,9 +25,10 @@ class Sizes:
         Rows of an input: one for each node, or more.
     assembled : bool
         Whether there are equations of a step, with a Jacobian.
-    constant_mass, dragged, timed, damped, constrained, drifting, retimed : bool
+    constant_mass, dragged, timed, damped, constrained, carried, drifting, retimed : bool
         Whether M is constant, forces depend on v, there is a time at nodes, momenta are damped,
-        there are constraints, steps are kicks and drifts, the time is not that of the steps.
+        there are constraints, some do work, steps are kicks and drifts, the time is not that of
+        the steps.
     staged, staged_values, angles : int
         Rows of a value that all nodes have, where steps are iterated by stages; values between the
         halves of an iteration; angles of which sines are kept.
@@ -65,6 +66,7 @@ class Sizes:
     timed: bool = False
     damped: bool = False
     constrained: bool = False
+    carried: bool = False
     drifting: bool = False
     retimed: bool = False
     staged: int = 0

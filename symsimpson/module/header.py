@@ -127,8 +127,8 @@ class Header:
 
     @property
     def powers(self) -> int:
-        """Number of values that change the energy: the powers of forces, and dL/dt behind them."""
-        return len(self.forces) + (not self.autonomous)
+        """Number of values that change the energy: powers of forces and constraints, then dL/dt."""
+        return len(self.forces) + self.carried + (not self.autonomous)
 
     @cached_property
     def by_stages(self) -> bool:

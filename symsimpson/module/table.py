@@ -185,6 +185,11 @@ TABLE = (
     part("RATE", "A v - b of velocity constraints at a point", lambda s: s.rolling),
     part("RATE_Q", "its derivatives by q", lambda s: s.rolling * s.n),
     part("RATE_V", "those by v, A", lambda s: s.rolling * s.n),
+    part(
+        "TAKEN",
+        "multipliers of the projection of p at the end of a step",
+        lambda s: s.carried * s.m,
+    ),
     part("CONSTRAINT_WEIGHT", "how much of each constraint was added to M", constraints),
     part("HELD", "M bordered by Phi, factorised", lambda s: s.bordered),
     part(

@@ -39,7 +39,7 @@ class Names:
         self.parameters = named("parameter", header.parameters, defaults)
         self.inputs = named("input", header.inputs, declared.inputs if has else None)
         self.constraints = named(
-            "constraint", header.constraints, declared.constraints if has else None
+            "constraint", header.constraints, declared.plain.held if has else None
         )
         self.forces = named("force", header.forces, declared.plain.forces if has else None)
         self.invariants = named(
@@ -53,6 +53,7 @@ class Names:
             return frozenset()
         plain = self._declared.plain
         rows = (plain.a, *plain.forces.values(), plain.constraints.values())
+        rows += (*plain.velocity_constraints.values(),)
         values = [plain.T, plain.V, *plain.M.values(), *plain.invariants.values(), *chain(*rows)]
         used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
         drawn: set[Any] = set()

@@ -40,7 +40,13 @@ class Energies(Stored):
         """
         header = self.program.header
         if not header.conservative:
-            why = "forces do work on it" if header.forces else "it depends on the time"
+            why = (
+                "forces do work on it"
+                if header.forces
+                else "constraints that move do work on it"
+                if header.carried
+                else "it depends on the time"
+            )
             raise InputError(
                 f"{self.program.system}: the energy is not constant, {why}, so its change does "
                 "not measure the error.\nUse run.energy_balance, the change of the energy minus "
@@ -59,8 +65,9 @@ class Energies(Stored):
         """The work of each force since the start, and of all under "total", shape (N + 1,) each.
 
         It is h sum_i b_i f_i.v_i over the nodes of all steps, and is accurate to the order of the
-        scheme. Steps are taken again for it, unless the run was asked to ``record`` it; behind one
-        that cannot be, as in a passage that was not resolved, it is NaN.
+        scheme; under "constraints" it is that of velocity constraints A v = b that move. Steps are
+        taken again for it, unless the run was asked to ``record`` it; behind one that cannot be, as
+        in a passage that was not resolved, it is NaN.
 
         Raises
         ------

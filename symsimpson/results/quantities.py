@@ -88,18 +88,29 @@ class Quantities:
         """Multipliers lambda of L - lambda.phi, shape (..., m): of the order of the scheme.
 
         They are those that keep the acceleration of a state on the constraints; not the ones of a
-        step, which are of low order (Hairer, Lubich and Wanner, VII.1).
+        step, which are of low order (Hairer, Lubich and Wanner, VII.1). Those of velocity
+        constraints, which pull by -A^T lambda, stand last.
         """
         return self._of_table("multipliers")
 
     @cached_property
     def constraint_error(self) -> NDArray[Any]:
         """phi(q) as it is written, shape (..., m): rounding alone."""
-        return self._held("CONSTRAINT")
+        header = self.program.header
+        rolling = len(header.velocity_constraints)
+        return self._held("CONSTRAINT")[..., : len(header.constraints) - rolling]
+
+    @cached_property
+    def velocity_constraint_error(self) -> NDArray[Any]:
+        """A v - b of velocity constraints as they are written, shape (..., m): rounding alone."""
+        count = len(self.program.header.velocity_constraints)
+        if not count:
+            return np.zeros((*np.shape(self.q)[:-1], 0))
+        return self._evaluated("multipliers", "RATE", count)
 
     @cached_property
     def constraint_forces(self) -> NDArray[Any]:
-        """The generalised forces -Phi^T lambda of the constraints, in the shape of q."""
+        """The generalised forces -Phi^T lambda of all constraints, in the shape of q."""
         if not self.program.header.constraints:
             return 0 * self.q
         return -self._evaluated("multipliers", "CONSTRAINT_FORCE", self.program.n)

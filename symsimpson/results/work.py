@@ -20,6 +20,8 @@ __all__ = ["TOTAL", "WORK", "integrals", "named_parts", "parts_of_work", "powers
 
 #: The name of the sum of all forces, and of what a run may record.
 TOTAL, WORK = "total", "work"
+#: The name of what velocity constraints that move do.
+CONSTRAINTS = "constraints"
 Reals = NDArray[Any]
 
 
@@ -64,7 +66,7 @@ def _at_states(run: Stored, arriving: bool) -> Reals:
 
 def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
-    names = program.names.forces.shown
+    names = [*program.names.forces.shown, *([CONSTRAINTS] if program.header.carried else [])]
     own = {name: parts[..., k] for k, name in enumerate(names)}
     return own | {TOTAL: sum(own.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
 

@@ -43,8 +43,8 @@ def project_start(
     ----------
     program : Program
     q, other : ndarray, shape (K, n)
-    given : {"v0", "p0"}
-        What the second is.
+    given : {"v0", "p0", ""}
+        What the second is; "" if it is not to be looked at.
     values : ndarray, shape (K, m)
         Of parameters.
     t : number
@@ -92,6 +92,8 @@ def project_start(
     else:
         if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
             raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
+    if not given:
+        return q, other
     speeds = other.astype(np.float64)
     if given == "v0":
         asked = at("CURVATURE", m, rest, "start").astype(np.float64)

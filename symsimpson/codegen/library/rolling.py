@@ -23,3 +23,24 @@ def assemble_rates(W, h, node, lane):
                     BASIS[node, k] * W[RATE_Q + a, lane]
                     + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
                 )
+
+
+@compiled
+def add_carried(W, h, lane):
+    """Add the work -mu.b of velocity constraints at a control point, which CURVATURE has b of."""
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        W[WORK_LOW + CARRIED, lane] -= W[MULTIPLIER + c, lane] / h * W[CURVATURE + c, lane]
+
+
+@compiled
+def keep_taken(W, lane):
+    """Keep the multipliers of the projection, which end a step."""
+    for c in range(CONSTRAINTS):
+        W[TAKEN + c, lane] = W[MULTIPLIER + c, lane]
+
+
+@compiled
+def add_carried_end(W, lane):
+    """Add the work of these at the end of the step."""
+    for c in range(HOLONOMIC, CONSTRAINTS):
+        W[WORK_LOW + CARRIED, lane] -= W[TAKEN + c, lane] * W[CURVATURE + c, lane]
