@@ -24,6 +24,7 @@ DOCS = {
     "pushes": "What accelerates, M v' + Phi^T lambda, and Phi v' at a state.",
     "hold_velocities": "What constraints ask of velocities: Phi v = 0 and A v = b.",
     "rates": "A v - b and its derivatives by q and v at a point.",
+    "carried_slopes": "Derivatives of b by q at a point.",
 }
 #: What is evaluated is asked for by its name and indices.
 Entry = Callable[..., Expression]
@@ -65,12 +66,21 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
             Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
             for c in count
         ]
-        stores["rates"] = rates + [
-            Store(Row(block, k * low.n + a), entry(what, c, a))
-            for block, what in (("RATE_Q", "rate_q"), ("RATE_V", "Phi"))
-            for k, c in own
-            for a in range(low.n)
+
+        def by_coordinates(block: str, what: str) -> list[Store]:
+            return [
+                Store(Row(block, k * low.n + a), entry(what, c, a))
+                for k, c in own
+                for a in range(low.n)
+            ]
+
+        stores["rates"] = [
+            *rates,
+            *by_coordinates("RATE_Q", "rate_q"),
+            *by_coordinates("RATE_V", "Phi"),
         ]
+        if low.equations.plain.carried and low.equations.varied is not None:
+            stores["carried_slopes"] = by_coordinates("RATE_Q", "b_q")
     cleared = (Call("clear_constraints"),)
     first = dict.fromkeys(("constraint_slopes", "constrain"), cleared)
     return [

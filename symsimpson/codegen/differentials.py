@@ -112,6 +112,7 @@ class Differentials:
         found = [_slopes(self.low, self.places)] if self.varied else []
         if self.varied and self.loops.held:
             found.append(_constraint_slopes(self.low, self.places))
+            found += _rate_slopes(self.low)
         return [*found, _cost(self.low, self.places)] if self.costly else found
 
 
@@ -190,6 +191,28 @@ def _constraint_slopes(low: Lowering, places: tuple[int, ...]) -> Function:
             stores.append(Store(Row("CONSTRAINT_QA", j * low.n + s), value))
     doc = "Derivatives of phi and of Phi^T lambda by parameters, at a control point."
     return Function("constraint_parameter_slopes", doc, low.statements(stores, (Level.ITERATION,)))
+
+
+def _rate_slopes(low: Lowering) -> list[Function]:
+    """Write the derivatives of A v - b and of b by parameters, at a point."""
+    plain, point = low.equations.plain, replace(point_of_node(low), suffix="c")
+    rolling = range(len(plain.constraints), len(plain.held))
+    wanted = {"rate": "A v - b"} if rolling else {}
+    wanted |= {"carried": "b"} if plain.carried else {}
+    found = []
+    for name, what in wanted.items():
+        key = "rate_a" if name == "rate" else "b_a"
+        stores = [
+            Store(
+                Row("RATE_A", j * len(rolling) + k), low.slopes.entry(point, "slopes", key, c, own)
+            )
+            for j, own in enumerate(low.varied)
+            for k, c in enumerate(rolling)
+        ]
+        doc = f"Derivatives of {what} by the parameters that are varied, at a point."
+        lines = low.statements(stores, (Level.ITERATION,))
+        found.append(Function(f"{name}_parameter_slopes", doc, lines))
+    return found
 
 
 def _cost(low: Lowering, places: tuple[int, ...]) -> Function:

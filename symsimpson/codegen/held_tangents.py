@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from symsimpson.codegen.differentials import Differentials
+from symsimpson.codegen.differentials import GO_TO_NODE, Differentials
 from symsimpson.codegen.ir import Call, Index, Loop, Statement
 
 __all__ = ["HeldDifferentials"]
 
 _AT_POINT = ("W", "h", "point", "dq", "room", "lane")
+_AT_NODE = ("W", "h", "node", "lane")
 _BY_PARAMETER = ("W", "room", "parameter", "lane")
 
 
@@ -20,14 +21,24 @@ class HeldDifferentials(Differentials):
 
     def assembled(self, *more: Statement) -> tuple[Statement, ...]:
         """Assemble the matrix of the step's derivatives; ``more`` is done at each node."""
-        points = self.if_varied(Call("constraint_parameter_slopes"), _kept("keep_point_slopes"))
+        here = (Call("go_to_point", ("W", "h", "point", "lane")),)
+        points = (
+            *(here if self.low.sized and self.loops.rolling else ()),
+            *self.if_varied(Call("constraint_parameter_slopes"), _kept("keep_point_slopes")),
+        )
+        rate_slopes = self.if_varied(
+            *self.at(GO_TO_NODE), Call("rate_parameter_slopes"), Call("keep_rate_slopes", _AT_NODE)
+        )
         constraint = Call("assemble_constraint", ("W", "h", "point", "lane"))
         return (
             *self.loops.matrix(*self.parameter_slopes(), *more),
             Call("assemble_slopes", ("W", "h", "lane")),
             *((Call("assemble_slopes_of_drag"),) if self.loops.dragged else ()),
             *self.loops.points(
-                "range(DEGREE + 1)", "constrain", constraint, _kept("keep_point"), *points
+                self.loops.every_point, "constrain", constraint, _kept("keep_point"), *points
+            ),
+            *self.loops.rates(
+                Call("assemble_rates", _AT_NODE), Call("keep_rates", _AT_NODE), *rate_slopes
             ),
         )
 
@@ -85,6 +96,12 @@ class HeldDifferentials(Differentials):
                 ),
             ),
         )
+        carried = self._carried(
+            each(
+                Call("vary_carried", ("W", "dq", "room", "lane")),
+                *self.if_varied(Call("add_carried_slopes", _BY_PARAMETER)),
+            )
+        )
         taken = map(Call, ("momentum_taken", "allow_no_change", "solve_held", "constrain"))
         begun = each(
             Call("begin_projection", ("W", "dq", "room", "lane")),
@@ -104,12 +121,19 @@ class HeldDifferentials(Differentials):
             Call("jet"),
             *self.at_state(1),
             curvature,
+            *carried,
             *taken,
             *self._slopes(),
             begun,
             closed,
             *self.loops.solve_momentum(),
         )
+
+    def _carried(self, *body: Statement) -> tuple[Statement, ...]:
+        """Find the derivatives of b of velocity constraints, if there is any, before statements."""
+        if not self.loops.carried:
+            return ()
+        return (Call("carried_slopes"), *self.if_varied(Call("carried_parameter_slopes")), *body)
 
     def _slopes(self) -> tuple[Statement, ...]:
         return self.if_varied(Call("constraint_parameter_slopes"))
@@ -134,6 +158,7 @@ class HeldDifferentials(Differentials):
             *self._slopes(),
             Call("pull_curvature"),
             *self.if_varied(Call("pull_curvature_slopes")),
+            *self._carried(Call("pull_carried"), *self.if_varied(Call("pull_carried_slopes"))),
             Call("take_projected"),
             Call("constrain"),
             *self._slopes(),

@@ -24,9 +24,10 @@ def derive_constraints(plain: Plain) -> Jet:
     Jet
         Outputs ``("phi", c)``, ``("Phi", c, a)``, Phi and behind it A, ``("pull", a, b)``, the
         derivatives of Phi^T lambda + A^T nu by q; of velocity constraints ``("b", c)``,
-        ``("rate", c)``, A v - b, and ``("rate_q", c, a)``; and of a state ``("curve", c)``,
-        v.phi_qq.v or the like of A v - b, and ``("push", a)``, L_q + f - (d L_v/dq) v - d L_v/dt,
-        which is M v' + Phi^T lambda + A^T nu. Symbols l_c stand for the multipliers.
+        ``("rate", c)``, A v - b, with ``("b_q", c, a)`` and ``("rate_q", c, a)``; and of a state
+        ``("curve", c)``, v.phi_qq.v or the like of A v - b, and ``("push", a)``,
+        L_q + f - (d L_v/dq) v - d L_v/dt, which is M v' + Phi^T lambda + A^T nu. Symbols l_c stand
+        for the multipliers.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
@@ -44,6 +45,7 @@ def derive_constraints(plain: Plain) -> Jet:
     for c, (*_, b) in enumerate(held.rows, m):
         outputs |= {("phi", c): ZERO, ("b", c): b, ("rate", c): rates[c]}
         outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
+        outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
     pulls = gradient(graph, graph.add(graph.products(held.phi, multipliers[:m])), q)
     for a, slope in enumerate(pulls):
         turned = graph.products([row[a] for row in rows[m:]], multipliers[m:])

@@ -219,6 +219,11 @@ def discretise(
     _check_explicit(system, scheme)
     if varied is not None:
         check_differentiable(scheme)
+    if second and plain.velocity_constraints:
+        raise SchemeError(
+            f"{system.name} has velocity constraints, of whose steps there are no second "
+            "derivatives yet.\nTake differences of the first ones, as of stepper.gradient."
+        )
     parts = reduce(structure, scheme, wanted)
     explicit = any(isinstance(part, Composed) for part in parts)
     if explicit and plain.dragged:

@@ -44,16 +44,25 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     -------
     Jet
         Outputs ``("F_a", i, name)`` and ``("P_a", i, name)``; of constraints ``("phi_a", c, name)``
-        and ``("pull_a", i, name)``, those of phi and of Phi^T lambda.
+        and ``("pull_a", i, name)``, those of phi and of Phi^T lambda + A^T nu; of velocity
+        constraints ``("b_a", c, name)`` and ``("rate_a", c, name)``, those of b and A v - b.
     """
     graph, n = Graph(), len(plain.q)
     places = graph.numbers(symbol.name for symbol in plain.symbols)
     moving = places[: 2 * n]
-    given = [plain.L, *plain.f, *plain.constraints.values()]
-    L, *values = rebuilt(plain.graph, given, {}, graph)
-    f, phi = values[:n], values[n:]
-    multipliers = graph.numbers(symbol.name for symbol in plain.multipliers)
-    held = graph.add(graph.products(phi, multipliers))
+    L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+    held = plain.held_rows(graph)
+    m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
+    phi = [*held.phi, *(ZERO for _ in held.rows)]
+    pulls = gradient(graph, graph.add(graph.products(held.phi, multipliers[:m])), moving[:n])
+    for a in range(n if held.rows else 0):
+        turned = graph.products([row[a] for row in held.rows], multipliers[m:])
+        pulls[a] = graph.add([pulls[a], *turned])
+    moved = {("b", c): row[-1] for c, row in enumerate(held.rows, m)}
+    moved |= {
+        ("rate", c): graph.add([*graph.products(row, moving[n:]), scaled(-1, b)])
+        for c, (*row, b) in enumerate(held.rows, m)
+    }
     derivatives = Derivatives(graph)
     outputs: dict[Key, Value] = {}
     by_size = _BySize(graph, plain, derivatives)
@@ -64,16 +73,20 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             outputs |= {("F_a", i, name): by_size(F, integrated=True) for i, F in enumerate(forces)}
             outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(own[n:])}
             outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
-            for i, pull in enumerate(gradient(graph, held, moving[:n]) if phi else ()):
-                outputs["pull_a", i, name] = by_size.over(scaled(-1, pull))
+            outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
+            for i, pull in enumerate(pulls if phi else ()):
+                later = by_size.later(pull) if held.rows else ZERO
+                outputs["pull_a", i, name] = graph.add([by_size.over(scaled(-1, pull)), later])
             continue
         slopes = gradient(graph, derivatives(L, x), moving)
         for i in range(n):
             outputs["F_a", i, name] = graph.add([slopes[i], derivatives(f[i], x)])
             outputs["P_a", i, name] = slopes[n + i]
         outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
-        pulls = gradient(graph, derivatives(held, x), moving[:n])
-        outputs |= {("pull_a", i, name): pull for i, pull in enumerate(pulls if phi else ())}
+        outputs |= {(f"{what}_a", c, name): derivatives(y, x) for (what, c), y in moved.items()}
+        outputs |= {
+            ("pull_a", i, name): derivatives(pull, x) for i, pull in enumerate(pulls if phi else ())
+        }
     return written_as_jet(plain, graph, outputs)
 
 
@@ -98,13 +111,14 @@ class _BySize:
             for v in self._v
             if self._derivatives(value, v) != ZERO
         ]
-        terms = [
-            self.over(graph.add(along)),
-            graph.multiply([self._derivatives(value, self._t), (1, self._place)]),
-        ]
+        terms = [self.over(graph.add(along)), self.later(value)]
         if integrated:
             terms.append(graph.multiply([value, graph.power((1, self._h), -1)]))
         return graph.add(terms)
+
+    def later(self, value: Value) -> Value:
+        """Return the derivative of a value through the time, which moves by its place."""
+        return self._graph.multiply([self._derivatives(value, self._t), (1, self._place)])
 
     def over(self, value: Value) -> Value:
         """Return a value divided by h, where v goes with 1/h."""

@@ -228,6 +228,7 @@ TABLE = (
         "derivatives of phi by the parameters that are varied, at a control point",
         lambda s: s.varied * s.m,
     ),
+    part("RATE_A", "those of A v - b, or of b", lambda s: s.varied * s.rolling),
     part("CONSTRAINT_QA", "those of Phi^T lambda", lambda s: s.varied * s.constrained * s.n),
     part(
         "EXCHANGE", "which rows elimination has exchanged", lambda s: s.differentiated * s.unknowns

@@ -32,6 +32,7 @@ from symsimpson.systems.n_pendulum import n_pendulum
 from symsimpson.systems.pendulum import pendulum
 from symsimpson.systems.puma560 import puma560
 from symsimpson.systems.rigid_body import heavy_top, rigid_body
+from symsimpson.systems.rolling import ball_on_turntable, chaplygin_sleigh, rolling_disc, snakeboard
 from symsimpson.systems.spherical_pendulum import spherical_pendulum
 from symsimpson.systems.turning_bodies import (
     cartesian_pendulum,
@@ -97,6 +98,14 @@ _CONSTRAINED: tuple[Callable[[], CatalogueSystem], ...] = (
     hanging_chain,
 )
 
+#: Models with velocity constraints.
+_ROLLING: tuple[Callable[[], CatalogueSystem], ...] = (
+    chaplygin_sleigh,
+    rolling_disc,
+    snakeboard,
+    ball_on_turntable,
+)
+
 #: Name of each function of the catalogue, and the function.
 CATALOGUE: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MAKERS}
 #: The same of models with many coordinates or long energies, of which no modules are kept.
@@ -107,6 +116,8 @@ FORCED: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make
 CONSTRAINED: dict[str, Callable[[], CatalogueSystem]] = {
     make.__name__: make for make in _CONSTRAINED
 }
+#: The same of models with velocity constraints.
+ROLLING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _ROLLING}
 #: The same of models with close encounters.
 MEETING: dict[str, Callable[[], CatalogueSystem]] = {make.__name__: make for make in _MEETING}
 #: All of these.
@@ -115,6 +126,7 @@ EVERY: dict[str, Callable[[], CatalogueSystem]] = {
     **MODELS,
     **FORCED,
     **CONSTRAINED,
+    **ROLLING,
     **MEETING,
 }
 
@@ -125,12 +137,15 @@ __all__ = [
     "FORCED",
     "MEETING",
     "MODELS",
+    "ROLLING",
     "CatalogueSystem",
     "andrews_squeezer",
     "argon",
     "argon_cluster",
+    "ball_on_turntable",
     "cart_pole",
     "cartesian_pendulum",
+    "chaplygin_sleigh",
     "charged_particle",
     "cloth",
     "damped_oscillator",
@@ -163,7 +178,9 @@ __all__ = [
     "pythagorean",
     "quaternion_top",
     "rigid_body",
+    "rolling_disc",
     "slider_crank",
+    "snakeboard",
     "spherical_pendulum",
     "torus_geodesic",
     "tumbling_body",

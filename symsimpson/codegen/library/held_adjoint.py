@@ -10,6 +10,18 @@ At control points the multipliers u of the rows phi = 0 stand beside w of the ot
 
 
 @compiled
+def times_column(W, first, i, x, lane):
+    """Multiply a column of derivatives of Phi^T lambda by q, or of Phi^T, with a vector."""
+    found = real(0)
+    for b in range(DIMENSION):
+        j = HELD_PLACE[b]
+        if abs(i - j) <= HELD_BAND:
+            entry = first + j * HELD_STRIDE + HELD_OFFSET + i
+            found += W[entry, lane] * W[x + COORDINATE[b], lane]
+    return found
+
+
+@compiled
 def take_end(W, lane):
     """Go to the end of the step that was taken, with the momentum before its projection."""
     for a in range(DIMENSION):
@@ -43,7 +55,7 @@ def momentum_of_adjoint(W, lane):
 def pull_curvature(W, lane):
     """Add P_q^T (b - x) - Hess(z.phi) v to the derivative by q1; x stands where velocities do."""
     for s in range(DIMENSION):
-        slope = -times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT_START, lane)
+        slope = -times_column(W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT_START, lane)
         for c in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
             a = COORDINATE[c]
             taken = W[ADJOINT + DIMENSION + a, lane] - W[VELOCITY + a, lane]
@@ -79,7 +91,7 @@ def take_projected(W, lane):
 def pull_projection(W, lane):
     """Add -Hess(nu.phi) x to the derivative by q1."""
     for s in range(DIMENSION):
-        W[ADJOINT + COORDINATE[s], lane] -= times_dq(
+        W[ADJOINT + COORDINATE[s], lane] -= times_column(
             W, CONSTRAINT_QQ, HELD_PLACE[s], ADJOINT + DIMENSION, lane
         )
 
@@ -102,10 +114,10 @@ def pull_point(W, h, point, lane):
         for s in range(DIMENSION):
             if column >= 0:
                 row = column * EQUATION_ROW_STEP + s * EQUATION_PLACE_STEP
-                W[ADJOINT_RIGHT + row, lane] -= times_dq(W, first, HELD_PLACE[s], b, lane) / h
+                W[ADJOINT_RIGHT + row, lane] -= times_column(W, first, HELD_PLACE[s], b, lane) / h
         for c in range(CONSTRAINTS):
             row = DEGREE * DIMENSION + point * CONSTRAINTS + c
-            slope = times_dq(W, first, HELD_PLACE[DIMENSION + c], b, lane)
+            slope = times_column(W, first, HELD_PLACE[DIMENSION + c], b, lane)
             W[ADJOINT_RIGHT + row, lane] -= slope / h
 
 
@@ -119,18 +131,19 @@ def pulled(W, point, s, lane):
 @compiled
 def pull_start_of_point(W, h, point, lane):
     """Add the derivative by q0 that goes through a control point."""
+    first = POINT_QQ + point * HELD_SIZE + HELD_OFFSET
     for s in range(DIMENSION):
         i = HELD_PLACE[s]
-        row = POINT_QQ + point * HELD_SIZE + i * HELD_STRIDE + HELD_OFFSET
         slope = real(0)
         for b in range(DIMENSION):
             if point < DEGREE and abs(i - HELD_PLACE[b]) <= HELD_BAND:
-                slope += W[row + HELD_PLACE[b], lane] * pulled(W, point, b, lane)
+                entry = first + HELD_PLACE[b] * HELD_STRIDE + i
+                slope += W[entry, lane] * pulled(W, point, b, lane)
         for c in range(CONSTRAINTS):
             j = HELD_PLACE[DIMENSION + c]
             if point > 0 and abs(i - j) <= HELD_BAND:
                 u = W[ADJOINT_RIGHT + DEGREE * DIMENSION + (point - 1) * CONSTRAINTS + c, lane]
-                slope -= W[row + j, lane] * u
+                slope -= W[first + j * HELD_STRIDE + i, lane] * u
         W[ADJOINT_START + s, lane] += slope / h
 
 

@@ -1,0 +1,121 @@
+"""Derivatives of steps with velocity constraints: against differences, and tangent with adjoint."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.cases import sweep
+
+import symsimpson as ss
+from symsimpson.analysis.precise import Precise
+
+H, STEPS, DIGITS = 0.05, 2, 30
+
+
+def carried_by_time():
+    """Two rows, of which one moves with the time and with positions; M(q), gyroscopic, forced."""
+    x, y, z, w = q = ss.coordinates("x y z w")
+    a, b = sp.symbols("a b", positive=True)
+    t = ss.time
+    kinetic = (1 + a * x**2) * x.diff() ** 2 / 2 + (2 + sp.sin(z)) * y.diff() ** 2 / 2
+    kinetic += z.diff() ** 2 / 2 + w.diff() ** 2 + x.diff() * z.diff() / 8
+    return ss.MechanicalSystem.from_lagrangian(
+        "carried",
+        kinetic - x**2 - sp.cos(y) - z**2 / 2 - w**2 / 3 + x * y.diff() / 3,
+        q,
+        {a: 0.3, b: 0.2},
+        velocity_constraints={
+            "belt": -sp.sin(y) * x.diff() + z.diff() + x * w.diff() / 3 - b * sp.cos(2 * t) - y / 7,
+            "wheel": sp.cos(w + t / 3) * y.diff() + z * z.diff() / 2 - (1 + b * x**2) * w.diff(),
+        },
+        forces={x: -x.diff() / 5, z: sp.sin(3 * t) / 10},
+    )
+
+
+def at_rest_but_allowed(system):
+    q0 = 0.3 + 0.2 * np.arange(system.n)
+    return {"q0": q0, "v0": system.consistent(q0, np.full(system.n, 0.4))[1]}
+
+
+def case(name, scheme):
+    if name == "carried":
+        system = carried_by_time()
+        state = at_rest_but_allowed(system)
+    else:
+        system = ss.systems.ROLLING[name]()
+        state = dict(system.reference_state)
+    stepper = ss.compile(system, scheme)
+    values = stepper.program.named_values()
+    first = stepper.integrate(state["q0"], v0=state["v0"], h=H, steps=0)
+    z = Precise(stepper, values, DIGITS).placed(np.concatenate([first.q[0], first.p[0]]))
+    return stepper, values, z
+
+
+def carried(stepper, z, h=H, **options):
+    n, z = stepper.n, z.astype(float)
+    return stepper.integrate(z[:n], p0=z[n:], h=h, steps=STEPS, **options)
+
+
+CASES = [
+    ("carried", "simpson"),
+    ("chaplygin_sleigh", "gauss4"),
+    ("rolling_disc", "simpson"),
+    ("snakeboard", "lobatto6"),
+    ("ball_on_turntable", "simpson"),
+    ("carried", "gauss6"),
+    ("ball_on_turntable", "midpoint"),
+]
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
+def test_derivatives_by_the_state(name, scheme):
+    stepper, values, z = case(name, scheme)
+    of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, H, STEPS)
+    of_end, of_start = of_end.astype(float), of_start.astype(float)
+    found = carried(stepper, z, tangents=of_start).tangent[-1]
+    assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
+def test_derivatives_by_parameters(name, scheme):
+    stepper, values, z = case(name, scheme)
+    size = Precise(stepper, values, DIGITS).small
+    names = stepper.parameters
+    run = carried(stepper, z, tangents=2 * stepper.n, sensitivities=names)
+    for name in names:
+        starts, ends = [], []
+        for sign in (1, -1):
+            moved = Precise(stepper, {**values, name: values[name] + sign * size}, DIGITS)
+            starts.append(moved.placed(z))
+            ends.append(moved.flow(starts[-1], H, STEPS))
+        start, end = (((a - b) / (2 * size)).astype(float) for a, b in (starts, ends))
+        found = run.tangent[-1] @ start + run.sensitivity[name][-1]
+        scale = np.abs(end).max() + np.abs(run.sensitivity[name][-1]).max()
+        assert np.abs(found - end).max() < 1e-12 * max(scale, 1e-3), name
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
+def test_derivatives_by_the_step(name, scheme):
+    stepper, values, z = case(name, scheme)
+    precise = Precise(stepper, values, DIGITS)
+    size, n, start = precise.small, stepper.n, z.astype(float)
+    found = stepper.tangent(start[:n], p=start[n:], h=H, wrt=("h",))[2][:, 0]
+    h = precise.context.mpf(H)
+    ends = [precise.flow(z, h + sign * size) for sign in (1, -1)]
+    truth = ((ends[0] - ends[1]) / (2 * size)).astype(float)
+    assert np.abs(found - truth).max() < 1e-12 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
+def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
+    stepper, _, z = case(name, scheme)
+    n, z, varied = stepper.n, z.astype(float), stepper.parameters
+    run = carried(stepper, z, tangents=2 * n, sensitivities=varied)
+    weights = np.random.default_rng(3).normal(size=2 * n)
+    names = [*stepper.coordinates, *(f"p_{q}" for q in stepper.coordinates)]
+    cost = "+".join(f"({float(w)!r})*{x}" for w, x in zip(weights, names, strict=True))
+    found = stepper.gradient(
+        z[:n], p0=z[n:], h=H, steps=STEPS, cost=cost, wrt=("q", "p", *varied)
+    ).gradient
+    columns = [run.tangent[-1], *(run.sensitivity[name][-1][:, None] for name in varied)]
+    truth = weights @ np.concatenate(columns, axis=1)
+    assert np.abs(found - truth).max() < 1e-12 * np.abs(truth).max()
