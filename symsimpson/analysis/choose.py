@@ -161,7 +161,7 @@ def choose(
     frequency = largest_frequency(original, q, values.values())
     fixed = schemes
     if schemes is None:
-        straight = system.structure.separable and not system.constraints
+        straight = system.structure.separable and not system.plain.held
         fixed = WITH_EXPLICIT if straight else CANDIDATES
     fixed = () if original is not system else fixed or ()
     problem = Wanted(q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), [])

@@ -15,7 +15,8 @@ from symsimpson.codegen.differentials import few_columns
 from symsimpson.codegen.held import Held, dense, smaller
 from symsimpson.codegen.ir import Function, Kernel, Module, Row, Statement, Store
 from symsimpson.codegen.levels import Level
-from symsimpson.codegen.looped import LoopKernels, equation_constants, solve_constants, solve_tables
+from symsimpson.codegen.loop_tables import equation_constants, solve_constants, solve_tables
+from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.looped_stages import LoopedStages
 from symsimpson.codegen.lower import Lowering
 from symsimpson.codegen.retimed import keeping_time

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import sympy as sp
-
 from symsimpson.codegen.held import Held
 from symsimpson.codegen.ir import Call, Kernel, Loop, Statement, When
 from symsimpson.codegen.storage import Storage
 from symsimpson.codegen.unrolled import acceptance, convergence, lanes
 from symsimpson.discrete.reductions import Constrained, Coupled, Separable
-from symsimpson.discrete.rows import force_factor, inertia_factor, simplified
 from symsimpson.module.interface import PIVOTED
-from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["LoopKernels", "equation_constants", "solve_constants", "solve_tables"]
+__all__ = ["LoopKernels"]
 
 _NODE = ("W", "h", "node", "lane")
 _POINT = ("W", "h", "point", "lane")
@@ -182,7 +178,7 @@ class LoopKernels:
         solve = (_call("solve_pivoted"), *leave, _call("update_increments"))
         if self.held:
             matrix = ("JACOBIAN + SOLVE_OFFSET", "SOLVE_UNKNOWNS", "SOLVE_STRIDE", "lane")
-            find = (_call("solve_pivoted"),)
+            find: tuple[Statement, ...] = (_call("solve_pivoted"),)
             if in_order:
                 right = (matrix[0], "RESIDUAL", *matrix[1:])
                 find = (
@@ -331,7 +327,8 @@ class LoopKernels:
         exchange = _call("exchange_steps")
         first = (*self.all_rows(), _call("solve_following")) if following else ()
         nodes = self.nodes("range(NODES)", _call("node_power"), _call("add_work", *_NODE))
-        pulled, ended = (), ()
+        pulled: tuple[Statement, ...] = ()
+        ended: tuple[Statement, ...] = ()
         if self.carried:
             added = _call("add_carried", "W", "h", "lane")
             pulled = self.points("range(DEGREE)", "hold_velocities", added)
@@ -355,66 +352,3 @@ class LoopKernels:
         """Return the kernel of phi and of multipliers at a state."""
         doc = "phi and the multipliers of L - lambda.phi at (q, p)."
         return Kernel("multipliers", doc, lanes(self.before_multipliers()))
-
-
-def equation_constants(storage: Storage, degree: int, held: Held | None) -> dict[str, object]:
-    """Return what loops over the entries of all equations must know."""
-    # what nodes contribute stands behind the matrix of all unknowns
-    before = held.storage.size(degree) if held else 0
-    return {**storage.constants("EQUATION", degree, before)}
-
-
-def solve_constants(
-    storage: Storage, columns: tuple[int, ...], held: Held | None = None
-) -> dict[str, object]:
-    """Return what elimination must know of the unknowns that it finds: these control points."""
-    blocks = len(columns)
-    if held:
-        every, own = held.storage, storage.constants("SOLVE", blocks)
-        steps = {key: own[key] for key in ("SOLVE_ROW_STEP", "SOLVE_PLACE_STEP")}
-        return {**solve_constants(every, columns), **steps, **held.constants(blocks)}
-    return {
-        "BLOCKS": blocks,
-        "SOLVE_COLUMNS": columns,
-        "SOLVE_UNKNOWNS": storage.unknowns(blocks),
-        **storage.constants("SOLVE", blocks),
-        **storage.bounds("SOLVE", blocks),
-    }
-
-
-def solve_tables(part: Constrained | Coupled | Separable, scheme: Scheme) -> dict[str, object]:
-    """Return the tables by which the loops combine nodes and control points."""
-    if isinstance(part, Constrained):
-        points = range(scheme.degree + 1)
-        rows = (*(part.rows.index(k) if k in part.rows else -1 for k in points),)
-        columns = (*(part.columns.index(k) if k in part.columns else -1 for k in points),)
-        return {"ROW_OF_POINT": rows, "COLUMN_OF_POINT": columns}
-    if isinstance(part, Coupled):
-        return {}
-    S, d, nodes = scheme.stiffness, scheme.degree, range(scheme.stages)
-    forces = tuple(tuple(force_factor(test, scheme, i) for test in part.tests) for i in nodes)
-    tables: dict[str, object] = {
-        "TEST_START": tuple(test[0] for test in part.tests),
-        "TEST_STIFFNESS": tuple(
-            tuple(inertia_factor(test, scheme, m) for m in part.columns) for test in part.tests
-        ),
-        "TEST_ROWS": tuple(
-            tuple(
-                simplified(x - test[0] * (1 - c)) for x, c in zip(test, scheme.points, strict=True)
-            )
-            for test in part.tests
-        ),
-        "STIFFNESS": tuple(row[1:d] for row in S[1:d]) or ((sp.S.Zero,),),
-        "TEST_FORCE": forces,
-        "FORCE_NODES": tuple(i for i in nodes if any(factor != 0 for factor in forces[i])),
-    }
-    if part.last is not None:
-        test = part.last_test(d)
-        scale = simplified(-1 / S[part.last][d]) if part.last else sp.S.One
-        tables |= {
-            "LAST_START": test[0],
-            "LAST_SCALE": scale,
-            "LAST": part.last,
-            "LAST_NODES": tuple(i for i in nodes if force_factor(test, scheme, i) != 0),
-        }
-    return tables

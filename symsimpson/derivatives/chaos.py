@@ -78,7 +78,8 @@ def run_lyapunov(
     ------
     InputError, ConvergenceError, Interrupted
     """
-    size = 2 * (program.n - len(program.header.constraints))
+    header = program.header
+    size = 2 * (program.n - len(header.constraints)) + len(header.velocity_constraints)
     stride = read_count("every", every, least=1)
     count = size if exponents is None else whole_number(exponents)
     if count is None or not 1 <= count <= size:
@@ -94,11 +95,7 @@ def run_lyapunov(
             "Run longer, or pass a smaller every=."
         )
     run = new_run(
-        program,
-        spec,
-        stride,
-        spec.steps // stride + 1,
-        recorders=(growth(program.header, count, stride),),
+        program, spec, stride, spec.steps // stride + 1, recorders=(growth(header, count, stride),)
     )
     begin_run(program, run, spec)
     run.rows("TANGENTS", 1)[:] = count

@@ -158,6 +158,8 @@ class _Body:
                     yield from _broken(f"result[{k}] = {write(value, name)};", indent)
             case ast.Return(value=ast.expr() as value):
                 yield from _broken(f"return {write(value, name)};", indent)
+            case ast.Pass():
+                yield f"{indent};"
             case ast.Break():
                 yield f"{indent}break;"
             case ast.Expr(value=ast.Call() as call):

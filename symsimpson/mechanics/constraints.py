@@ -37,7 +37,7 @@ Read = Callable[[str, Any], Value]
 
 
 class Accelerations(NamedTuple):
-    """What determines accelerations and multipliers.
+    """Values that determine accelerations and multipliers.
 
     Attributes
     ----------

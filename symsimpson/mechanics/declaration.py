@@ -91,8 +91,12 @@ def read_energies(
         )
     gyroscopic = polynomial(name, "gyroscopic term", linear, s)
     constraints = read_constraints(name, given.constraints, s, read)
+
+    def read_moving(what: str, expression: Any) -> Value:
+        return read(what, expression, s.v, (s.t,), s.u)
+
     rolling = read_velocity_constraints(
-        name, given.velocity_constraints, constraints, s, read_timed
+        name, given.velocity_constraints, constraints, s, read_moving
     )
     of_positions = slopes(s.graph, constraints.values(), s.numbers(s.q))
     rows = dict(zip(constraints, of_positions, strict=True))
@@ -112,10 +116,7 @@ def read_energies(
             "It must have the form a(q).v; put the rest into T or V.",
         )
 
-    def read_force(what: str, expression: Any) -> Value:
-        return read(what, expression, s.v, (s.t,), s.u)
-
-    forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_force)
+    forces = read_forces(name, coordinates, given.forces, given.dissipation, s, read_moving)
     check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, s, read)
     watch = s.known | {

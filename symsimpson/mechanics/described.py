@@ -22,11 +22,22 @@ INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retim
 class Described(Declared):
     """Properties that follow from the declaration of a system, in the user's own symbols."""
 
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Number of coordinates, less that of constraints of positions."""
+        return self.n - len(self.constraints)
+
+    @property
+    def velocity_degrees_of_freedom(self) -> int:
+        """Number of coordinates, less that of all constraints: velocities that are free."""
+        return self.degrees_of_freedom - len(self.velocity_constraints)
+
     @cached_property
     def equations(self) -> tuple[sp.Eq, ...]:
         """The Euler-Lagrange equations d/dt dL/dv - dL/dq = f, one for each coordinate, in SymPy.
 
-        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 behind them.
+        Of a system with constraints, with -Phi^T lambda on the right, and phi = 0 behind them; of
+        those of velocities, with -A^T lambda, and A v - b = 0.
 
         Raises
         ------

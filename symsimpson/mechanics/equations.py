@@ -21,14 +21,15 @@ Floats = NDArray[np.float64]
 
 
 def equations(system: Declared) -> tuple[sp.Eq, ...]:
-    """Write d/dt dL/dv - dL/dq = f - Phi^T lambda, and constraints, phi = 0."""
+    """Write d/dt dL/dv - dL/dq = f - Phi^T lambda - A^T nu, and constraints, phi = 0, A v = b."""
     _check(system, "equations")
-    multipliers = [sp.Symbol(f"lambda_{name}") for name in system.constraints]
+    multipliers = [sp.Symbol(f"lambda_{name}") for name in system.plain.held]
     written = [
         sp.Eq(sp.diff(moment, time) - force, pull)
         for moment, force, pull in terms(system, multipliers)
     ]
-    return (*written, *(sp.Eq(phi, 0) for phi in system.constraints.values()))
+    held = (*system.constraints.values(), *system.velocity_constraints.values())
+    return (*written, *(sp.Eq(expression, 0) for expression in held))
 
 
 def _check(system: Declared, what: str) -> None:
@@ -43,13 +44,18 @@ def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr,
     """Return dL/dv, dL/dq and what else pulls, for each coordinate."""
     back = dict(Symbols(system.coordinates, system.parameters, system.inputs).back)
     lagrangian = system.lagrangian
-    phis = zip(multipliers, system.constraints.values(), strict=True)
+    m = len(system.constraints)
+    phis = zip(multipliers[:m], system.constraints.values(), strict=True)
     held = sum((multiplier * phi for multiplier, phi in phis), sp.S.Zero)
+    rates = zip(multipliers[m:], system.velocity_constraints.values(), strict=True)
+    rolling = sum((multiplier * rate for multiplier, rate in rates), sp.S.Zero)
     return [
         (
             sp.diff(lagrangian, q.diff(time)),
             sp.diff(lagrangian, q),
-            system.plain.written(own).xreplace(back) - sp.diff(held, q),
+            system.plain.written(own).xreplace(back)
+            - sp.diff(held, q)
+            - sp.diff(rolling, q.diff(time)),
         )
         for q, own in zip(system.coordinates, system.plain.f, strict=True)
     ]
@@ -65,7 +71,7 @@ def linearised(
 ) -> tuple[Floats, Floats]:
     """Return A and B of x' = A x + B u for small changes x of (q, v) and u of inputs."""
     _check(system, "linear equations")
-    if system.constraints:
+    if system.plain.held:
         raise ModelError(
             f"system {system.name!r} has constraints, so its coordinates do not vary freely.\n"
             "Declare it in as many coordinates as it has degrees of freedom to linearise it."

@@ -40,8 +40,9 @@ def _equations(one: Any) -> str:
     safe = _safe(one)
     kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))
     lines = [("T", kinetic), ("V", potential)]
-    lines += [("0", sp.sympify(phi).xreplace(safe)) for phi in one.constraints.values()]
-    m = len(one.constraints)
+    held = (*one.constraints.values(), *one.velocity_constraints.values())
+    lines += [("0", sp.sympify(expression).xreplace(safe)) for expression in held]
+    m = len(held)
     multipliers = [sp.Symbol(f"lambda_{k + 1}" if m > 1 else "lambda") for k in range(m)]
     if one.n <= SHOWN:
         lines.append(("M", one.mass_matrix.xreplace(safe)))

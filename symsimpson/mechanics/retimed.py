@@ -183,6 +183,8 @@ def not_retimed(system: MechanicalSystem) -> str:
     why = ""
     if isinstance(system, RetimedSystem):
         why = "it is retimed already"
+    elif plain.velocity_constraints:
+        why = "velocity constraints make a flow that is not symplectic, in no time"
     elif plain.constraints:
         why = "constraints hold it, whose steps in another time are not proved to be right"
     elif plain.forces:

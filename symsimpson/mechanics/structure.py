@@ -183,6 +183,7 @@ def analyse(system: Declared) -> Structure:
 
 
 def _of_constraints(plain: Plain) -> list[Value]:
+    """List phi, and the entries of A and b."""
     rows = plain.velocity_constraints.values()
     return [*plain.constraints.values(), *(value for row in rows for value in row)]
 
@@ -362,7 +363,8 @@ def kinetic(plain: Plain) -> Value:
 def _angle(plain: Plain, x: int) -> bool:
     """Return whether x stands somewhere, and in sines and cosines alone, by whole multiples."""
     graph = plain.graph
-    work = [n for c, n in (*plain.energies, *plain.f) if c and x in graph.nodes[n].symbols]
+    written = (*plain.energies, *plain.f, *_of_constraints(plain))
+    work = [n for c, n in written if c and x in graph.nodes[n].symbols]
     seen = set(work)
     while work:
         n = work.pop()

@@ -300,16 +300,6 @@ class MechanicalSystem(Described):
             units=units,
         )
 
-    @property
-    def degrees_of_freedom(self) -> int:
-        """Number of coordinates, less that of constraints of positions."""
-        return self.n - len(self.constraints)
-
-    @property
-    def velocity_degrees_of_freedom(self) -> int:
-        """Number of coordinates, less that of all constraints: velocities that are free."""
-        return self.degrees_of_freedom - len(self.velocity_constraints)
-
     def consistent(
         self,
         q0: ArrayLike,

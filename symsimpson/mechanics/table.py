@@ -58,6 +58,16 @@ def rows(found: Any) -> list[Row]:
                 "",
             )
         )
+    if found.system.velocity_constraints:
+        free = found.system.velocity_degrees_of_freedom
+        table.append(
+            (
+                "velocity constraints",
+                _some(list(found.system.velocity_constraints)),
+                f"A v = b; velocities that are free: {free}",
+                "",
+            )
+        )
     if found.damping is not None:
         table.append(
             (
@@ -78,7 +88,7 @@ def rows(found: Any) -> list[Row]:
                 energies,
                 f"{why}, nor forces with v" if found.forced else why,
                 ""
-                if found.system.constraints  # which hold it, too
+                if found.system.plain.held  # which hold it, too
                 else "the end of the path from Newton's unknowns",
             )
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +16,7 @@ from symsimpson.graph.rebuild import fixed, rebuilt
 from symsimpson.mechanics.checks import fail, spell
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.quadratic import samples
+from symsimpson.support.calling import warn
 
 __all__ = ["read_velocity_constraints", "warn_of_integrable"]
 
@@ -59,6 +59,15 @@ def read_velocity_constraints(
                 f"run['lambda_{key}'] could be either. Rename one of them.",
             )
         value = read(f"velocity constraint {key!r}", expression)
+        driven = graph.nodes[value[1]].symbols & set(symbols.numbers(symbols.u))
+        if driven:
+            which = next(u for u, (_, n) in symbols.known.items() if n in driven)
+            raise fail(
+                name,
+                f"the velocity constraint {key!r} depends on the input {spell(which)}.",
+                "Inputs have values at nodes, and a constraint holds between them. Prescribe the "
+                "motion by a function of time, or by a parameter.",
+            )
         if graph.nodes[value[1]].symbols.isdisjoint(v):
             nothing = Findings(graph, [value]).vanishes(value)
             raise fail(
@@ -123,14 +132,13 @@ def warn_of_integrable(
         return
     which = ", ".join(map(repr, names))
     several = len(names) > 1
-    warnings.warn(
+    warn(
         f"system '{name}': the velocity constraint{'s' if several else ''} {which} "
         f"follow{'' if several else 's'} from {'equations' if several else 'an equation'} of "
         "positions.\n"
         "Given as constraints={...}, positions would satisfy it to rounding at every step, and the "
         "step would be symplectic. As it is, they drift from it with the error of the scheme.",
         ModelWarning,
-        stacklevel=2,
     )
 
 

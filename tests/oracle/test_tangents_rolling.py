@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import sympy as sp
 from support.cases import sweep
+from support.rolling import allowed_state, carried_by_time
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise
@@ -11,35 +11,10 @@ from symsimpson.analysis.precise import Precise
 H, STEPS, DIGITS = 0.05, 2, 30
 
 
-def carried_by_time():
-    """Two rows, of which one moves with the time and with positions; M(q), gyroscopic, forced."""
-    x, y, z, w = q = ss.coordinates("x y z w")
-    a, b = sp.symbols("a b", positive=True)
-    t = ss.time
-    kinetic = (1 + a * x**2) * x.diff() ** 2 / 2 + (2 + sp.sin(z)) * y.diff() ** 2 / 2
-    kinetic += z.diff() ** 2 / 2 + w.diff() ** 2 + x.diff() * z.diff() / 8
-    return ss.MechanicalSystem.from_lagrangian(
-        "carried",
-        kinetic - x**2 - sp.cos(y) - z**2 / 2 - w**2 / 3 + x * y.diff() / 3,
-        q,
-        {a: 0.3, b: 0.2},
-        velocity_constraints={
-            "belt": -sp.sin(y) * x.diff() + z.diff() + x * w.diff() / 3 - b * sp.cos(2 * t) - y / 7,
-            "wheel": sp.cos(w + t / 3) * y.diff() + z * z.diff() / 2 - (1 + b * x**2) * w.diff(),
-        },
-        forces={x: -x.diff() / 5, z: sp.sin(3 * t) / 10},
-    )
-
-
-def at_rest_but_allowed(system):
-    q0 = 0.3 + 0.2 * np.arange(system.n)
-    return {"q0": q0, "v0": system.consistent(q0, np.full(system.n, 0.4))[1]}
-
-
 def case(name, scheme):
     if name == "carried":
         system = carried_by_time()
-        state = at_rest_but_allowed(system)
+        state = allowed_state(system)
     else:
         system = ss.systems.ROLLING[name]()
         state = dict(system.reference_state)

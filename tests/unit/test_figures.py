@@ -38,7 +38,7 @@ FIGURES = {
         lambda: sum("# fmt: skip" in x for p in FILES for x in p.read_text().splitlines()),
     ),
     "functions with more than 8 arguments": (19, lambda: with_more_arguments(8)),
-    "functions with more than 12 arguments": (9, lambda: with_more_arguments(12)),
+    "functions with more than 12 arguments": (10, lambda: with_more_arguments(12)),
     "private names asked of others": (27, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
     "docstrings that cannot be read alone": (

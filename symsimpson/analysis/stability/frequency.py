@@ -15,7 +15,7 @@ from symsimpson.analysis.stability.limits import theory_limits
 from symsimpson.analysis.stability.turning import warn_of_turning
 from symsimpson.errors import StabilityWarning
 from symsimpson.graph.derive import Derivatives
-from symsimpson.graph.nodes import Value, scaled
+from symsimpson.graph.nodes import ZERO, Value, scaled
 from symsimpson.mechanics.system import MechanicalSystem
 from symsimpson.reference.first_order import Lines
 from symsimpson.schemes.named import read_scheme
@@ -59,7 +59,7 @@ def largest_frequency(
     """
     try:
         found = _matrices(system)(*map(float, (*q, *parameters, t)))
-        mass, stiffness = _allowed(*found) if system.constraints else (found[-1], found[0])
+        mass, stiffness = _allowed(*found) if system.plain.held else (found[-1], found[0])
         squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0
@@ -122,7 +122,10 @@ def _matrices(system: MechanicalSystem) -> Callable[..., Any]:
         "Phi": [x for row in slopes[1:] for x in row],
         "B": [x for bend in bends for x in bend],
     }
-    m = len(bends)
+    for row in plain.velocity_constraints.values():  # they allow less, and hold nothing at rest
+        entries["Phi"] += row[:-1]
+        entries["B"] += [ZERO] * n**2
+    m = len(plain.held)
     return _function(system, entries, plain.q, [(n, n), (n,), (m, n), (m, n, n), (n, n)])
 
 
@@ -212,11 +215,11 @@ def warn_of_step(
     t: float,
 ) -> None:
     """Warn of a step that does not resolve what is fast at the start: oscillations, or damping."""
-    if system.constraints:
+    if system.plain.held:
         warn_of_turning(program, system, v, h)
     if system.n > MOST_COORDINATES:
         return
-    if not system.constraints:  # else M says little of what damps
+    if not system.plain.held:  # else M says little of what damps
         _warn_of_damping(program, system, (q, v, values, t), h)
     omega = largest_frequency(system, q, values, t)
     if abs(h) * omega >= ALWAYS_STABLE:
@@ -231,7 +234,7 @@ def warn_of_step(
                 StabilityWarning,
             )
             return
-    if not system.constraints:
+    if not system.plain.held:
         omega = fastest_rotation(system, q, values, t)
     if abs(h) * omega > math.pi:
         warn(

@@ -58,7 +58,7 @@ def _mass(system: MechanicalSystem) -> tuple[Callable[..., Any] | None, tuple[in
     names = plain.numbers(plain.q)
     inside = frozenset().union(*(plain.graph.nodes[m].symbols for _, m in entries.values()))
     depends = tuple(i for i, name in enumerate(names) if name in inside)
-    if not depends or n > MOST_COORDINATES or system.constraints:
+    if not depends or n > MOST_COORDINATES or system.plain.held:
         return None, ()
     lines = Lines(plain, entries)
     arguments = [*plain.q, plain.t, *plain.parameters, *plain.u]

@@ -32,6 +32,7 @@ PAIRS = [
     ("water", "gauss10"),
     ("kepler", "radau3"),
     ("outer_solar_system", "simpson"),
+    ("rolling_disc", "simpson"),
 ]
 
 

@@ -1,0 +1,159 @@
+"""Velocity constraints as they are declared, and states that satisfy them."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.physics.mechanics import LagrangesMethod
+
+import symsimpson as ss
+
+x, y, th, w = ss.coordinates("x y th w")
+m, k = sp.symbols("m k", positive=True)
+u = sp.Symbol("u")
+BLADE = -sp.sin(th) * x.diff() + sp.cos(th) * y.diff()
+
+
+def skate(rows=(BLADE,), **changes):
+    given = {
+        "coordinates": (x, y, th),
+        "potential": 0 * x,
+        "kinetic": m * (x.diff() ** 2 + y.diff() ** 2 + th.diff() ** 2) / 2,
+        "parameters": {m: 1.3, k: 0.5},
+        "velocity_constraints": rows,
+    }
+    return ss.MechanicalSystem("skate", **given | changes)
+
+
+def test_names_and_forms():
+    assert list(skate().velocity_constraints) == ["1"]
+    assert list(skate({"blade": BLADE}).velocity_constraints) == ["blade"]
+    assert skate(sp.Eq(x.diff(), y * th.diff())).velocity_constraints["1"] == (
+        x.diff() - y * th.diff()
+    )
+    with pytest.warns(ss.ModelWarning, match="'2' follows"):  # one way is left
+        both = skate([BLADE], constraints=[x - y])
+    assert list(both.constraints) == ["1"]
+    assert list(both.velocity_constraints) == ["2"]
+    assert (both.degrees_of_freedom, both.velocity_degrees_of_freedom) == (2, 1)
+    assert skate().digest != skate([2 * BLADE]).digest != skate(()).digest
+
+
+def test_rows_and_what_moves_them():
+    """A is read off by differentiation, b by what is left at rest."""
+    plain = skate([BLADE - k * sp.cos(ss.time) - x]).plain
+    *row, b = map(plain.written, plain.velocity_constraints["1"])
+    q, t, a = plain.q, plain.t, plain.parameters[1]
+    assert row == [-sp.sin(q[2]), sp.cos(q[2]), 0]
+    assert sp.expand(b - a * sp.cos(t) - q[0]) == 0
+    assert plain.carried
+    assert not plain.autonomous
+    assert not plain.conservative
+    assert skate().plain.conservative
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ([x - 1], "contains no velocity.\n.*Give it as constraints"),
+        ([0 * x], "is true everywhere"),
+        ([x.diff() ** 2 - 1], "is not linear in the velocities.\n.*does not determine the force"),
+        ([sp.sqrt(x.diff() ** 2 + y.diff() ** 2) - 1], "is not linear"),
+        ([sp.Abs(x.diff()) - 1], "Abs"),
+        ([x.diff(ss.time, 2)], "a derivative of order 2"),
+        ([sp.Symbol("c") * x.diff()], "unknown symbol c"),
+        ([(x.diff() + 1) ** 2 - x.diff() ** 2 - 2 * x.diff() - 3], "no velocity is left in it"),
+        ([(x.diff() + 1) ** 2 - x.diff() ** 2 - 2 * x.diff() - 1], "is true everywhere"),
+        ({"a": BLADE, "b": k * BLADE}, "'a', 'b' depend on each other"),
+        ([BLADE, x.diff(), th.diff() - 1], "3 constraints on 3"),
+        ("x", "neither a list nor a mapping"),
+        ({3: BLADE}, "is not a text"),
+    ],
+)
+def test_what_is_refused(rows, told):
+    with pytest.raises(ss.ModelError, match=told):
+        skate(rows)
+
+
+def test_what_does_not_go_together():
+    with pytest.raises(ss.ModelError, match="two constraints are called 'a'"):
+        skate({"a": BLADE}, constraints={"a": x - y})
+    with pytest.raises(ss.ModelError, match="'a', 'b' depend on each other"):
+        skate({"b": x.diff() - y.diff()}, constraints={"a": x - y})
+    with pytest.raises(ss.ModelError, match=r"velocity [xy]'.*\n.*velocity_constraints"):
+        skate((), constraints=[BLADE])
+    with pytest.raises(ss.ModelError, match=r"input u\.\n.*function of time"):
+        skate([BLADE - u], inputs=(u,), forces={x: u})
+    with pytest.raises(ss.ModelError, match="'constraints'"):
+        skate([BLADE - 1], forces={"constraints": {x: -x}})
+    with pytest.raises(ss.ModelError, match="velocity constraints"):
+        skate().retimed(1 + x**2)
+    for scheme in ("kahan_li8", "blanes_moan4"):
+        with pytest.raises(ss.SchemeError, match="leave the velocity constraints '1'"):
+            ss.compile(skate(), scheme)
+    with pytest.raises(ss.SchemeError, match="no second derivatives"):
+        ss.compile(skate()).hessian([0.0] * 3, np.zeros((2, 3)), 0.1, np.ones(6))
+
+
+@pytest.mark.parametrize(
+    ("rows", "constraints", "names"),
+    [
+        ([x.diff() - k * th.diff()], (), "'1' follows from an equation"),
+        ({"a": y * x.diff() + x * y.diff()}, (), "'a' follows"),
+        ({"a": BLADE, "b": x.diff() * sp.cos(x) - th.diff()}, (), "'a', 'b' follow from equations"),
+        # on a circle of one radius, every blade leaves but one way
+        ({"a": th.diff() * x - y.diff()}, [x - y], "'a' follows"),
+    ],
+)
+def test_rows_that_follow_from_positions_are_told(rows, constraints, names):
+    """Two rows of three coordinates are always integrable."""
+    with pytest.warns(ss.ModelWarning, match=names) as found:
+        skate(rows, constraints=constraints)
+    assert found[0].filename == __file__
+
+
+def test_rows_that_do_not_are_left_alone():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for make in ss.systems.ROLLING.values():
+            make()
+
+
+def test_consistent_velocities():
+    system = skate({"blade": BLADE - k * sp.cos(ss.time)})
+    q, v = system.consistent([0.1, 0.2, 0.3], [1.0, -1.0, 0.4], t=2.0)
+    assert q.tolist() == [0.1, 0.2, 0.3]
+    asked = 0.5 * np.cos(2.0)
+    assert abs(-np.sin(0.3) * v[0] + np.cos(0.3) * v[1] - asked) < 1e-15
+    assert v[2] == 0.4
+    held = system.consistent([0.1, 0.2, 0.3], [1.0, -1.0, 0.4], fixed=("x",), t=2.0)[1]
+    assert held[0] == 1.0
+    stepper = ss.compile(system)
+    with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'blade'"):
+        stepper.integrate(q, v0=[1.0, -1.0, 0.4], h=0.1, steps=1, t0=2.0)
+    with pytest.raises(ss.InputError, match="p0 has a part that is taken by the constraint"):
+        stepper.integrate(q, p0=[1.0, -1.0, 0.4], h=0.1, steps=1, t0=2.0)
+
+
+def test_equations_have_the_pull():
+    *_, turning, row = skate({"blade": BLADE}).equations
+    pull = sp.Symbol("lambda_blade")
+    assert skate({"blade": BLADE}).equations[1].rhs == -pull * sp.cos(th)
+    assert turning.rhs == 0
+    assert row == sp.Eq(BLADE, 0)
+    assert "velocity constraints" in repr(skate().structure)
+    assert r"\lambda" in skate()._repr_latex_()
+
+
+def test_a_lagranges_method_brings_its_rows():
+    method = LagrangesMethod(
+        (x.diff() ** 2 + y.diff() ** 2 + th.diff() ** 2 + w.diff() ** 2) / 2,
+        [x, y, th, w],
+        hol_coneqs=[w - y**3],
+        nonhol_coneqs=[BLADE],
+    )
+    system = ss.MechanicalSystem.from_lagranges_method("skate", method)
+    assert list(system.constraints) == ["1"]
+    assert list(system.velocity_constraints) == ["2"]
+    assert system.velocity_constraints["2"] == BLADE
