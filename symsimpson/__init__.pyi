@@ -32,6 +32,7 @@ from .errors import UnknownNameError as UnknownNameError
 from .mechanics.arms import Link as Link
 from .mechanics.arms import serial_arm as serial_arm
 from .mechanics.bodies import RigidBody as RigidBody
+from .mechanics.coordinates import approach as approach
 from .mechanics.coordinates import coordinates as coordinates
 from .mechanics.coordinates import momenta as momenta
 from .mechanics.coordinates import time as time
@@ -46,6 +47,7 @@ from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation
 from .program.configuration import show_config as show_config
 from .program.status import Status as Status
+from .results.acted import Actions as Actions
 from .results.archive import open_trajectory as open_trajectory
 from .results.chaos import Chaos as Chaos
 from .results.events import Events as Events
@@ -64,6 +66,10 @@ from .schemes.scheme import MIDPOINT as MIDPOINT
 from .schemes.scheme import SIMPSON as SIMPSON
 from .schemes.scheme import Scheme as Scheme
 from .schemes.scheme import galerkin as galerkin
+from .stepping.acting import Change as Change
+from .stepping.acting import Event as Event
+from .stepping.acting import Impact as Impact
+from .stepping.acting import Switch as Switch
 from .stepping.driving import samples as samples
 from .support.derivation import Report as Report
 

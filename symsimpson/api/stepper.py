@@ -18,6 +18,7 @@ from symsimpson.support.calling import explaining
 if TYPE_CHECKING:
     from symsimpson.ensemble.ensemble import Ensemble
     from symsimpson.results.sampled import Sampled, Saved
+    from symsimpson.stepping.acting import Event
 
 __all__ = ["Stepper"]
 
@@ -71,6 +72,7 @@ class Stepper(Examining):
         sensitivities: Any = None,
         record: str | Sequence[str] | None = None,
         reduce: Mapping[str, Any] | None = None,
+        events: Sequence[Event] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -132,6 +134,7 @@ class Stepper(Examining):
         sensitivities: Any = None,
         record: str | Sequence[str] | None = None,
         reduce: Mapping[str, Any] | None = None,
+        events: Sequence[Event] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         checkpoint_every: int | None = None,
         progress: bool | None = None,
@@ -176,6 +179,9 @@ class Stepper(Examining):
         reduce : mapping from str to (kind, expression), optional
             Quantities to evaluate behind each step, stored or not, as for :meth:`ensemble`; gives
             ``run.reduced``.
+        events : sequence of Event, optional
+            Events that act on the run: impacts, changes of the state, ends; ``run.events(name)``
+            has the record of each. Stored states are those of the grid of times.
         checkpoint : path, optional
             A file from which an interrupted run is resumed, to the same bits, by the same call or
             :func:`symsimpson.resume`. Stored states go to a file beside it.
@@ -218,7 +224,7 @@ class Stepper(Examining):
         """
         begin = q0, v0, p0, h, t_end, steps, t0
         derivatives, kept = (tangents, sensitivities), (t_eval, save, checkpoint)
-        further = record, reduce
+        further = record, reduce, events
         request = Request(*begin, parameters, inputs, every, *derivatives, *kept, *further)
         return run(self.program, request, checkpoint_every, progress, on_failure)
 

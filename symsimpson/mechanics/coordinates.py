@@ -7,11 +7,13 @@ from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
 
-__all__ = ["coordinates", "momenta", "time"]
+__all__ = ["approach", "coordinates", "momenta", "time"]
 
 #: The time, equal to ``dynamicsymbols._t`` of SymPy, of which coordinates are functions. It is made
 #: here because SymPy's mechanics, with units and constants, takes long to import.
 time: sp.Symbol = sp.Symbol("t")
+#: The speed at which a gap closes, of which the restitution of an impact may be a function.
+approach: sp.Symbol = sp.Symbol("approach", nonnegative=True)
 
 
 def coordinates(names: str) -> tuple[AppliedUndef, ...]:

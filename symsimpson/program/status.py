@@ -31,6 +31,7 @@ class Status(IntEnum):
     FILE_ERROR = interface.FILE_ERROR
     SINGULAR_CONSTRAINTS = interface.SINGULAR_CONSTRAINTS
     RATE_NOT_POSITIVE = interface.RATE_NOT_POSITIVE
+    EVENTS_ACCUMULATE = interface.EVENTS_ACCUMULATE
 
     @property
     def message(self) -> str:
@@ -75,6 +76,11 @@ _MESSAGES = {
     Status.RATE_NOT_POSITIVE: (
         "The rate dt/dtau is not a positive number there, so time would not advance. Give a rate "
         "that is positive along the whole motion, or take smaller steps if one jumped too far."
+    ),
+    Status.EVENTS_ACCUMULATE: (
+        "Impacts follow each other ever faster: the bodies stay in contact from there. What was "
+        "computed is kept, up to the last impact. Replace the contact by a constraint there, or "
+        "end the run by a terminal event."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

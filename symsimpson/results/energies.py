@@ -31,7 +31,7 @@ class Energies(Stored):
 
     @cached_property
     def energy_error(self) -> NDArray[Any]:
-        """(H - H0) / :attr:`energy_scale`, shape (N + 1,).
+        """(H - H0) / :attr:`energy_scale`, shape (N + 1,), without what events gave or took.
 
         Raises
         ------
@@ -52,7 +52,16 @@ class Energies(Stored):
                 "not measure the error.\nUse run.energy_balance, the change of the energy minus "
                 "the work done; run.energy and run.work are its parts."
             )
-        return (self.energy - self.energy[0]) / self.energy_scale
+        return (self.energy - self.energy[0] - self._given) / self.energy_scale
+
+    @cached_property
+    def _given(self) -> Any:
+        """The energy that events gave up to stored states, which impacts take; 0 without any."""
+        if not self.records:
+            return 0
+        from symsimpson.results.acted import energies_given
+
+        return energies_given(self)
 
     @cached_property
     def _integrals(self) -> tuple[dict[str, NDArray[Any]], NDArray[Any]]:
@@ -108,7 +117,7 @@ class Energies(Stored):
             As for :attr:`work`.
         """
         work, lost = self._integrals
-        return self.energy - self.energy[0] - work["total"] + lost
+        return self.energy - self.energy[0] - self._given - work["total"] + lost
 
     @cached_property
     def shadow_energy(self) -> NDArray[Any]:

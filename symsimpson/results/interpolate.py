@@ -14,6 +14,7 @@ from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
+from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
 
 __all__ = ["DenseOutput"]
@@ -67,7 +68,8 @@ class DenseOutput:
             ]
         self._t, self._q, self._p, self.input_values = whole
         self._retimed = run.program.header.retimed
-        self._end = run.t[-1] if self._retimed else run.t[0] + run.h * run.steps
+        uneven = self._retimed or run.ended_by is not None
+        self._end = run.t[-1] if uneven else run.t[0] + run.h * run.steps
         self._sign = 1.0 if run.h > 0 else -1.0
         self._forward = self._sign * np.asarray(run.t, dtype=float)
         digits = getattr(numbers, "digits", None)
@@ -124,7 +126,47 @@ class DenseOutput:
     def after(
         self, start: NDArray[np.int64], later: Reals
     ) -> tuple[Reals, Reals, NDArray[np.int64]]:
-        """Return q, p and a status so much later than stored states, by their numbers."""
+        """Return q, p and a status so much later than stored states, by their numbers.
+
+        Where events acted, from the last of them on.
+        """
+        if not self._run.records:
+            return self._after_states(start, later)
+        asked, sign = np.asarray(self._run.t[start] + later, dtype=float), self._sign
+        acted = sign * np.array([one.t for one in self._run.records])
+        last = np.searchsorted(acted, sign * asked, side="right") - 1
+        behind = (last >= 0) & (acted[last] >= sign * np.asarray(self._run.t[start], dtype=float))
+        q, p = np.zeros((2, len(start), self._run.program.n))
+        codes = np.zeros(len(start), dtype=np.int64)
+        plain = np.flatnonzero(~behind)
+        q[plain], p[plain], codes[plain] = self._after_states(start[plain], later[plain])
+        for i in np.flatnonzero(behind):
+            (q[i], p[i]), codes[i] = self._after_record(self._run.records[last[i]], float(asked[i]))
+        return q, p, codes
+
+    def _after_record(self, record: Any, t: float) -> tuple[Any, Status]:
+        """Return the state at a time behind an event, before the next one."""
+        run, h = self._run, float(self._run.h)
+        begin = float(run.t[0]) + h * record.step
+        parts = Parts(run.program, run.parameter_values, h, run.input_values)
+        state, share = (record.q_after, record.p_after), (record.t - begin) / h
+        if self._sign * (t - begin - h) <= 0:
+            return parts(state, record.t, t - record.t, record.step, share)
+        state, status = parts(state, record.t, begin + h - record.t, record.step, share)
+        whole = int(np.floor((t - begin) / h)) - 1
+        if status is Status.SUCCESS and whole:
+            inputs = since(run.input_values, record.step + 1)
+            state, status = self._run_on(begin + h, state, h, whole, inputs)
+        step = record.step + 1 + whole
+        left = t - float(run.t[0]) - h * step
+        if status is not Status.SUCCESS or abs(left) <= self._nothing * abs(h):
+            return state, status
+        return parts(state, t - left, left, step, 0.0)
+
+    def _after_states(
+        self, start: NDArray[np.int64], later: Reals
+    ) -> tuple[Reals, Reals, NDArray[np.int64]]:
+        """Return the same where no events acted in between."""
         if self._retimed:
             return self._after_in_time(start, later)
         run, program = self._run, self._run.program

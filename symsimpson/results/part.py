@@ -30,6 +30,7 @@ ROWS = (
     "multipliers",
     "constraint_error",
     "constraint_forces",
+    "velocity_constraint_error",
 )
 
 
@@ -39,8 +40,8 @@ class Part(States):
 
     Attributes are those of :class:`States`; ``tau``, ``newton_iterations``, ``tangent``,
     ``sensitivity``, ``work``, ``power``, ``energy_balance``, ``energy_error``,
-    ``shadow_energy``, ``multipliers``, ``constraint_error`` and ``constraint_forces`` are rows of
-    those of the whole run.
+    ``shadow_energy``, ``multipliers``, ``constraint_error``, ``velocity_constraint_error`` and
+    ``constraint_forces`` are rows of those of the whole run.
 
     Examples
     --------

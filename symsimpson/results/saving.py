@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
 from symsimpson.results.tables import write
@@ -32,6 +33,11 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
 
 def _dataset(run: Stored) -> Any:
     """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
+    if run.records or run.ended_by:
+        raise InputError(
+            "a run in which events acted is not kept in a file from which it can be made again.\n"
+            "Save its states as a table, .csv, .parquet or .npz, and run.events(name) beside it."
+        )
     found = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})

@@ -65,6 +65,8 @@ def _check(run: Stored) -> None:
     why = ""
     if not header.conservative:
         why = "its energy is not constant: look at run.energy_balance"
+    elif run.records:
+        why = "events acted on it"
     elif header.constraints:
         why = "its paths are held by constraints"
     elif run.every != 1:

@@ -42,6 +42,8 @@ class Stored(Outcome, States):
     recorded_values: tuple[tuple[str, NDArray[Any]], ...]
     tau_values: NDArray[Any] | None
     reduced_values: tuple[tuple[str, float], ...]
+    records: tuple[Any, ...]
+    ended_by: str | None
 
     @property
     def recorded(self) -> dict[str, NDArray[Any]]:

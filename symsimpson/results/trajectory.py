@@ -19,6 +19,7 @@ from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
+    from symsimpson.results.acted import Record
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
 
@@ -73,6 +74,10 @@ class Trajectory(Energies, Differentiated):
     varied_by: tuple[str, ...] | None = field(default=None, repr=False)
     recorded_values: tuple[tuple[str, NDArray[Any]], ...] = field(default=(), repr=False)
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
+    #: What events did, in the order of time, their names, and the one that ended the run.
+    records: tuple[Record, ...] = field(default=(), repr=False)
+    actors: tuple[str, ...] = field(default=(), repr=False)
+    ended_by: str | None = None
 
     @property
     def _names_varied(self) -> tuple[str, ...]:
@@ -168,6 +173,7 @@ class Trajectory(Energies, Differentiated):
             In coordinates, momenta (``p_`` and a coordinate), velocities (``v_`` and a coordinate,
             or ``q1.diff()``), parameters, ``t`` and ``energy``. ``Mod(q1, 2*pi) - pi`` finds an
             angle in all turns: the jump of ``Mod``, which should lie far from the zero, is none.
+            Or the name of an event that acted on the run: then its record, :class:`Actions`.
         direction : {0, 1, -1}
             0 for all zeros; 1 or -1 for those where it increases or decreases along the run.
         wrap : True, or names of coordinates
@@ -190,6 +196,10 @@ class Trajectory(Energies, Differentiated):
         >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
+        if isinstance(expression, str) and expression in self.actors:
+            from symsimpson.results.acted import actions_of
+
+            return actions_of(self, expression)
         from symsimpson.results.events import find_events
 
         return find_events(self, expression, direction, wrap)

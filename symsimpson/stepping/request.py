@@ -31,6 +31,8 @@ class Request(NamedTuple):
         A file to resume from.
     record, reduce
         What is added up over steps, and what values of states are reduced to.
+    events
+        Events that act on the run.
     """
 
     q0: Any
@@ -50,6 +52,7 @@ class Request(NamedTuple):
     checkpoint: Any = None
     record: Any = None
     reduce: Any = None
+    events: Any = None
 
     @property
     def varied(self) -> bool:

@@ -111,6 +111,14 @@ class Run:
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
         self.store(0)
 
+    def go_on_from(self, state: Sequence[NDArray[Any]], step: int) -> None:
+        """Go on from another state behind so many steps, as if the run began there."""
+        self.first, self._progress[:] = step, 0
+        self._set, self._set_until = 0, -1
+        setting = self.h, self._time(), self.W, self.told
+        self._begin_anew(self._kernels(), 0, setting, (self._parameters, *state))
+        self.store(0)
+
     @property
     def _setting(self) -> tuple[Any, ...]:
         return self.h, self.t0, self.W, self.told

@@ -1,0 +1,121 @@
+"""Records of events that acted on a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.results.events import Events
+from symsimpson.results.states import States
+
+__all__ = ["Actions", "Record", "actions_of"]
+
+Floats = NDArray[np.float64]
+
+
+class Record(NamedTuple):
+    """One event that acted: its number, the time, the step, and the states on both sides."""
+
+    event: int
+    t: float
+    step: int
+    q: Floats
+    p: Floats
+    q_after: Floats
+    p_after: Floats
+    direction: int
+    impulse: float
+    simultaneous: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False, init=False)
+class Actions(Events):
+    """The states in which an event acted on a run; those of :class:`Events` are before it.
+
+    Attributes
+    ----------
+    q_after, p_after : ndarray, shape (N, n)
+        The states behind it.
+    impulse : ndarray, shape (N,)
+        Of impacts, along the slope of the gap; 0 for others.
+    simultaneous : ndarray of bool, shape (N,)
+        Whether another impact acted at the same time.
+
+    Examples
+    --------
+    >>> import symsimpson as ss
+    >>> (z,) = ss.coordinates("z")
+    >>> ball = ss.MechanicalSystem("ball", coordinates=(z,), kinetic=z.diff()**2/2, potential=10*z)
+    >>> floor = ss.Event(z, name="floor", action=ss.Impact(0.8))
+    >>> run = ss.compile(ball).integrate([1.0], v0=[0.0], h=0.01, t_end=2, events=[floor])
+    >>> hits = run.events("floor")
+    >>> hits.impulse.round(3), (hits.after.energy - hits.energy).round(3)
+    (array([8.05, 6.44, 5.152]), array([-3.6  , -2.304, -1.475]))
+    """
+
+    q_after: Floats
+    p_after: Floats
+    impulse: Floats
+    simultaneous: NDArray[np.bool_]
+
+    @property
+    def after(self) -> States:
+        """The states behind the actions."""
+        program, values = self.program, self.parameter_values
+        return States(
+            t=self.t, q=self.q_after, p=self.p_after, program=program, parameter_values=values
+        )
+
+    def _further(self) -> dict[str, Any]:
+        numbers = {"impulse": self.impulse, "simultaneous": self.simultaneous.astype(int)}
+        return super()._further() | {name: (("time",), x) for name, x in numbers.items()}
+
+
+def actions_of(run: Any, name: str) -> Actions:
+    """Return what an event of a run did, by its name."""
+    number = run.actors.index(name)
+    found = [one for one in run.records if one.event == number]
+
+    def rows(what: str) -> Floats:
+        values = [getattr(one, what) for one in found]
+        return np.reshape(np.array(values, dtype=np.float64), (len(found), run.program.n))
+
+    return Actions(
+        t=np.array([one.t for one in found]),
+        q=rows("q"),
+        p=rows("p"),
+        direction=np.array([one.direction for one in found], dtype=np.int64),
+        expression=name,
+        status=run.status,
+        message=run.message,
+        program=run.program,
+        parameter_values=run.parameter_values,
+        q_after=rows("q_after"),
+        p_after=rows("p_after"),
+        impulse=np.array([one.impulse for one in found]),
+        simultaneous=np.array([one.simultaneous for one in found], dtype=np.bool_),
+    )
+
+
+def energies_given(run: Any) -> Floats:
+    """Return the energy that events gave up to each stored state of a run."""
+    program, values = run.program, run.parameter_values
+    t = np.array([one.t for one in run.records])
+    sides = (("q", "p"), ("q_after", "p_after"))
+    before, behind = (
+        States(
+            t=t,
+            q=np.array([getattr(one, q) for one in run.records]),
+            p=np.array([getattr(one, p) for one in run.records]),
+            program=program,
+            parameter_values=values,
+        ).energy
+        for q, p in sides
+    )
+    sign = 1.0 if run.h > 0 else -1.0
+    total = np.concatenate([[0.0], np.cumsum(behind - before)])
+    found: Floats = total[np.searchsorted(sign * t, sign * run.t, side="right")]
+    return found

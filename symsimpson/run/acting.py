@@ -1,0 +1,354 @@
+"""Runs with events that act: steps are split where one is, and the grid of times is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.status import Status
+from symsimpson.results.acted import Record
+from symsimpson.results.trajectory import Trajectory
+from symsimpson.run.actions import Actor
+from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
+from symsimpson.run.verdict import verdict
+from symsimpson.stepping.acting import Acting, Impact, read_events
+from symsimpson.stepping.inputs import read_failure
+from symsimpson.stepping.parts import Parts
+from symsimpson.stepping.request import Request
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.spec import RunSpec, read_run
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["acting_run"]
+
+Floats = NDArray[np.float64]
+Sides = NDArray[np.int64]
+#: When events have acted within a step, by their numbers.
+Times = dict[int, list[float]]
+#: So many steps are looked at together, at first and behind an event, and at most.
+FEW, MOST = 16, 4096
+#: A rest of a step below this part of it is none; events that are so near act together.
+NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
+#: Impacts whose times add up to less than this part of a step from the last one on accumulate; so
+#: do more actions than these within one step.
+ACCUMULATED, MOST_ACTIONS = 1e-6, 500
+#: A start may be so far behind a wall, relative to its size.
+BEHIND = 1e-9
+
+
+def acting_run(
+    program: Program, request: Request, progress: bool | None, on_failure: str
+) -> Trajectory:
+    """Run with events that act.
+
+    Raises
+    ------
+    InputError, ConvergenceError, Interrupted
+    """
+    read_failure(on_failure)
+    _refuse(program, request)
+    acting = read_events(program, request.events)
+    spec = read_run(program, request)
+    with program.numbers.working():
+        under_way = _Run(program, spec, acting)
+        with under_way.run.watched(spec.steps, progress):
+            under_way.advance()
+        trajectory = under_way.trajectory()
+    if not trajectory.success and on_failure == "raise":
+        raise_failure(under_way.run, trajectory, trajectory)
+    return trajectory
+
+
+def _refuse(program: Program, request: Request) -> None:
+    """Refuse what does not go with events that act, so far."""
+    why = ""
+    if program.numbers.epsilon != np.finfo(float).eps:
+        why = "many digits"
+    elif program.header.retimed:
+        why = "a rate: the energy of a retimed run stays as it is"
+    for name in ("t_eval", "save", "tangents", "sensitivities", "checkpoint", "record", "reduce"):
+        if getattr(request, name) is not None:
+            why = f"{name}="
+    if why:
+        raise InputError(
+            f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
+            "events without an action are found behind a run, by run.events(expression)."
+        )
+
+
+@dataclass
+class _Run:
+    """A run with events under way.
+
+    Attributes
+    ----------
+    side : ndarray of int
+        On which side of zero each expression is; 0 where that is not known.
+    size : ndarray
+        The largest value of each so far.
+    """
+
+    program: Program
+    spec: RunSpec
+    acting: Acting
+    run: Run = field(init=False)
+    actor: Actor = field(init=False)
+    records: list[Record] = field(default_factory=list)
+    ended_by: str | None = None
+
+    def __post_init__(self) -> None:
+        program, spec, acting = self.program, self.spec, self.acting
+        self.run = new_run(program, spec, 1, min(MOST, spec.steps) + 1)
+        begin_run(program, self.run, spec)
+        if spec.steps:
+            look_at_step(program, self.run, spec)
+        self.actor = Actor(program, spec, acting)
+        self._parts = Parts(program, spec.parameters, float(spec.h), spec.inputs)
+        self.size = np.zeros(len(acting.events))
+        self.side: Sides = np.zeros(len(acting.events), dtype=np.int64)
+        self.left = [int(event.terminal) or -1 for event in acting.events]
+        self._kept: list[tuple[Floats, Floats, NDArray[np.int64]]] = []
+        self._status: Status | None = None
+        self._message = ""
+        self._end: tuple[float, Floats, Floats] | None = None
+        self._keep(slice(0, 1))
+        self._begin()
+
+    def _begin(self) -> None:
+        """Look at the start: impacts that touch act there, none may be behind its wall."""
+        q, p = (x[0].copy() for x in self.run.end())
+        t = float(self.spec.t0)
+        values = self.actor.values(t, (q, p))
+        self.size = np.maximum(self.size, np.abs(values))
+        self.size = np.maximum(self.size, self.actor.sizes(t, (q, p)))
+        for k, event in enumerate(self.acting.events):
+            off = BEHIND * max(1.0, self.size[k])
+            if isinstance(event.action, Impact) and values[k] < -off:
+                raise InputError(
+                    f"{self.program.system}: the start is behind the wall {event.key!r}: the gap "
+                    f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
+                )
+        own = [self.actor.is_impact(k) for k in range(len(self.side))]
+        self.side = np.where(own, 1, self._sides(values, np.ones_like(self.side)))
+        if self.actor.touching(values, self._small).any():
+            state = self._act(t, 0, (q, p), [], {})
+            if state is not None:
+                self.run.go_on_from(state, 0)
+                self._kept.clear()
+                self._keep(slice(0, 1))
+
+    @property
+    def _small(self) -> Floats:
+        """Values below these are zeros: rounding."""
+        return 64 * 2.0**-52 * self.size
+
+    def _sides(self, values: Floats, before: Sides) -> Sides:
+        """Return on which sides of zero values are; near it they stay where they were."""
+        side = np.sign(values).astype(np.int64)
+        return np.where(np.abs(values) <= self._small, before, side)
+
+    def advance(self) -> None:
+        """Take all steps, or as many as there are until the run ends."""
+        run, steps, piece = self.run, self.spec.steps, FEW
+        while run.step < steps and run.alive and self._status is None:
+            run.advance(min(run.step + piece, steps))
+            k = self._first_event()
+            if k is None:
+                self._keep(slice(1, run.step - run.first + 1))
+                run.forget()
+                piece = min(2 * piece, MOST)
+                if run.status is Status.INTERRUPTED:
+                    return
+                continue
+            piece = FEW
+            self._keep(slice(1, k + 1))
+            first, start = run.first, (run.q[k, :, 0].copy(), run.p[k, :, 0].copy())
+            state = self._split(first + k, start)
+            if state is None:
+                run.go_on_from(start, first + k)
+                return
+            run.go_on_from(state, first + k + 1)
+            self._keep(slice(0, 1))
+
+    def _keep(self, some: slice) -> None:
+        """Keep states of the grid."""
+        run = self.run
+        q, p = (x[some, :, 0].copy() for x in (run.q, run.p))
+        self._kept.append((q, p, run.iterations[some, 0].copy()))
+
+    def _first_event(self) -> int | None:
+        """Return the first of the steps just taken in which an expression changes its sign."""
+        run, kept = self.run, self.run.step - self.run.first
+        q, p = run.q[: kept + 1, :, 0], run.p[: kept + 1, :, 0]
+        t = run.t0 + run.h * (run.first + np.arange(kept + 1))
+        rows = self.actor.rows(t, q, p)
+        values = rows[:, : len(self.side)]
+        self.size = np.maximum(self.size, np.nan_to_num(np.abs(values)).max(axis=0))
+        sides = np.where(np.abs(values) <= self._small, 0, np.sign(values)).astype(np.int64)
+        sides[0] = self.side
+        place = np.where(sides == 0, 0, np.arange(kept + 1)[:, None])
+        sides = np.take_along_axis(sides, np.maximum.accumulate(place, axis=0), axis=0)
+        met = self._acts(sides[:-1], sides[1:]) | self.actor.dips(rows, self._small, run.h)
+        here = np.flatnonzero(met.any(axis=1))
+        self.side = sides[here[0]] if here.size else sides[-1]
+        return int(here[0]) if here.size else None
+
+    def _acts(self, before: Sides, behind: Sides) -> NDArray[np.bool_]:
+        """Return which events act between two sides."""
+        sign = np.array([event.sign for event in self.acting.events])
+        changed = before * behind < 0
+        return changed & ((sign == 0) | (behind == sign))
+
+    def _split(self, step: int, start: Any) -> Any:
+        """Take a step with events in it; None where the run ends within it."""
+        h, t0 = float(self.spec.h), float(self.spec.t0 + self.spec.h * step)
+        state, done = start, 0.0
+        times: Times = {}
+        for action in count():
+            if action > MOST_ACTIONS:
+                hit = self.acting.names[max(times, key=lambda k: len(times[k]), default=0)]
+                return self._fail(
+                    Status.EVENTS_ACCUMULATE, f"{hit!r} acts ever again at one time. "
+                )
+            rest = h - done
+            if abs(rest) <= NOTHING * abs(h):
+                return state
+            end, status = self._parts(state, t0 + done, rest, step, done / h)
+            if status is not Status.SUCCESS:
+                return self._fail(status)
+            found = self._located(step, t0, done, rest, state, end)
+            if found is None:
+                values = self.actor.values(t0 + h, end)
+                self.side = self._sides(values, self.side)
+                return end
+            part, state, events = found
+            done += part
+            if not events:  # a look between the ends of the step, at which nothing acts
+                continue
+            state = self._act(t0 + done, step, state, events, times)
+            if state is None:
+                return None
+
+    def _located(
+        self, step: int, t0: float, done: float, rest: float, start: Any, end: Any
+    ) -> tuple[float, Any, list[int]] | None:
+        """Find the first events of the rest of a step: when, where, and which."""
+        h = float(self.spec.h)
+
+        def after(part: float) -> Any:
+            state, status = self._parts(start, t0 + done, part, step, done / h)
+            return state if status is Status.SUCCESS else (np.nan * start[0], np.nan * start[1])
+
+        def row(part: float) -> Floats:
+            return self.actor.row(t0 + done + part, after(part))
+
+        first, last = self.actor.row(t0 + done, start), self.actor.row(t0 + h, end)
+        sides = self._sides(last[: len(self.side)], self.side)
+        met = np.flatnonzero(self._acts(self.side, sides)).tolist()
+        ends = dict.fromkeys(met, rest)
+        for k in self.actor.dipping(first, last, self._small, rest):
+            if k not in met:
+                lowest = self.actor.root(row, self.actor.rate(k), 0.0, rest)
+                if row(lowest)[k] < -self._small[k]:
+                    ends[k] = lowest
+        roots = {
+            k: self.actor.root(row, k, 0.0, until, float(self.side[k])) for k, until in ends.items()
+        }
+        if not roots:
+            return None
+        part = min(roots.values(), key=lambda x: abs(x))
+        near = TOGETHER * max(abs(t0 + done + part), abs(h))
+        return part, after(part), [k for k, x in roots.items() if abs(x - part) <= near]
+
+    def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
+        """Let events act on a state, and keep records; None where the run ends with them."""
+        row, small = self.actor.row(t, state), self._small
+        allowed = [k for k in events if self.actor.allowed(row, k)]
+        for k in events:  # an impact leads back to its side, unless it is not allowed
+            if not (k in allowed and self.actor.is_impact(k)):
+                self.side[k] = -self.side[k]
+        several = bool(self.actor.touching(row[: len(self.side)], small).sum() > 1)
+        for k, before, behind, impulse in self.actor.acted(t, state, allowed, small):
+            state = behind
+            direction = -1 if self.actor.is_impact(k) else int(self.side[k])
+            together = several and self.actor.is_impact(k)
+            self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
+            times.setdefault(k, []).append(t)
+            self.left[k] -= 1
+            if self.left[k] == 0:
+                self.ended_by = self.acting.names[k]
+        if self.actor.failed:
+            return self._fail(Status.BAD_INPUT, self.actor.failed)
+        if not all(np.isfinite(x).all() for x in state):
+            return self._fail(Status.NOT_FINITE)
+        if self.ended_by is not None:
+            self._end, self._status = (t, *state), Status.SUCCESS
+            return None
+        if any(self.actor.changes(k) for k in allowed):  # other events may be on the other side now
+            fresh = self._sides(self.actor.values(t, state), self.side)
+            own = [self.actor.is_impact(k) for k in range(len(self.side))]
+            self.side = np.where(own, self.side, fresh)
+        return None if self._accumulates(times) else state
+
+    def _accumulates(self, times: Times) -> bool:
+        """Return whether impacts follow each other ever faster, and end the run there."""
+        h = abs(float(self.spec.h))
+        for k, hits in times.items():
+            late, later = np.diff(hits[-3:]) if len(hits) > 2 else (0.0, h)
+            ratio = later / late if late else 1.0
+            left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
+            most = len(hits) > MOST_ACTIONS
+            if abs(left) < ACCUMULATED * h or most:
+                about = hits[-1] + (0.0 if most else left)
+                name = self.acting.names[k]
+                self._fail(
+                    Status.EVENTS_ACCUMULATE,
+                    f"{name!r} acts ever faster up to t={float(about)!r}. ",
+                )
+                return True
+        return False
+
+    def _fail(self, status: Status, why: str = "") -> None:
+        self._status, self._message = status, why
+
+    def trajectory(self) -> Trajectory:
+        """Return what the run has come to."""
+        run, spec, program = self.run, self.spec, self.program
+        if run.status is Status.INTERRUPTED:  # wherever that was heard
+            q, p = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
+            run.go_on_from((q[-1], p[-1]), len(q) - 1)
+        status = run.status if self._status is None else self._status
+        q, p, iterations = (np.concatenate(x) for x in zip(*self._kept, strict=True))
+        every = spec.every
+        stored = q, p, iterations, np.zeros((len(q), 0))
+        if every:
+            stored = tuple(x[::every] for x in stored)  # type: ignore[assignment]
+        trajectory = trajectory_of(program, run, spec.steps, status, spec, stored, every)
+        about = trajectory.__getstate__()
+        about |= {"records": tuple(self.records), "actors": self.acting.names}
+        if self._message:
+            about["message"] = about["message"].replace(
+                " was not taken. ", f" was not taken. {self._message}"
+            )
+        if self._end is not None:
+            t, q_end, p_end = self._end
+            about["ended_by"] = self.ended_by
+            keep = slice(None) if every else slice(0, 0)
+            about["t"] = np.append(trajectory.t[keep], t)
+            about["q"] = np.vstack([trajectory.q[keep], q_end])
+            about["p"] = np.vstack([trajectory.p[keep], p_end])
+            about["newton_iterations"] = np.append(trajectory.newton_iterations[keep], 0)
+            about["message"] = f"{self.ended_by!r} ended the run at t={t:g}."
+        found = Trajectory(**about)
+        if status is Status.SUCCESS and not self.records and spec.steps and every:
+            run.every = every
+            return verdict(program, run, found, (*stored[:3], stored[3]))
+        return found

@@ -1,0 +1,262 @@
+"""What events do to a state: impacts by Newton's law, one after the other, and changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+from symsimpson.program.evaluating import evaluate, watching
+from symsimpson.program.workspace import workspace
+from symsimpson.results.events import chandrupatla
+from symsimpson.stepping.acting import Acting, Change, Impact
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+    from symsimpson.stepping.spec import RunSpec
+
+__all__ = ["Actor"]
+
+Floats = NDArray[np.float64]
+State = tuple[Floats, Floats]
+#: Rates of gaps below this part of the fastest velocity are none.
+STILL = 1e-12
+#: So many impacts at one time are taken one after the other.
+MOST_MAPS = 500
+#: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
+NEAR = 0.1
+
+
+class Actor:
+    """Evaluates what events ask for, and what they do.
+
+    Attributes
+    ----------
+    failed : str
+        Why an action could not be done, if it could not.
+    """
+
+    def __init__(self, program: Program, spec: RunSpec, acting: Acting) -> None:
+        self._program, self._acting, self._values = program, acting, spec.parameters
+        self._watch = watching(program, acting.watched, spec.parameters)
+        self._t0 = float(spec.t0)
+        self.failed = ""
+        self._restitution = [
+            _restitution(program, event.action.restitution, spec.parameters)
+            if isinstance(event.action, Impact)
+            else None
+            for event in acting.events
+        ]
+
+    def rows(self, t: Floats, q: Floats, p: Floats) -> Floats:
+        """Return all that is asked for at states."""
+        return self._watch(np.asarray(t), np.ascontiguousarray(q), np.ascontiguousarray(p))
+
+    def row(self, t: float, state: State) -> Floats:
+        """Return all that is asked for at one state."""
+        found: Floats = self.rows(np.array([t]), state[0][None], state[1][None])[0]
+        return found
+
+    def values(self, t: float, state: State) -> Floats:
+        """Return the expressions of events at a state."""
+        return self.row(t, state)[: len(self._acting.events)]
+
+    def is_impact(self, k: int) -> bool:
+        """Return whether an event is an impact."""
+        return self._acting.rate[k] is not None
+
+    def changes(self, k: int) -> bool:
+        """Return whether an event changes the state by expressions."""
+        return bool(self._acting.changes[k])
+
+    def rate(self, k: int) -> int:
+        """Return where the rate of a gap stands."""
+        place = self._acting.rate[k]
+        assert place is not None
+        return place
+
+    def allowed(self, row: Floats, k: int) -> bool:
+        """Return whether the condition of an event holds."""
+        place = self._acting.when[k]
+        return place is None or bool(row[place] > 0)
+
+    def sizes(self, t: float, state: State) -> Floats:
+        """Return the sizes of terms of which gaps are made, to tell what rounding is."""
+        row, n = self.row(t, state), self._program.n
+        found = np.zeros(len(self._acting.events))
+        for k, first in enumerate(self._acting.slopes):
+            if first is not None:
+                found[k] = np.abs(row[first : first + n] * state[0]).sum()
+        return found
+
+    def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
+        """Return which impacts have a gap of zero."""
+        impacts = np.array([self.is_impact(k) for k in range(len(values))])
+        return impacts & (np.abs(values) <= small)
+
+    def dips(self, rows: Floats, small: Floats, h: float) -> NDArray[np.bool_]:
+        """Return between which states a gap may pass through zero and come back, by its rates."""
+        found = np.zeros((len(rows) - 1, len(self._acting.events)), dtype=bool)
+        for k, place in enumerate(self._acting.rate):
+            if place is not None:
+                low = _lowest(rows[:-1, k], rows[1:, k], rows[:-1, place], rows[1:, place], h)
+                least = np.minimum(rows[:-1, k], rows[1:, k])
+                turns = (h * rows[:-1, place] < 0) & (h * rows[1:, place] > 0)
+                found[:, k] = turns & (least > small[k]) & (low < NEAR * least)
+        return found
+
+    def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
+        """Return which gaps may do so between two states."""
+        met = self.dips(np.stack([first, last]), small, span)[0]
+        return np.flatnonzero(met).tolist()
+
+    def root(
+        self, row: Callable[[float], Floats], k: int, low: float, high: float, side: float = 0.0
+    ) -> float:
+        """Return where an expression is zero, to rounding; it begins on a side of zero."""
+
+        def value(_: NDArray[np.int64], x: Floats) -> Floats:
+            return np.array([row(float(x[0]))[k]])
+
+        first, last = row(low)[k], row(high)[k]
+        if side and first * side <= 0:  # rounding has left it behind
+            first = side * np.finfo(float).tiny
+        found = chandrupatla(value, np.array([high - low]), np.array([first]), np.array([last]))
+        return low + float(found[0])
+
+    def acted(
+        self, t: float, state: State, events: Sequence[int], small: Floats
+    ) -> Iterator[tuple[int, State, State, float]]:
+        """Let events act: changes first, then impacts, the fastest approach before others.
+
+        Yields the number of each, the states before and behind it, and its impulse.
+        """
+        for k in events:
+            event = self._acting.events[k]
+            if not self.is_impact(k):
+                before, state = state, self._changed(t, state, k)
+                yield k, before, state, 0.0
+                if isinstance(event.action, Change) and self.failed:
+                    return
+        forced = {k for k in events if self.is_impact(k)}
+        for _ in range(MOST_MAPS):
+            row = self.row(t, state)
+            touch = self.touching(row[: len(small)], small)
+            near = [k for k in range(len(small)) if k in forced or touch[k]]
+            rates = {k: row[self.rate(k)] for k in near if self.allowed(row, k)}
+            velocities = self._velocities(t, state[0], state[1][None])[0]
+            still = STILL * max(float(np.abs(velocities).max(initial=0.0)), 1e-300)
+            closing = {k: rate for k, rate in rates.items() if rate < -still}
+            forced.clear()
+            if not closing:
+                return
+            k = min(closing, key=lambda k: closing[k])
+            before = state
+            state, impulse = self._hit(t, state, row, k)
+            yield k, before, state, impulse
+            if self.failed:
+                return
+
+    def _velocities(self, t: float, q: Floats, p: Floats) -> Floats:
+        """Return velocities at one position, of several momenta."""
+        times, places = np.full(len(p), t), np.repeat(q[None], len(p), axis=0)
+        n = self._program.n
+        return evaluate(self._program, "energy", "VELOCITY", n, times, places, p, self._values)
+
+    def _hit(self, t: float, state: State, row: Floats, k: int) -> tuple[State, float]:
+        """Return the state after an impact, and its impulse: v jumps along M^-1 dg/dq."""
+        q, p = state
+        first = self._acting.slopes[k]
+        assert first is not None
+        n = row[first : first + len(q)]
+        v, there, origin = self._velocities(t, q, np.stack([p, n, 0 * p]))
+        w, rate = there - origin, float(row[self.rate(k)])
+        weight = float(n @ w)
+        if not weight > 0:
+            self.failed = (
+                f"The gap {self._acting.names[k]!r} closes, but moves nothing that is free to. "
+            )
+            return state, 0.0
+        restitution = self._restitution[k]
+        assert restitution is not None
+        impulse = (1 + restitution(-rate)) * -rate / weight
+        if self._program.header.constraints:
+            return (q, legendre(self._program, t, q, v + impulse * w, self._values)), impulse
+        return (q, p + impulse * n), impulse
+
+    def _changed(self, t: float, state: State, k: int) -> State:
+        """Return the state after an event that is no impact."""
+        changes = self._acting.changes[k]
+        if not changes:
+            return state
+        row, (q, p) = self.row(t, state), state
+        q, p = q.copy(), p.copy()
+        v = self._velocities(t, state[0], state[1][None])[0].copy()
+        for block, place, number in changes:
+            {"q": q, "v": v, "p": p}[block][place] = row[number]
+        blocks = {block for block, _, _ in changes}
+        moved = legendre(self._program, t, q, v, self._values)
+        given = {place for block, place, _ in changes if block == "p"}
+        # velocities are kept where positions change, unless momenta are given
+        if "v" in blocks or "p" not in blocks:
+            p = np.where(np.isin(np.arange(len(p)), list(given)), p, moved)
+        return q, p
+
+
+def legendre(program: Program, t: float, q: Floats, v: Floats, values: Floats) -> Floats:
+    """Return p = dL/dv at one state."""
+    numbers, at, n = program.numbers, program.header.layout, program.n
+    W = workspace(program.header, numbers, numbers.read(values))
+    W[at["POSITION"] : at["POSITION"] + n, 0], W[at["VELOCITY"] : at["VELOCITY"] + n, 0] = q, v
+    apply = numbers.driver("apply")
+    for kernel in ("prepare", "legendre"):
+        apply(program.kernels.address(kernel), 1.0, t, W)
+    found: Floats = W[at["MOMENTUM"] : at["MOMENTUM"] + n, 0].copy()
+    return found
+
+
+def _lowest(first: Floats, last: Floats, down: Floats, up: Floats, h: float) -> Floats:
+    """Return about how low the cubic through values and rates at both ends goes."""
+    share = np.linspace(0.0, 1.0, 17)[1:-1, None]
+    a, b = h * down, h * up
+    rest = last - first
+    cubic = first + share * (a + share * (3 * rest - 2 * a - b + share * (a + b - 2 * rest)))
+    found: Floats = cubic.min(axis=0)
+    return found
+
+
+def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
+    """Return the restitution as a function of the speed of approach.
+
+    Raises
+    ------
+    InputError
+        If it contains something else than that and parameters.
+    """
+    if not hasattr(given, "free_symbols") or given.is_number:
+        number = float(given)
+        return lambda _: number
+    known = dict(zip(program.parameters, map(float, values), strict=True))
+    own = {symbol: known[str(symbol)] for symbol in given.free_symbols if str(symbol) in known}
+    left = given.subs(own)
+    names = {str(symbol) for symbol in left.free_symbols}
+    if not names <= {"approach"}:
+        raise InputError(
+            f"the restitution {given} contains {', '.join(sorted(names - {'approach'}))}.\n"
+            "It is made of parameters and of the speed of approach, symsimpson.approach."
+        )
+    (speed,) = left.free_symbols or (None,)
+
+    def restitution(approach: float) -> float:
+        found = float(left if speed is None else left.subs(speed, approach))
+        if not 0.0 <= found <= 1.0:
+            raise InputError(
+                f"the restitution {given} is {found:g} at a speed of approach of {approach:g}.\n"
+                "It must be between 0 (plastic) and 1 (elastic)."
+            )
+        return found
+
+    return restitution

@@ -1,0 +1,79 @@
+"""Parts of a step: shorter steps of the same scheme, from any state and with its inputs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.program.status import Status
+from symsimpson.program.workspace import workspace
+from symsimpson.stepping.driving import at_places, places
+from symsimpson.stepping.run import Run
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+
+__all__ = ["Parts"]
+
+Floats = NDArray[np.float64]
+
+
+class Parts:
+    """Takes parts of the steps of a run, each with the inputs of its step.
+
+    Parameters
+    ----------
+    program : Program
+    parameters : ndarray, shape (m,)
+    h : float
+    inputs : ndarray, shape (1, N, s, u)
+    """
+
+    def __init__(self, program: Program, parameters: Floats, h: float, inputs: Floats) -> None:
+        numbers, header = program.numbers, program.header
+        self._program, self._parameters, self._h, self._inputs = program, parameters, h, inputs
+        self._kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
+        self._W = workspace(header, numbers, numbers.read(parameters))
+        self._between = numbers.driver("between")
+        self._places = places(program)
+
+    def __call__(self, state: Any, t: float, size: float, step: int, share: float) -> Any:
+        """Return q and p after a part of a step, and whether it could be taken.
+
+        Parameters
+        ----------
+        state : pair of ndarray, shape (n,)
+        t, size : float
+            Where the part begins, and how long it is.
+        step : int
+            Number of the step.
+        share : float
+            Where in the step the part begins, from 0 to 1.
+        """
+        q, p = state
+        if size == 0.0:
+            return (q, p), Status.SUCCESS
+        h, n = self._h, len(q)
+        at = share + size / h * self._places
+        rests = at_places(self._program, self._inputs, np.array([step]), at[None])
+        found, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
+        one = np.zeros(1, dtype=np.int64)
+        self._between(
+            self._kernels,
+            (h, np.array([t]), self._W, self._program.header.told),
+            (np.ascontiguousarray(q[None]), np.ascontiguousarray(p[None])),
+            (one, one, np.array([size])),
+            (found[0], found[1], fine),
+            1,
+            self._inputs,
+            rests,
+        )
+        if fine[0]:
+            return (found[0, 0], found[1, 0]), Status.SUCCESS
+        run = Run(self._program, self._parameters, size, t, 0, 1, inputs=rests)
+        run.begin(q, p, velocity=False)
+        run.advance(1)
+        end = tuple(run.rows(name, n).copy() for name in ("POSITION", "MOMENTUM"))
+        return end, run.status

@@ -1,0 +1,246 @@
+"""Events that act on a run: what they do, where they stand in results, what is refused."""
+
+import pickle
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+(z,) = ss.coordinates("z")
+x, y = ss.coordinates("x y")
+g, k = sp.symbols("g k", positive=True)
+BALL = ss.MechanicalSystem(
+    "ball", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=g * z, parameters={g: 9.81}
+)
+PLANE = ss.MechanicalSystem(
+    "plane",
+    coordinates=(x, y),
+    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=0 * x,
+    parameters={k: 0.5},
+)
+FALL = np.sqrt(2 / 9.81)
+
+
+def floor(restitution=0.8, **more):
+    return ss.Event(z, name="floor", action=ss.Impact(restitution), **more)
+
+
+def drop(*events, h=0.01, t_end=2.0, **more):
+    return ss.compile(BALL).integrate([1.0], v0=[0.0], h=h, t_end=t_end, events=events, **more)
+
+
+def test_a_ball_bounces_where_it_should():
+    run = drop(floor())
+    hits = run.events("floor")
+    assert isinstance(hits, ss.Actions)
+    times = FALL * np.array([1, 1 + 2 * 0.8, 1 + 2 * 0.8 + 2 * 0.64])
+    assert np.abs(hits.t - times).max() < 1e-14
+    assert hits.direction.tolist() == [-1, -1, -1]
+    assert np.abs(hits.after.v[:, 0] + 0.8 * hits.v[:, 0]).max() < 1e-14
+    assert np.abs(hits.impulse - 1.8 * np.abs(hits.v[:, 0])).max() < 1e-13
+    assert not hits.simultaneous.any()
+    assert np.array_equal(run.t, 0.01 * np.arange(201))  # the grid of times is kept
+    assert (run.q >= 0).all()
+
+
+def test_energy_is_told_apart_from_what_impacts_take():
+    run = drop(floor())
+    assert np.abs(run.energy_error).max() < 1e-13
+    hits = run.events("floor")
+    lost = hits.energy - hits.after.energy
+    assert np.abs(lost - (1 - 0.64) * hits.kinetic_energy).max() < 1e-13
+    assert np.ptp(run.energy) > 5
+    with pytest.raises(ss.InputError, match="no shadow energy of this run, events acted"):
+        run.shadow_energy  # noqa: B018
+
+
+def test_states_between_steps_are_those_behind_events():
+    run = drop(floor())
+    t1 = float(run.events("floor").t[0])
+    later = np.array([1e-9, 1e-3, 0.013, 0.4])
+    speed = 0.8 * 9.81 * t1
+    truth = speed * later - 9.81 / 2 * later**2
+    assert np.abs(run.at(t1 + later)["z"] - truth).max() < 1e-13
+    assert abs(run.at([t1 - 1e-3])["z"][0] - (9.81 * t1 * 1e-3 - 9.81 / 2e6)) < 1e-13
+    assert np.abs(run.sol(run.t) - run.y).max() < 1e-12
+    sparse = drop(floor(), every=25)
+    assert np.abs(sparse.at(t1 + later)["z"] - truth).max() < 1e-13
+    # where it turns: between two impacts
+    tops = run.events("v_z", direction=-1)
+    assert np.abs(tops.t - t1 * np.array([1.8, 3.24, 4.392])).max() < 1e-12
+
+
+def test_terminal_events_end_a_run_inside_a_step():
+    half = ss.Event(z - 0.5, name="half", terminal=True)
+    run = drop(half)
+    assert run.success
+    assert run.ended_by == "half"
+    assert abs(run.t[-1] - np.sqrt(1 / 9.81)) < 1e-14
+    assert abs(run.q[-1, 0] - 0.5) < 1e-14
+    assert run.steps == 31
+    assert "ended the run" in run.message
+    assert abs(run.at([run.t[-1]])["z"][0] - 0.5) < 1e-14
+    last = drop(half, every=None)
+    assert last.q.shape == (1, 1)
+    assert last.t[-1] == run.t[-1]
+    third = drop(floor(terminal=3))
+    assert len(third.events("floor")) == 3
+    assert third["v_z"][-1] > 0  # behind the action
+
+
+def test_conditions_directions_and_changes():
+    """A gate that sends what comes from below to the other side, in one half of the plane."""
+    stepper = ss.compile(PLANE)
+    gate = ss.Event(
+        y - 1,
+        name="gate",
+        direction=1,
+        when=x,
+        action=ss.Change(positions={y: -1}, velocities={x: -x.diff(), y: 2 * y.diff()}),
+    )
+    start = {"h": 0.25, "steps": 8, "events": [gate]}
+    run = stepper.integrate([0.5, 0.0], v0=[0.1, 1.0], **start)
+    (hit,) = run.events("gate").t
+    assert abs(hit - 1.0) < 1e-14
+    assert np.allclose(run.events("gate").q_after, [[0.6, -1.0]])
+    assert np.allclose(run.v[-1], [-0.1, 2.0])
+    assert np.allclose(run.q[-1], [0.5, 1.0])
+    assert len(stepper.integrate([-0.5, 0.0], v0=[0.1, 1.0], **start).events("gate")) == 0
+    assert len(stepper.integrate([0.5, 2.0], v0=[0.1, -1.0], **start).events("gate")) == 0
+
+
+def test_a_wall_that_moves_and_a_restitution_of_the_speed():
+    wall = ss.Event(z - ss.time / 10, name="wall", action=ss.Impact(sp.exp(-ss.approach / 10)))
+    run = drop(wall, t_end=1.0)
+    hits = run.events("wall")
+    speed = 0.1 - hits.v[0, 0]
+    assert abs(hits.q[0, 0] - hits.t[0] / 10) < 1e-14
+    assert abs(hits.after.v[0, 0] - 0.1 - np.exp(-speed / 10) * speed) < 1e-13
+
+
+def test_two_zeros_within_a_step_are_found_by_the_rates():
+    """A ball that hardly touches, between two states that are both off the ground."""
+    run = drop(floor(1.0), h=0.25, t_end=2.0)
+    assert len(run.events("floor")) == 2
+    assert abs(run.events("floor").t[0] - FALL) < 1e-14
+
+
+def test_a_start_on_a_wall():
+    run = ss.compile(BALL).integrate([0.0], v0=[-1.0], h=0.01, steps=3, events=[floor(0.5)])
+    assert run.events("floor").t.tolist() == [0.0]
+    assert run["v_z"][0] == 0.5
+    away = ss.compile(BALL).integrate([0.0], v0=[1.0], h=0.01, steps=3, events=[floor(0.5)])
+    assert len(away.events("floor")) == 0
+
+
+def test_impacts_with_constraints_keep_to_them():
+    """A pendulum of Cartesian coordinates against a wall: M v jumps along what the rod allows."""
+    rod = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=10 * y,
+        constraints={"length": (x**2 + y**2 - 1) / 2},
+    )
+    wall = ss.Event(x, name="wall", action=ss.Impact(0.5))
+    run = ss.compile(rod).integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[wall])
+    hits = run.events("wall")
+    assert np.abs(hits.after.v + 0.5 * hits.v).max() < 1e-13
+    assert np.abs(run.constraint_error).max() < 1e-15
+    assert np.abs(run.energy_error).max() < 1e-4
+
+
+def test_inputs_go_on_through_an_event():
+    """Held ones and those at nodes stay those of the step in which it is."""
+    u = sp.Symbol("u")
+    pushed = ss.MechanicalSystem(
+        "pushed",
+        coordinates=(x,),
+        kinetic=x.diff() ** 2 / 2,
+        potential=0 * x,
+        forces={x: u},
+        inputs=(u,),
+    )
+    stepper = ss.compile(pushed, "gauss4")
+    t = stepper.node_times(0.1, 20)
+    nothing = ss.Event(x - 0.05, name="mark", action=ss.Switch())
+    given = {"h": 0.1, "steps": 20, "inputs": {"u": np.cos(t)}}
+    plain = stepper.integrate([0.0], v0=[0.0], **given)
+    run = stepper.integrate([0.0], v0=[0.0], **given, events=[nothing])
+    assert len(run.events("mark")) == 1
+    assert np.abs(run.q - plain.q).max() < 1e-6
+    assert abs(run.q[-1, 0] - (1 - np.cos(2.0))) < 1e-6
+
+
+def test_results_keep_their_records():
+    run = drop(floor())
+    again = pickle.loads(pickle.dumps(run))
+    assert np.array_equal(again.events("floor").t, run.events("floor").t)
+    with pytest.raises(ss.InputError, match="not kept in a file"):
+        run.save("/tmp/never.nc")
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: ss.Impact(1.3), "restitution is 1.3"),
+        (lambda: ss.Impact(float("nan")), "restitution is nan"),
+        (lambda: ss.Change(), "changes nothing"),
+        (lambda: ss.Change(velocities={x: 1}, momenta={x: 1}), "velocity and a momentum of x"),
+        (lambda: ss.Event(z, direction=2), "direction is 2"),
+        (lambda: ss.Event(z, direction=1, action=ss.Impact()), "where the gap falls"),
+        (lambda: ss.Event(z, terminal=-1), "terminal is -1"),
+        (lambda: ss.Event(z, action="bounce"), "the action of an event is 'bounce'"),
+    ],
+)
+def test_what_no_event_can_be(make, told):
+    with pytest.raises(ss.InputError, match=told):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("events", "told"),
+    [
+        ([floor(), floor(0.5)], "two events are called 'floor'"),
+        ([ss.Event(z, name="z", action=ss.Impact())], "'z' is a coordinate"),
+        ([ss.Event(z * z.diff(), name="w", action=ss.Impact())], "contains the velocity of z"),
+        ([ss.Event(ss.time - 1, name="w", action=ss.Impact())], "depends on no coordinate"),
+        ([ss.Event("z", name="w", action=ss.Impact())], "is differentiated"),
+        ([ss.Event(z - x, name="w")], "'x'"),
+        ([ss.Event(z, name="w", action=ss.Change(velocities={x: 1}))], "names 'x', which is no"),
+        ([ss.Event(z + 2, name="w", when="sqrt(q)", action=ss.Impact())], "'q'"),
+        ([floor(sp.Symbol("e"))], "the restitution e contains e"),
+        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the start is behind the wall 'w'"),
+        (["floor"], "contains 'floor', which is|events contains 'floor'"),
+    ],
+)
+def test_events_that_do_not_fit(events, told):
+    with pytest.raises(ss.InputError, match=told):
+        drop(*events)
+
+
+def test_what_does_not_go_with_events():
+    for more in (
+        {"t_eval": [0.5]},
+        {"save": "z"},
+        {"tangents": 2},
+        {"reduce": {"a": ("max", "z")}},
+    ):
+        given = {"t_end": 2.0} | more
+        with pytest.raises(ss.InputError, match=f"do not go with {next(iter(more))}="):
+            drop(floor(), **given)
+    with pytest.raises(ss.InputError, match="many digits"):
+        ss.compile(BALL, precision=30).integrate([1.0], v0=[0.0], h=0.01, steps=3, events=[floor()])
+
+
+def test_impacts_that_accumulate_keep_what_was_computed():
+    run = drop(floor(0.5), t_end=3.0, on_failure="return")
+    assert run.status is ss.Status.EVENTS_ACCUMULATE
+    end = FALL * (1 + 0.5) / (1 - 0.5)
+    assert abs(float(run.message.split("up to t=")[1].split(". ")[0]) - end) < 1e-12
+    assert run.t[-1] < end < run.t[-1] + 0.01
+    with pytest.raises(ss.ConvergenceError, match="constraint"):
+        drop(floor(0.0), t_end=3.0)
