@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from symsimpson.support.names import did_you_mean
 from symsimpson.systems.argon import argon, argon_cluster
+from symsimpson.systems.bicycle import whipple_bicycle
 from symsimpson.systems.cart_pole import cart_pole, driven_cart_pole
 from symsimpson.systems.cloth import cloth
 from symsimpson.systems.double_pendulum import double_pendulum, driven_double_pendulum
@@ -104,6 +105,7 @@ _ROLLING: tuple[Callable[[], CatalogueSystem], ...] = (
     rolling_disc,
     snakeboard,
     ball_on_turntable,
+    whipple_bicycle,
 )
 
 #: Name of each function of the catalogue, and the function.
@@ -186,6 +188,7 @@ __all__ = [
     "tumbling_body",
     "van_der_pol",
     "water",
+    "whipple_bicycle",
 ]
 
 
