@@ -152,7 +152,7 @@ class _Run:
 
     def _sides(self, values: Floats, before: Sides) -> Sides:
         """Return on which sides of zero values are; near it they stay where they were."""
-        side = np.sign(values).astype(np.int64)
+        side = np.sign(np.nan_to_num(values)).astype(np.int64)
         return np.where(np.abs(values) <= self._small, before, side)
 
     def advance(self) -> None:
@@ -189,14 +189,17 @@ class _Run:
         run, kept = self.run, self.run.step - self.run.first
         q, p = run.q[: kept + 1, :, 0], run.p[: kept + 1, :, 0]
         t = run.t0 + run.h * (run.first + np.arange(kept + 1))
-        rows = self.actor.rows(t, q, p)
-        values = rows[:, : len(self.side)]
-        self.size = np.maximum(self.size, np.nan_to_num(np.abs(values)).max(axis=0))
-        sides = np.where(np.abs(values) <= self._small, 0, np.sign(values)).astype(np.int64)
-        sides[0] = self.side
-        place = np.where(sides == 0, 0, np.arange(kept + 1)[:, None])
-        sides = np.take_along_axis(sides, np.maximum.accumulate(place, axis=0), axis=0)
-        met = self._acts(sides[:-1], sides[1:]) | self.actor.dips(rows, self._small, run.h)
+        values = np.ascontiguousarray(self.actor.looks(t, q, p).T)  # a row for each event
+        self.size = np.fmax(self.size, np.fmax.reduce(np.abs(values), axis=1))
+        sides = np.sign(np.nan_to_num(values)).astype(np.int64)
+        sides[np.abs(values) <= self._small[:, None]] = 0
+        sides[:, 0] = self.side
+        if (sides == 0).any():  # near zero they stay where they were
+            place = np.where(sides == 0, 0, np.arange(kept + 1))
+            sides = np.take_along_axis(sides, np.maximum.accumulate(place, axis=1), axis=1)
+        met = self._acts(sides[:, :-1].T, sides[:, 1:].T)
+        met |= self.actor.dips(t, q, p, values, self._small)
+        sides = sides.T
         here = np.flatnonzero(met.any(axis=1))
         self.side = sides[here[0]] if here.size else sides[-1]
         return int(here[0]) if here.size else None

@@ -28,6 +28,8 @@ STILL = 1e-12
 MOST_MAPS = 500
 #: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
 NEAR = 0.1
+#: Where in a step that is looked for.
+SHARES = np.linspace(0.0, 1.0, 17)[1:-1]
 
 
 class Actor:
@@ -42,6 +44,8 @@ class Actor:
     def __init__(self, program: Program, spec: RunSpec, acting: Acting) -> None:
         self._program, self._acting, self._values = program, acting, spec.parameters
         self._watch = watching(program, acting.watched, spec.parameters)
+        count = len(acting.events)  # of many states no more is asked for
+        self._look = watching(program, acting.watched[:count], spec.parameters)
         self._t0 = float(spec.t0)
         self.failed = ""
         self._restitution = [
@@ -97,21 +101,41 @@ class Actor:
         impacts = np.array([self.is_impact(k) for k in range(len(values))])
         return impacts & (np.abs(values) <= small)
 
-    def dips(self, rows: Floats, small: Floats, h: float) -> NDArray[np.bool_]:
-        """Return between which states a gap may pass through zero and come back, by its rates."""
-        found = np.zeros((len(rows) - 1, len(self._acting.events)), dtype=bool)
+    def looks(self, t: Floats, q: Floats, p: Floats) -> Floats:
+        """Return the expressions of events at many states."""
+        return self._look(t, np.ascontiguousarray(q), np.ascontiguousarray(p))
+
+    def dips(
+        self, t: Floats, q: Floats, p: Floats, values: Floats, small: Floats
+    ) -> NDArray[np.bool_]:
+        """Return between which states a gap may pass through zero and come back, by its rates.
+
+        These are asked for where gaps fall before and rise behind by more than they are.
+        """
+        found = np.zeros((len(t) - 1, len(values)), dtype=np.bool_)
         for k, place in enumerate(self._acting.rate):
-            if place is not None:
-                low = _lowest(rows[:-1, k], rows[1:, k], rows[:-1, place], rows[1:, place], h)
-                least = np.minimum(rows[:-1, k], rows[1:, k])
-                turns = (h * rows[:-1, place] < 0) & (h * rows[1:, place] > 0)
-                found[:, k] = turns & (least > small[k]) & (low < NEAR * least)
+            if place is None:
+                continue
+            gap = values[k]
+            least, change = np.minimum(gap[:-1], gap[1:]), np.diff(gap)
+            falls = np.concatenate([[-np.inf], change[:-1]])
+            rises = np.concatenate([change[1:], [np.inf]])
+            near = (least > small[k]) & (least < np.maximum(-falls, rises))
+            for i in np.flatnonzero(near & (falls < 0) & (rises > 0)).tolist():
+                first, last = self.rows(t[i : i + 2], q[i : i + 2], p[i : i + 2])
+                found[i, k] = k in self.dipping(first, last, small, t[i + 1] - t[i])
         return found
 
     def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
         """Return which gaps may do so between two states."""
-        met = self.dips(np.stack([first, last]), small, span)[0]
-        return np.flatnonzero(met).tolist()
+        found = []
+        for k, place in enumerate(self._acting.rate):
+            if place is not None and min(first[k], last[k]) > small[k]:
+                down, up = span * first[place], span * last[place]
+                low = _lowest(first[k], last[k], down, up) if down < 0 < up else np.inf
+                if low < NEAR * min(first[k], last[k]):
+                    found.append(k)
+        return found
 
     def root(
         self, row: Callable[[float], Floats], k: int, low: float, high: float, side: float = 0.0
@@ -218,14 +242,11 @@ def legendre(program: Program, t: float, q: Floats, v: Floats, values: Floats) -
     return found
 
 
-def _lowest(first: Floats, last: Floats, down: Floats, up: Floats, h: float) -> Floats:
-    """Return about how low the cubic through values and rates at both ends goes."""
-    share = np.linspace(0.0, 1.0, 17)[1:-1, None]
-    a, b = h * down, h * up
+def _lowest(first: float, last: float, a: float, b: float) -> float:
+    """Return about how low the cubic goes that has these ends and changes there."""
     rest = last - first
-    cubic = first + share * (a + share * (3 * rest - 2 * a - b + share * (a + b - 2 * rest)))
-    found: Floats = cubic.min(axis=0)
-    return found
+    cubic = first + SHARES * (a + SHARES * (3 * rest - 2 * a - b + SHARES * (a + b - 2 * rest)))
+    return float(cubic.min())
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
