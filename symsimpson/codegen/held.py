@@ -46,7 +46,11 @@ class Held:
 
     @classmethod
     def chain(
-        cls, order: Sequence[int], members: Sequence[frozenset[int]], near: Sequence[set[int]]
+        cls,
+        order: Sequence[int],
+        members: Sequence[frozenset[int]],
+        near: Sequence[set[int]],
+        velocities: int = 0,
     ) -> Held:
         """Put each constraint right behind the last of its coordinates.
 
@@ -68,7 +72,8 @@ class Held:
         distances = [abs(place[a] - place[b]) for a, others in enumerate(near) for b in others]
         distances += [place[n + c] - place[a] for c, some in enumerate(members) for a in some]
         places = tuple(place[item] for item in (*order, *range(n, len(both))))
-        return cls(Storage(tuple(both), max(distances), banded=True), places, len(members))
+        storage = Storage(tuple(both), max(distances), banded=True)
+        return cls(storage, places, len(members), velocities)
 
     def entry(self, i: int, j: int) -> int:
         """Return where two coordinates, or constraints behind these, meet in the node's matrix."""
@@ -100,7 +105,12 @@ def dense(n: int, constraints: int, velocities: int = 0) -> tuple[Storage, Held 
 
 
 def smaller(
-    storage: Storage, held: Held | None, found: Sequence[Family], met: Sequence[Family], degree: int
+    storage: Storage,
+    held: Held | None,
+    found: Sequence[Family],
+    met: Sequence[Family],
+    degree: int,
+    rolling: Sequence[frozenset[int]] = (),
 ) -> tuple[Storage, Held | None]:
     """Return bands where these are smaller than what is given.
 
@@ -110,8 +120,13 @@ def smaller(
     found, met : sequences of Family
         The terms of L, and the constraints.
     degree : int
+    rolling : sequence of sets
+        The coordinates in each velocity constraint.
     """
     near = neighbours([*found, *met], storage.n)
+    for member in rolling:
+        for i in member:
+            near[i] |= member - {i}
     order, band = ordering(near)
     if held is None:
         banded = Storage(order, band, banded=True)
@@ -121,7 +136,9 @@ def smaller(
         for family in met
         for c, member in zip(family.constraints, family.coordinates, strict=True)
     }
-    chain = Held.chain(order, [members[c] for c in range(held.count)], near)
+    positions = held.count - len(rolling)
+    every = [*(members[c] for c in range(positions)), *rolling]
+    chain = Held.chain(order, every, near, len(rolling))
     if chain.storage.size(degree) >= held.storage.size(degree):
         return storage, held
     return Storage(order, band_of(order, neighbours(found, storage.n)), banded=True), chain

@@ -22,6 +22,8 @@ __all__ = ["consistent"]
 Reals = NDArray[np.float64]
 #: Iterations for positions; what is left of constraints, relative to their slopes and to q.
 MOST, NEAR = 200, 1e-15
+#: What may be left of constraints of velocities, relative to their rows and to v.
+ALLOWED = 1e-12
 
 
 def consistent(
@@ -35,6 +37,12 @@ def consistent(
     """Return the nearest q and v with phi(q) = 0, Phi v = 0 and A v = b, measured by M(q0)."""
     names = [spelled(q) for q in system.coordinates]
     q, v = read_vector(system, "q0", q0), read_vector(system, "v0", v0)
+    try:
+        t = float(t)
+    except (TypeError, ValueError):
+        t = np.nan
+    if not np.isfinite(t):
+        raise InputError(f"{system.name}: t is no finite number.\nPass one, as t=0.0.")
     held = {spelled(x) for x in fixed}
     unknown = held - set(names)
     if unknown:
@@ -68,9 +76,25 @@ def consistent(
         )
     q = found
     b, slopes, mass = at(q)
+    b = np.where(np.arange(len(b)) < m, 0.0, b)
+    if not all(np.isfinite(x).all() for x in (b, slopes, mass)):
+        raise InputError(
+            f"{system.name}: constraints or the mass matrix have no finite value at "
+            f"q0={np.round(q, 6).tolist()}, t={t:g}.\nGive a start where they have one."
+        )
     metric = _positive(mass, slopes)[np.ix_(free, free)]
-    wanted = np.where(np.arange(len(b)) < m, 0.0, b) - slopes @ v
-    v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), wanted)
+    for _ in range(2):  # once more, for what rounding has left
+        v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), b - slopes @ v)
+    size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(v).max())
+    off = np.abs(b - slopes @ v) / np.where(size > 0, size, 1.0)
+    if not off.max() <= ALLOWED:
+        names = [*system.constraints, *system.velocity_constraints]
+        raise InputError(
+            f"{system.name}: no velocities at q0={np.round(q, 6).tolist()} satisfy the constraint "
+            f"{names[int(np.argmax(off))]!r}"
+            + (f" with those of {', '.join(sorted(held))} as given" if held else "")
+            + ".\nGive another start, or hold fewer coordinates fixed."
+        )
     return q, v
 
 
@@ -123,11 +147,17 @@ def _positive(mass: Reals, slopes: Reals) -> Reals:
 def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
     """Return the step nearest to a wish with a given change of phi to first order."""
     n, m = len(wish), len(change)
+    # in units in which M has a diagonal of one, and each row the length one
+    units = np.sqrt(np.where(np.diag(metric) > 0, np.diag(metric), 1.0))
+    rows = slopes / units
+    length = np.linalg.norm(rows, axis=1)
+    length[length == 0] = 1.0
+    rows /= length[:, None]
     matrix = np.zeros((n + m, n + m))
-    matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = metric, slopes.T, slopes
-    right = np.concatenate([metric @ wish, change])
+    matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = metric / np.outer(units, units), rows.T, rows
+    right = np.concatenate([metric @ wish / units, change / length])
     found: Reals = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
-    return found
+    return found / units
 
 
 def _functions(

@@ -8,6 +8,7 @@ A v = b pull by -A^T nu (Lagrange and d'Alembert): their rows stand behind those
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import count
 from typing import Any, NamedTuple
 
 import mpmath
@@ -57,8 +58,10 @@ class Accelerations(NamedTuple):
     rates: list[Value]
 
 
-def names_of(name: str, constraints: Any, first: int = 1) -> dict[str, sp.Expr]:
-    """Return the constraints by name; those of a list are called "1", "2", ..., from a first one.
+def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) -> dict[str, sp.Expr]:
+    """Return the constraints by name; those of a list are called "1", "2", ...
+
+    Those of velocities are told by the names that are ``taken`` by others, which they leave out.
 
     Raises
     ------
@@ -71,23 +74,28 @@ def names_of(name: str, constraints: Any, first: int = 1) -> dict[str, sp.Expr]:
         constraints = [constraints]
     if isinstance(constraints, sp.MatrixBase):
         constraints = list(constraints)
+    what, example, shown = "constraints", "x**2 + y**2 - l**2", "rod"
+    if taken is not None:
+        what, example, shown = "velocity_constraints", "x.diff() - y*z.diff()", "wheel"
+    if hasattr(constraints, "tolist") and not isinstance(constraints, sp.Basic):
+        constraints = constraints.tolist()  # an array of NumPy
     if isinstance(constraints, Mapping):
         found = dict(constraints)
     elif isinstance(constraints, Sequence) and not isinstance(constraints, str):
-        found = {str(i): expression for i, expression in enumerate(constraints, first)}
+        numbers = (str(i) for i in count(len(taken or ()) + 1) if str(i) not in (taken or ()))
+        found = {next(numbers): expression for expression in constraints}
     else:
         raise fail(
             name,
-            f"the constraints are {spell(constraints)!r}, neither a list nor a mapping.",
-            "Write constraints=[x**2 + y**2 - l**2], or with names: "
-            "constraints={'rod': x**2 + y**2 - l**2}.",
+            f"{what} is {spell(constraints)!r}, neither a list nor a mapping.",
+            f"Write {what}=[{example}], or with names: {what}={{{shown!r}: {example}}}.",
         )
     for key, expression in found.items():
-        if not isinstance(key, str):
+        if not isinstance(key, str) or not key.strip() or not key.isprintable():
             raise fail(
                 name,
-                f"the constraint's name {spell(key)!r} is not a text.",
-                "Write constraints={'rod': x**2 + y**2 - l**2}.",
+                f"the constraint's name {key!r} is not a text that can be printed.",
+                f"Write {what}={{{shown!r}: {example}}}.",
             )
         if isinstance(expression, sp.Equality):
             found[key] = expression.lhs - expression.rhs
@@ -197,11 +205,11 @@ def check_number(name: str, rows: Mapping[str, Sequence[Value]], symbols: Symbol
     if _clearly_independent(symbols, every):
         return
     names = list(rows)
-    for count in range(1, len(every) + 1):
-        if rank(symbols.graph, every[:count]) == count:
+    for number in range(1, len(every) + 1):
+        if rank(symbols.graph, every[:number]) == number:
             continue
-        others = [k for k in range(count - 1) if _needed(symbols, every[:count], k)]
-        with_it = ", ".join(repr(names[k]) for k in [*others, count - 1])
+        others = [k for k in range(number - 1) if _needed(symbols, every[:number], k)]
+        with_it = ", ".join(repr(names[k]) for k in [*others, number - 1])
         raise fail(
             name,
             f"the constraints {with_it} depend on each other: one of them follows from the others.",

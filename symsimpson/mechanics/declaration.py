@@ -154,7 +154,15 @@ def read_energies(
     names = [q.func.__name__ for q in coordinates]
     written_out = _momenta_written_out(plain, names)
     held = [f"lambda_{key}" for key in rows]
-    check_names(name, names, [*held, *(key for key in invariants if key not in written_out)])
+    check_names(name, names, (key for key in invariants if key not in written_out))
+    for key in held:
+        taken = {*names, *(str(a) for a in parameters), *invariants}
+        if key in taken:
+            raise fail(
+                name,
+                f"the multiplier of a constraint has the name {key!r}, and so has something else.",
+                f"run[{key!r}] could be either. Give the constraint another name.",
+            )
     return plain, MappingProxyType(positions), MappingProxyType(invariants)
 
 

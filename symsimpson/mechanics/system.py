@@ -147,7 +147,7 @@ class MechanicalSystem(Described):
         inputs = read_inputs(name, self.inputs, coordinates, parameters)
         object.__setattr__(self, "inputs", inputs)
         constraints = names_of(name, self.constraints)
-        rolling = names_of(name, self.velocity_constraints, len(constraints) + 1)
+        rolling = names_of(name, self.velocity_constraints, tuple(constraints))
         object.__setattr__(self, "constraints", MappingProxyType(constraints))
         object.__setattr__(self, "velocity_constraints", MappingProxyType(rolling))
         with _stage("reading", name) as seconds:
@@ -232,7 +232,9 @@ class MechanicalSystem(Described):
             dissipation=dissipation,
             inputs=tuple(given),
             constraints=names_of(name, constraints),
-            velocity_constraints=names_of(name, velocity_constraints, len(constraints) + 1),
+            velocity_constraints=names_of(
+                name, velocity_constraints, tuple(names_of(name, constraints))
+            ),
             units=units,
         )
 
@@ -294,8 +296,8 @@ class MechanicalSystem(Described):
             inputs=inputs,
             constraints={**names_of(name, constraints), **names_of(name, held)},
             velocity_constraints={
-                **names_of(name, velocity_constraints),
-                **names_of(name, rolling, len(held) + 1),
+                **names_of(name, velocity_constraints, ()),
+                **names_of(name, rolling, tuple(names_of(name, held))),
             },
             units=units,
         )

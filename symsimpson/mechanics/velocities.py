@@ -155,8 +155,10 @@ def _integrable(
     for numbers in samples(symbols, [*(x for row in allowed for x in row), *turns]):
         matrix = np.reshape(numbers[: len(allowed) * size], (len(allowed), size))
         slopes = np.reshape(numbers[len(allowed) * size :], (len(forms), size, size))
-        if not (np.isfinite(matrix).all() and np.isfinite(slopes).all()):
+        length = np.linalg.norm(matrix, axis=1)
+        if not (np.isfinite(matrix).all() and np.isfinite(slopes).all() and length.all()):
             return False
+        matrix, slopes = matrix / length[:, None], slopes / length[: len(forms), None, None]
         free = np.linalg.svd(matrix)[2][len(allowed) :]
         turned = [free @ (slope - slope.T) @ free.T for slope in slopes]
         if np.abs(turned).max(initial=0.0) > NOTHING * (1 + np.abs(slopes).max()):

@@ -35,6 +35,7 @@ NODES = (
     ast.arguments,
     ast.arg,
     ast.Return,
+    ast.Pass,
     ast.Assign,
     ast.AugAssign,
     ast.Expr,

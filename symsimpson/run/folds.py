@@ -115,9 +115,9 @@ def look_at_folds(
     since = float(t[near[0] + 1])
     message = (
         f"{who}: about t={since:g} constraints come close to following from one another, and may "
-        "do so between two steps, as where bars of a linkage fold into a line. The linkage may "
-        f"continue along either branch, and h={float(run.h):g} does not resolve which.\nTake a "
-        "smaller h, or lengths at which the linkage does not fold."
+        "do so between two steps, as where bars of a linkage fold into a line or wheels stand in "
+        f"one. The motion may go on along either branch, and h={float(run.h):g} does not resolve "
+        "which.\nTake a smaller h, or lengths and motions at which they do not."
     )
     warn(message, ConstraintWarning)
     return Trajectory(**trajectory.__getstate__() | {"message": f"{trajectory.message} {message}"})

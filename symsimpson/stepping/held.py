@@ -115,6 +115,7 @@ def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) 
     if finite and independence[worst] >= DEPENDENT:
         return
     names = program.names.constraints.shown
+    rolling = len(program.header.velocity_constraints)
     rows = slopes[worst]
     size = np.linalg.norm(rows, axis=1)
     where = f"q0={[float(x) for x in q[worst]]}"
@@ -124,6 +125,12 @@ def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) 
         )
     if (size == 0).any():
         flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
+        if set(np.flatnonzero(size == 0)) & set(range(len(rows))[len(rows) - rolling :]):
+            raise ModelError(
+                f"{program.system}: the constraint {flat} asks for nothing at {where}: all its "
+                "factors of velocities are zero there, so its force has no direction.\nBegin "
+                "elsewhere, or look at the parameters in it."
+            )
         raise ModelError(
             f"{program.system}: the constraint {flat} has no slope at {where}: its gradient is "
             "zero there, so the constraint force has no direction.\nWrite phi so that its gradient "

@@ -19,10 +19,11 @@ def assemble_rates(W, h, node, lane):
             for s in range(DIMENSION):
                 a = rate * DIMENSION + COORDINATE[s]
                 entry = column * HELD_ROW_STEP + HELD_PLACE[s] * HELD_PLACE_STEP
-                W[row + SOLVE_OFFSET + entry, lane] = (
-                    BASIS[node, k] * W[RATE_Q + a, lane]
-                    + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
-                )
+                if abs(i - HELD_PLACE[s]) <= HELD_BAND:
+                    W[row + SOLVE_OFFSET + entry, lane] = (
+                        BASIS[node, k] * W[RATE_Q + a, lane]
+                        + BASIS_SLOPE[node, k] / h * W[RATE_V + a, lane]
+                    )
 
 
 @compiled
@@ -59,10 +60,11 @@ def keep_rates(W, h, node, lane):
     """Keep the derivatives of A v - b by q, h times, in the place of those of phi."""
     first = POINT_QQ + (node - NODES + 1) * HELD_SIZE + HELD_OFFSET
     for c in range(HOLONOMIC, CONSTRAINTS):
-        row = first + HELD_PLACE[DIMENSION + c] * HELD_STRIDE
+        i = HELD_PLACE[DIMENSION + c]
         for s in range(DIMENSION):
             rate = RATE_Q + (c - HOLONOMIC) * DIMENSION + COORDINATE[s]
-            W[row + HELD_PLACE[s], lane] = h * W[rate, lane]
+            if abs(i - HELD_PLACE[s]) <= HELD_BAND:
+                W[first + i * HELD_STRIDE + HELD_PLACE[s], lane] = h * W[rate, lane]
 
 
 @compiled

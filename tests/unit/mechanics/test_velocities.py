@@ -157,3 +157,57 @@ def test_a_lagranges_method_brings_its_rows():
     assert list(system.constraints) == ["1"]
     assert list(system.velocity_constraints) == ["2"]
     assert system.velocity_constraints["2"] == BLADE
+
+
+def test_consistent_velocities_of_any_scale():
+    """Of a ship in SI units, and of rows in small ones: the least change there is, in M."""
+    keel = sp.cos(th) * y.diff() - sp.sin(th) * x.diff()
+    ship = skate([keel], kinetic=(x.diff() ** 2 + y.diff() ** 2) * 5e7 + th.diff() ** 2 * 5e9)
+    q, v = ship.consistent([0, 0, 0.5], [1, 0, 0.1])
+    assert abs(np.cos(0.5) * v[1] - np.sin(0.5) * v[0]) < 1e-15
+    assert v[2] == pytest.approx(0.1, abs=1e-15)
+    small = skate([1e-9 * keel])
+    assert np.allclose(small.consistent(q, [1, 0, 0.1])[1], v, atol=1e-14)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # which is no less a blade
+        skate([1e-10 * keel])
+
+
+@pytest.mark.parametrize(
+    ("rows", "given", "told"),
+    [
+        ([x.diff() - th * y.diff()], {"fixed": ["x", "y"]}, "with those of x, y as given"),
+        ([x * x.diff() - th * y.diff() - 1], {}, "no velocities at"),
+        ([x.diff() - th * y.diff() - ss.time], {"t": np.nan}, "t is no finite number"),
+        ([x.diff() - th * y.diff() - ss.time], {"t": "a"}, "t is no finite number"),
+        ([x.diff() - sp.sqrt(x - 1) * y.diff()], {}, "no finite value at q0"),
+    ],
+)
+def test_velocities_that_there_are_not(rows, given, told):
+    with pytest.raises(ss.InputError, match=told):
+        skate(rows).consistent([0, 0, 0], [1, 1, 1], **given)
+
+
+def test_names_that_are_told_apart():
+    both = skate([BLADE], coordinates=(x, y, th, w), constraints={"2": w - y}, kinetic=_free())
+    assert list(both.velocity_constraints) == ["3"]
+    assert list(skate(np.array([BLADE])).velocity_constraints) == ["1"]
+    for name in ("", "a\nb"):
+        with pytest.raises(ss.ModelError, match="is not a text that can be printed"):
+            skate({name: BLADE})
+    with pytest.raises(ss.ModelError, match=r"velocity_constraints is '5'.*\n.*x.diff\(\)"):
+        skate(5)
+    (other,) = ss.coordinates("lambda_b")
+    with pytest.raises(ss.ModelError, match="multiplier of a constraint has the name 'lambda_b'"):
+        skate({"b": BLADE}, coordinates=(x, y, th, other), kinetic=_free(other))
+
+
+def _free(*others):
+    return sum(q.diff() ** 2 / 2 for q in (x, y, th, *(others or (w,))))
+
+
+def test_a_row_of_zeros_is_told():
+    c = sp.Symbol("c", real=True)
+    stepper = ss.compile(skate([c * BLADE], parameters={m: 1.3, c: 0.5}))
+    with pytest.raises(ss.ModelError, match=r"asks for nothing at .*(\n.*)*parameters in it"):
+        stepper.integrate([0, 0, 0], v0=[1, 0, 1], h=0.1, steps=2, parameters={"c": 0.0})
