@@ -338,9 +338,9 @@ class _Run:
         about = trajectory.__getstate__()
         about |= {"records": tuple(self.records), "actors": self.acting.names}
         if self._message:
-            about["message"] = about["message"].replace(
-                " was not taken. ", f" was not taken. {self._message}"
-            )
+            before, taken, _ = about["message"].partition(" was not taken. ")
+            general = status.message if status is Status.EVENTS_ACCUMULATE else ""
+            about["message"] = f"{before}{taken}{self._message}{general}".strip()
         if self._end is not None:
             t, q_end, p_end = self._end
             about["ended_by"] = self.ended_by

@@ -46,7 +46,7 @@ class Actor:
         self._watch = watching(program, acting.watched, spec.parameters)
         count = len(acting.events)  # of many states no more is asked for
         self._look = watching(program, acting.watched[:count], spec.parameters)
-        self._t0 = float(spec.t0)
+        self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed = ""
         self._restitution = [
             _restitution(program, event.action.restitution, spec.parameters)
@@ -173,11 +173,12 @@ class Actor:
             rates = {k: row[self.rate(k)] for k in near if self.allowed(row, k)}
             velocities = self._velocities(t, state[0], state[1][None])[0]
             still = STILL * max(float(np.abs(velocities).max(initial=0.0)), 1e-300)
-            closing = {k: rate for k, rate in rates.items() if rate < -still}
+            closing = {k: -self._sign * rate for k, rate in rates.items()}
+            closing = {k: speed for k, speed in closing.items() if speed > still}
             forced.clear()
             if not closing:
                 return
-            k = min(closing, key=lambda k: closing[k])
+            k = max(closing, key=lambda k: closing[k])
             before = state
             state, impulse = self._hit(t, state, row, k)
             yield k, before, state, impulse
@@ -206,7 +207,14 @@ class Actor:
             return state, 0.0
         restitution = self._restitution[k]
         assert restitution is not None
-        impulse = (1 + restitution(-rate)) * -rate / weight
+        approach = -self._sign * rate
+        if self._sign < 0 and restitution(approach) != 1.0:
+            self.failed = (
+                f"The impact {self._acting.names[k]!r} loses energy, which a run backwards would "
+                "have to give. Take restitution 1, or run forwards. "
+            )
+            return state, 0.0
+        impulse = (1 + restitution(approach)) * -rate / weight
         if self._program.header.constraints:
             return (q, legendre(self._program, t, q, v + impulse * w, self._values)), impulse
         return (q, p + impulse * n), impulse

@@ -287,7 +287,7 @@ def raise_failure(
     if ended.status is Status.INTERRUPTED:
         raise Interrupted(ended.message, trajectory=result)
     residual, detail = run.last_correction, ""
-    met = ended.status is Status.EVENTS_ACCUMULATE
+    met = ended.status in (Status.EVENTS_ACCUMULATE, Status.BAD_INPUT)
     if ended.steps == run.step and not met:  # else it is what was found afterwards
         detail = (
             f"The last of {run.last_iterations} iterations changed the step by a fraction of "

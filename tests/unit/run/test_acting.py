@@ -244,3 +244,15 @@ def test_impacts_that_accumulate_keep_what_was_computed():
     assert run.t[-1] < end < run.t[-1] + 0.01
     with pytest.raises(ss.ConvergenceError, match="constraint"):
         drop(floor(0.0), t_end=3.0)
+
+
+def test_elastic_impacts_are_undone_backwards():
+    """And others are not: a run backwards would have to give what they take."""
+    stepper = ss.compile(BALL)
+    run = drop(floor(1.0), t_end=3.0)
+    given = {"p0": run.p[-1], "h": -0.01, "steps": 300, "t0": run.t[-1]}
+    back = stepper.integrate(run.q[-1], **given, events=[floor(1.0)])
+    assert np.abs(back.events("floor").t[::-1] - run.events("floor").t).max() < 1e-13
+    assert abs(back.q[-1, 0] - 1.0) < 1e-13
+    with pytest.raises(ss.ConvergenceError, match="loses energy, which a run backwards"):
+        stepper.integrate(run.q[-1], **given, events=[floor(0.5)])
