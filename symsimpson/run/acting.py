@@ -42,6 +42,10 @@ NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
 ACCUMULATED, MOST_ACTIONS = 1e-6, 500
 #: A start may be so far behind a wall, relative to its size.
 BEHIND = 1e-9
+#: Times from one to the next have one ratio then, but for this part of it.
+STEADY = 0.1
+#: Where an expression is zero behind an action, its sign is that after so much of a step.
+AHEAD = 1e-6
 
 
 def acting_run(
@@ -129,15 +133,18 @@ class _Run:
         values = self.actor.values(t, (q, p))
         self.size = np.maximum(self.size, np.abs(values))
         self.size = np.maximum(self.size, self.actor.sizes(t, (q, p)))
+        row = self.actor.row(t, (q, p))
+        self.side = self._sides(values, np.zeros_like(self.side))  # a zero there is no event
         for k, event in enumerate(self.acting.events):
             off = BEHIND * max(1.0, self.size[k])
-            if isinstance(event.action, Impact) and values[k] < -off:
+            if not (isinstance(event.action, Impact) and self.actor.allowed(row, k)):
+                continue
+            if values[k] < -off:
                 raise InputError(
                     f"{self.program.system}: the start is behind the wall {event.key!r}: the gap "
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
                 )
-        own = [self.actor.is_impact(k) for k in range(len(self.side))]
-        self.side = np.where(own, 1, self._sides(values, np.ones_like(self.side)))
+            self.side[k] = 1
         if self.actor.touching(values, self._small).any():
             state = self._act(t, 0, (q, p), [], {})
             if state is not None:
@@ -177,6 +184,20 @@ class _Run:
                 return
             run.go_on_from(state, first + k + 1)
             self._keep(slice(0, 1))
+        if run.step == steps and run.alive and self._status is None and steps:
+            self._finish()
+
+    def _finish(self) -> None:
+        """Let events act whose zero is the last state."""
+        q, p = (x[0].copy() for x in self.run.end())
+        t, values = float(self.run.t0 + self.run.h * self.run.step), self.actor.values
+        here = np.abs(values(t, (q, p))) <= self._small
+        events = np.flatnonzero(here & self._acts(self.side, -self.side)).tolist()
+        if events:
+            state = self._act(t, self.run.step, (q, p), events, {})
+            if state is not None:
+                self._kept[-1][0][-1], self._kept[-1][1][-1] = state
+                self.run.go_on_from(state, self.run.step)
 
     def _keep(self, some: slice) -> None:
         """Keep states of the grid."""
@@ -217,9 +238,9 @@ class _Run:
         times: Times = {}
         for action in count():
             if action > MOST_ACTIONS:
-                hit = self.acting.names[max(times, key=lambda k: len(times[k]), default=0)]
+                why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
                 return self._fail(
-                    Status.EVENTS_ACCUMULATE, f"{hit!r} acts ever again at one time. "
+                    Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. "
                 )
             rest = h - done
             if abs(rest) <= NOTHING * abs(h):
@@ -273,18 +294,20 @@ class _Run:
 
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Let events act on a state, and keep records; None where the run ends with them."""
-        row, small = self.actor.row(t, state), self._small
+        row, small, given = self.actor.row(t, state), self._small, state
         allowed = [k for k in events if self.actor.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
             if not (k in allowed and self.actor.is_impact(k)):
                 self.side[k] = -self.side[k]
-        several = bool(self.actor.touching(row[: len(self.side)], small).sum() > 1)
-        for k, before, behind, impulse in self.actor.acted(t, state, allowed, small):
+        done = list(self.actor.acted(t, state, allowed, small))
+        several = len({k for k, *_, impulse in done if impulse}) > 1
+        for k, before, behind, impulse in done:
             state = behind
             direction = -1 if self.actor.is_impact(k) else int(self.side[k])
             together = several and self.actor.is_impact(k)
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
-            times.setdefault(k, []).append(t)
+            if self.actor.loses(k, before, behind, t):
+                times.setdefault(k, []).append(t)
             self.left[k] -= 1
             if self.left[k] == 0:
                 self.ended_by = self.acting.names[k]
@@ -295,27 +318,35 @@ class _Run:
         if self.ended_by is not None:
             self._end, self._status = (t, *state), Status.SUCCESS
             return None
-        if any(self.actor.changes(k) for k in allowed):  # other events may be on the other side now
-            fresh = self._sides(self.actor.values(t, state), self.side)
-            own = [self.actor.is_impact(k) for k in range(len(self.side))]
-            self.side = np.where(own, self.side, fresh)
+        if state is not given:
+            self._look_ahead(t, step, state, small)
         return None if self._accumulates(times) else state
 
+    def _look_ahead(self, t: float, step: int, state: Any, small: Floats) -> None:
+        """Find on which sides expressions are behind an action, of zeros by a look ahead."""
+        values = self.actor.values(t, state)
+        begin = float(self.spec.t0 + self.spec.h * step)
+        size, share = AHEAD * float(self.spec.h), (t - begin) / float(self.spec.h)
+        soon, status = self._parts(state, t, size, step, share)
+        ahead = self.actor.values(t + size, soon) if status is Status.SUCCESS else 0 * values
+        fresh = np.where(np.abs(values) <= small, np.sign(ahead), np.sign(values)).astype(np.int64)
+        own = [self.actor.is_impact(k) for k in range(len(self.side))]
+        self.side = np.where(own, self.side, fresh)
+
     def _accumulates(self, times: Times) -> bool:
-        """Return whether impacts follow each other ever faster, and end the run there."""
+        """Return whether impacts that lose energy follow each other ever faster: the run ends."""
         h = abs(float(self.spec.h))
         for k, hits in times.items():
-            late, later = np.diff(hits[-3:]) if len(hits) > 2 else (0.0, h)
-            ratio = later / late if late else 1.0
+            if len(hits) < 4:
+                continue
+            first, late, later = np.diff(hits[-4:])
+            before, ratio = (late / first, later / late) if first and late else (1.0, 1.0)
+            steady = abs(ratio - before) <= STEADY * abs(before)
             left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
-            most = len(hits) > MOST_ACTIONS
-            if abs(left) < ACCUMULATED * h or most:
-                about = hits[-1] + (0.0 if most else left)
-                name = self.acting.names[k]
-                self._fail(
-                    Status.EVENTS_ACCUMULATE,
-                    f"{name!r} acts ever faster up to t={float(about)!r}. ",
-                )
+            if steady and abs(left) < ACCUMULATED * h:
+                name, about = self.acting.names[k], float(hits[-1] + left)
+                why = f"{name!r} acts ever faster up to t={about!r}. "
+                self._fail(Status.EVENTS_ACCUMULATE, why)
                 return True
         return False
 
@@ -328,6 +359,7 @@ class _Run:
         if run.status is Status.INTERRUPTED:  # wherever that was heard
             q, p = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
             run.go_on_from((q[-1], p[-1]), len(q) - 1)
+            self.records = [one for one in self.records if one.step < len(q) - 1]
         status = run.status if self._status is None else self._status
         q, p, iterations = (np.concatenate(x) for x in zip(*self._kept, strict=True))
         every = spec.every
@@ -353,5 +385,6 @@ class _Run:
         found = Trajectory(**about)
         if status is Status.SUCCESS and not self.records and spec.steps and every:
             run.every = every
-            return verdict(program, run, found, (*stored[:3], stored[3]))
+            with np.errstate(invalid="ignore"):  # of states that do not move
+                return verdict(program, run, found, (*stored[:3], stored[3]))
         return found

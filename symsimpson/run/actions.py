@@ -26,10 +26,10 @@ State = tuple[Floats, Floats]
 STILL = 1e-12
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500
+#: A state that an event leads to may miss constraints by so much.
+ALLOWED = 1e-9
 #: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
 NEAR = 0.1
-#: Where in a step that is looked for.
-SHARES = np.linspace(0.0, 1.0, 17)[1:-1]
 
 
 class Actor:
@@ -75,6 +75,13 @@ class Actor:
     def changes(self, k: int) -> bool:
         """Return whether an event changes the state by expressions."""
         return bool(self._acting.changes[k])
+
+    def loses(self, k: int, before: State, behind: State, t: float) -> bool:
+        """Return whether an event is an impact that left a slower rate than there was."""
+        if not self.is_impact(k):
+            return False
+        rates = [abs(self.row(t, state)[self.rate(k)]) for state in (before, behind)]
+        return bool(rates[1] < (1 - 1e-9) * rates[0])
 
     def rate(self, k: int) -> int:
         """Return where the rate of a gap stands."""
@@ -208,13 +215,18 @@ class Actor:
         restitution = self._restitution[k]
         assert restitution is not None
         approach = -self._sign * rate
-        if self._sign < 0 and restitution(approach) != 1.0:
+        try:
+            e = restitution(approach)
+        except InputError as error:
+            self.failed = f"{error} "
+            return state, 0.0
+        if self._sign < 0 and e != 1.0:
             self.failed = (
                 f"The impact {self._acting.names[k]!r} loses energy, which a run backwards would "
                 "have to give. Take restitution 1, or run forwards. "
             )
             return state, 0.0
-        impulse = (1 + restitution(approach)) * -rate / weight
+        impulse = (1 + e) * -rate / weight
         if self._program.header.constraints:
             return (q, legendre(self._program, t, q, v + impulse * w, self._values)), impulse
         return (q, p + impulse * n), impulse
@@ -235,7 +247,26 @@ class Actor:
         # velocities are kept where positions change, unless momenta are given
         if "v" in blocks or "p" not in blocks:
             p = np.where(np.isin(np.arange(len(p)), list(given)), p, moved)
+        self._check_allowed(t, (q, p), v if "v" in blocks else None, k)
         return q, p
+
+    def _check_allowed(self, t: float, state: State, v: Floats | None, k: int) -> None:
+        """Say so where a state that was changed is none that constraints allow."""
+        header, (q, p) = self._program.header, state
+        if not header.constraints:
+            return
+        place = np.array([t]), q[None], p[None]
+        count = len(header.constraints)
+        phi = evaluate(self._program, "multipliers", "CONSTRAINT", count, *place, self._values)
+        off = float(np.abs(phi).max())
+        if off <= ALLOWED * max(1.0, float(np.abs(q).max())) and v is not None:
+            off = float(np.abs(self._velocities(t, q, p[None])[0] - v).max())
+            off /= max(1.0, float(np.abs(v).max()))
+        if not off <= ALLOWED:
+            self.failed = (
+                f"The event {self._acting.names[k]!r} changes the state to one that constraints do "
+                f"not allow: it is off by {off:.2g}. "
+            )
 
 
 def legendre(program: Program, t: float, q: Floats, v: Floats, values: Floats) -> Floats:
@@ -253,8 +284,10 @@ def legendre(program: Program, t: float, q: Floats, v: Floats, values: Floats) -
 def _lowest(first: float, last: float, a: float, b: float) -> float:
     """Return about how low the cubic goes that has these ends and changes there."""
     rest = last - first
-    cubic = first + SHARES * (a + SHARES * (3 * rest - 2 * a - b + SHARES * (a + b - 2 * rest)))
-    return float(cubic.min())
+    cubic = np.polynomial.Polynomial([first, a, 3 * rest - 2 * a - b, a + b - 2 * rest])
+    turns = np.asarray(cubic.deriv().roots(), dtype=np.complex128)
+    places = turns.real[(turns.imag == 0) & (turns.real > 0) & (turns.real < 1)].tolist()
+    return float(min(map(cubic, places), default=min(first, last)))
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
@@ -280,7 +313,10 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
     (speed,) = left.free_symbols or (None,)
 
     def restitution(approach: float) -> float:
-        found = float(left if speed is None else left.subs(speed, approach))
+        try:
+            found = float(left if speed is None else left.subs(speed, approach))
+        except TypeError:  # it is not real
+            found = float("nan")
         if not 0.0 <= found <= 1.0:
             raise InputError(
                 f"the restitution {given} is {found:g} at a speed of approach of {approach:g}.\n"

@@ -45,7 +45,7 @@ def run(
     ------
     InputError, StorageError, ConvergenceError, Interrupted
     """
-    if request.events is not None:
+    if request.events is not None and request.events not in ([], ()):
         from symsimpson.run.acting import acting_run  # few runs need it
 
         return acting_run(program, request, progress, on_failure)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
@@ -47,11 +48,14 @@ class Impact:
     restitution: Any = 1.0
 
     def __post_init__(self) -> None:
-        if not hasattr(self.restitution, "free_symbols") or self.restitution.is_number:
-            number = float(self.restitution)
+        given = self.restitution
+        if not hasattr(given, "free_symbols") or given.is_number:
+            real = isinstance(given, Real) and not isinstance(given, bool)
+            real = real or bool(getattr(given, "is_real", False))
+            number = float(given) if real else float("nan")
             if not 0.0 <= number <= 1.0:
                 raise InputError(
-                    f"restitution is {number:g}.\nGive a number between 0 (plastic) and 1 "
+                    f"restitution is {given!r}.\nGive a number between 0 (plastic) and 1 "
                     "(elastic); for a bumper that gives energy, take Change."
                 )
 
@@ -84,6 +88,12 @@ class Change:
     momenta: Mapping[Any, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for what in CHANGED:
+            if not isinstance(getattr(self, what), Mapping):
+                raise InputError(
+                    f"{what} is {getattr(self, what)!r}, not a mapping.\n"
+                    "Name coordinates: Change(velocities={x: -x.diff()})."
+                )
         if not any(getattr(self, what) for what in CHANGED):
             raise InputError(
                 "Change changes nothing.\nName coordinates: Change(velocities={x: -x.diff()}). To "
@@ -164,7 +174,9 @@ class Event:
                 f"the action of an event is {self.action!r}.\nIt is an Impact, a Change or a "
                 "Switch, or None."
             )
-        if self.direction not in (-1, 0, 1):
+        if self.name is not None and not (isinstance(self.name, str) and self.name.strip()):
+            raise InputError(f"the name of an event is {self.name!r}.\nIt is a text.")
+        if not isinstance(self.direction, Integral) or self.direction not in (-1, 0, 1):
             raise InputError(
                 f"direction is {self.direction!r}.\nPass 1 for a change of sign on the way up, -1 "
                 "for one on the way down, or 0 for both."
@@ -175,7 +187,7 @@ class Event:
                 "gap, which is positive where the body is free."
             )
         count = self.terminal
-        if not isinstance(count, (bool, int)) or count < 0:
+        if not isinstance(count, (Integral, bool)) or count < 0:
             raise InputError(
                 f"terminal is {count!r}.\nIt is True, or the number of times after which the run "
                 "ends."
@@ -230,7 +242,14 @@ def read_events(program: Program, given: Any) -> Acting:
     InputError
         If they are none, or do not fit the system.
     """
-    events = (given,) if isinstance(given, Event) else tuple(given)
+    if isinstance(given, Event):
+        given = (given,)
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise InputError(
+            f"events is {given!r}, no sequence.\n"
+            "Pass events=[symsimpson.Event(expression, action=...)]."
+        )
+    events = tuple(given)
     for one in events:
         if not isinstance(one, Event):
             raise InputError(

@@ -101,13 +101,13 @@ def test_conditions_directions_and_changes():
         when=x,
         action=ss.Change(positions={y: -1}, velocities={x: -x.diff(), y: 2 * y.diff()}),
     )
-    start = {"h": 0.25, "steps": 8, "events": [gate]}
+    start = {"h": 0.25, "steps": 7, "events": [gate]}
     run = stepper.integrate([0.5, 0.0], v0=[0.1, 1.0], **start)
     (hit,) = run.events("gate").t
     assert abs(hit - 1.0) < 1e-14
     assert np.allclose(run.events("gate").q_after, [[0.6, -1.0]])
     assert np.allclose(run.v[-1], [-0.1, 2.0])
-    assert np.allclose(run.q[-1], [0.5, 1.0])
+    assert np.allclose(run.q[-1], [0.525, 0.5])
     assert len(stepper.integrate([-0.5, 0.0], v0=[0.1, 1.0], **start).events("gate")) == 0
     assert len(stepper.integrate([0.5, 2.0], v0=[0.1, -1.0], **start).events("gate")) == 0
 
@@ -256,3 +256,98 @@ def test_elastic_impacts_are_undone_backwards():
     assert abs(back.q[-1, 0] - 1.0) < 1e-13
     with pytest.raises(ss.ConvergenceError, match="loses energy, which a run backwards"):
         stepper.integrate(run.q[-1], **given, events=[floor(0.5)])
+
+
+def test_elastic_impacts_do_not_accumulate():
+    """A light ball between two heavy ones that come near each other: few impacts, and an end."""
+    u, v, w = ss.coordinates("u v w")
+    masses = {u: 1, v: sp.Rational(1, 100), w: 1}
+    system = ss.MechanicalSystem(
+        "squeezed",
+        coordinates=(u, v, w),
+        kinetic=sum(m * q.diff() ** 2 / 2 for q, m in masses.items()),
+        potential=0 * u,
+    )
+    gaps = [ss.Event(b - a, name=n, action=ss.Impact()) for n, a, b in (("l", u, v), ("r", v, w))]
+    for near in (1e-3, 1e-6):
+        run = ss.compile(system).integrate(
+            [-near, 0, near / 3], v0=[1, 0, -1], h=0.1, steps=5, events=gaps
+        )
+        assert len(run.records) == 22
+        assert np.abs(run.energy_error).max() < 1e-14
+
+
+def test_a_zero_at_an_end():
+    """At the start it is none, at the last state it is one."""
+    stepper = ss.compile(BALL)
+    for expression in (z, -z, z.diff() - 1, 1 - z.diff()):
+        mark = ss.Event(expression, name="mark")
+        run = stepper.integrate([0.0], v0=[1.0], h=0.01, steps=3, events=[mark])
+        assert len(run.events("mark")) == 0, expression
+    end = ss.Event(ss.time - 1, name="end", terminal=True)
+    assert stepper.integrate([9.0], v0=[0.0], h=0.25, t_end=1.0, events=[end]).ended_by == "end"
+    free = ss.compile(PLANE)
+    wall = ss.Event(x, name="wall", action=ss.Impact())
+    run = free.integrate([1.0, 0.0], v0=[-1.0, 0.0], h=0.25, t_end=1.0, events=[wall])
+    assert run["v_x"][-1] == 1.0
+    late = ss.Event(x, name="wall", action=ss.Impact(), when=ss.time - 3)
+    assert free.integrate([-1.0, 0.0], v0=[0, 0], h=0.25, steps=4, events=[late]).success
+
+
+def test_a_bumper_and_a_recorder_beside_a_wall():
+    """What is changed to the other way is looked at anew; a recorder sees one change of sign."""
+    kick = ss.Change(velocities={z: -1.1 * z.diff()})
+    bumper = ss.Event(z, name="bumper", direction=-1, action=kick)
+    run = ss.compile(BALL).integrate([0.002], v0=[0.0], h=0.1, t_end=1.0, events=[bumper])
+    assert run["z"].min() > -1e-12
+    assert len(run.events("bumper")) > 3
+    seen = ss.Event(z, name="seen", direction=1)
+    run = drop(floor(1.0), seen)
+    assert len(run.events("floor")) == 2
+    assert len(run.events("seen")) == 0
+
+
+def test_a_gap_that_closes_shortly_before_a_state():
+    off = 0.015
+    speed = 9.81 * (0.5 + off)
+    high = speed**2 / 19.62 - 0.8 * 9.81 * off**2 / 2
+    ceiling = ss.Event(high - z, name="ceiling", action=ss.Impact())
+    run = ss.compile(BALL).integrate([0.0], v0=[speed], h=0.5, steps=3, events=[ceiling])
+    assert len(run.events("ceiling")) == 1
+
+
+def test_changes_keep_to_constraints():
+    rod = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=10 * y,
+        constraints={"length": (x**2 + y**2 - 1) / 2},
+    )
+    stepper = ss.compile(rod)
+    for change in ({"positions": {x: 0.5}}, {"velocities": {y: 1}}):
+        event = ss.Event(x, name="mark", action=ss.Change(**change))
+        with pytest.raises(ss.ConvergenceError, match="constraints do not allow"):
+            stepper.integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[event])
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: ss.Impact("0.8"), "restitution is '0.8'"),
+        (lambda: ss.Impact(None), "restitution is None"),
+        (lambda: ss.Impact(sp.I), "restitution is I"),
+        (lambda: ss.Impact(True), "restitution is True"),
+        (lambda: ss.Change(velocities=3), "velocities is 3, not a mapping"),
+        (lambda: ss.Event(z, name=3), "the name of an event is 3"),
+    ],
+)
+def test_arguments_of_other_kinds(make, told):
+    with pytest.raises((ss.InputError, TypeError), match=told):
+        make()
+
+
+def test_no_events_are_a_plain_run():
+    run = ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=5, events=[])
+    assert run.success
+    assert not run.records
