@@ -86,9 +86,8 @@ class MechanicalSystem(Described):
         ``{"rod": x**2 + y**2 - l**2}``. M must be positive definite only for velocities with
         dphi/dq.v = 0.
     velocity_constraints : mapping from str to expression, or sequence of expressions, optional
-        Expressions linear in the velocities that vanish, A(q, t) v - b(q, t), as those of wheels
-        that roll and of blades: ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They pull by
-        -A^T nu, which does no work on what they allow (Lagrange and d'Alembert).
+        Expressions linear in the velocities that vanish, A(q, t) v - b(q, t), as of wheels that
+        roll and of blades, ``{"blade": cos(a)*y.diff() - sin(a)*x.diff()}``. They pull by -A^T nu.
     units : mapping from str or symbol to str, optional
         Units by quantity, ``{"x": "m", "theta": "rad", "t": "s"}``: labels of figures and data, by
         which figures draw angles and lengths on axes of their own. Nothing is converted.
@@ -326,7 +325,7 @@ class MechanicalSystem(Described):
         -------
         q0, v0 : ndarray, shape (n,)
             They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. The change is the
-            smallest in the norm of M; where its minimization does not converge, it is merely small.
+            smallest in the norm of M, or merely small where that does not converge.
 
         Raises
         ------

@@ -70,8 +70,12 @@ class Actions(Events):
         )
 
     def _further(self) -> dict[str, Any]:
-        numbers = {"impulse": self.impulse, "simultaneous": self.simultaneous.astype(int)}
-        return super()._further() | {name: (("time",), x) for name, x in numbers.items()}
+        numbers = {
+            "direction": self.direction,
+            "impulse": self.impulse,
+            "simultaneous": self.simultaneous.astype(int),
+        }
+        return {name: (("time",), x) for name, x in numbers.items()}
 
 
 def actions_of(run: Any, name: str) -> Actions:

@@ -1,4 +1,4 @@
-"""What events do to a state: impacts by Newton's law, one after the other, and changes."""
+"""Actions of events on a state: impacts by Newton's law, one after the other, and changes."""
 
 from __future__ import annotations
 
