@@ -52,8 +52,8 @@ class Actions(Events):
     >>> floor = ss.Event(z, name="floor", action=ss.Impact(0.8))
     >>> run = ss.compile(ball).integrate([1.0], v0=[0.0], h=0.01, t_end=2, events=[floor])
     >>> hits = run.events("floor")
-    >>> hits.impulse.round(3), (hits.after.energy - hits.energy).round(3)
-    (array([8.05, 6.44, 5.152]), array([-3.6  , -2.304, -1.475]))
+    >>> hits.impulse.round(3).tolist(), (hits.after.energy - hits.energy).round(3).tolist()
+    ([8.05, 6.44, 5.152], [-3.6, -2.304, -1.475])
     """
 
     q_after: Floats
