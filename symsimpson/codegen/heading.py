@@ -9,7 +9,7 @@ from dataclasses import replace
 from symsimpson.codegen.ir import Module
 from symsimpson.codegen.printer import formula
 from symsimpson.discrete.equations import DiscreteEquations
-from symsimpson.graph.nodes import Value, scaled
+from symsimpson.graph.nodes import Value
 from symsimpson.graph.read import tree_size
 from symsimpson.mechanics.plain import Plain
 
@@ -61,12 +61,8 @@ _ROLLING = (
 
 def _constraints(plain: Plain) -> tuple[Value, ...]:
     """Write what vanishes: phi, and A v - b."""
-    graph, v = plain.graph, plain.numbers(plain.v)
-    rates = (
-        graph.add([*graph.products(row, v), scaled(-1, b)])
-        for *row, b in plain.velocity_constraints.values()
-    )
-    return (*plain.constraints.values(), *rates)
+    held = plain.held_rows(plain.graph)
+    return (*held.phi, *held.rates(plain.graph, plain.numbers(plain.v)))
 
 
 def docstring(equations: DiscreteEquations, module: Module) -> str:

@@ -51,7 +51,6 @@ from symsimpson.discrete.reductions import (
     Routh,
     Separable,
 )
-from symsimpson.mechanics.plain import Plain
 from symsimpson.module.blocks import layout
 from symsimpson.module.interface import PIVOTED
 
@@ -169,7 +168,7 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
         both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
-        storage, held = smaller(storage, held, both, met, degree, _members(plain))
+        storage, held = smaller(storage, held, both, met, degree, plain.bound)
     names = ("gradient", "mass", "potential")
     kicked = drifting(equations)
     if held or not kicked:
@@ -223,20 +222,6 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     return _finish_module(low, loops, functions, kernels, tables, unknowns)
 
 
-def _members(plain: Plain) -> list[frozenset[int]]:
-    """List the coordinates that each velocity constraint binds, or depends on."""
-    nodes, places = (
-        plain.graph.nodes,
-        dict(zip(plain.numbers(plain.q), range(len(plain.q)), strict=True)),
-    )
-    found = []
-    for row in plain.velocity_constraints.values():
-        bound = {i for i, (c, _) in enumerate(row[:-1]) if c}
-        bound |= {places[x] for _, n in row for x in nodes[n].symbols & places.keys()}
-        found.append(frozenset(bound))
-    return found
-
-
 def _stage_kernels(
     low: Lowering, loops: LoopKernels, *, by_loops: bool
 ) -> StageKernels | LoopedStages | None:
@@ -270,7 +255,6 @@ def _loops(
         plain.rate is not None,
         held,
         constant_mass,
-        bool(plain.velocity_constraints),
         # in a band rows are exchanged, as those of positions are
         bool(plain.velocity_constraints) and not (low.stiffened or storage.banded),
         plain.carried,

@@ -42,8 +42,6 @@ class LoopKernels:
         How constraints stand among the coordinates, if there are any.
     constant_mass : bool
         Whether M is, so that its factors may stay in their place from step to step.
-    rolling : bool
-        Whether some constraints are those of velocities.
     in_order : bool
         Whether Newton's method needs no exchange of rows, but for a few steps.
     carried : bool
@@ -58,9 +56,13 @@ class LoopKernels:
     damped: bool
     held: Held | None
     constant_mass: bool
-    rolling: bool = False
     in_order: bool = False
     carried: bool = False
+
+    @property
+    def rolling(self) -> bool:
+        """Whether some constraints are those of velocities."""
+        return self.held is not None and self.held.velocities > 0
 
     @property
     def cleared(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from symsimpson.discrete.jet import Jet, Key, written_as_jet
-from symsimpson.graph.derive import Derivatives, gradient
+from symsimpson.graph.derive import Derivatives
 from symsimpson.graph.nodes import ZERO, Graph, Value
 from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.constraints import accelerations
@@ -46,9 +46,6 @@ def derive_constraints(plain: Plain) -> Jet:
         outputs |= {("phi", c): ZERO, ("b", c): b, ("rate", c): rates[c]}
         outputs |= {("rate_q", c, a): derivatives(rates[c], x) for a, x in enumerate(q)}
         outputs |= {("b_q", c, a): derivatives(b, x) for a, x in enumerate(q)}
-    pulls = gradient(graph, graph.add(graph.products(held.phi, multipliers[:m])), q)
-    for a, slope in enumerate(pulls):
-        turned = graph.products([row[a] for row in rows[m:]], multipliers[m:])
-        pull = graph.add([slope, *turned])
+    for a, pull in enumerate(held.pulls(graph, q, multipliers)):
         outputs |= {("pull", a, b): derivatives(pull, x) for b, x in enumerate(q)}
     return written_as_jet(plain, graph, outputs)

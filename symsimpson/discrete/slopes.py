@@ -54,15 +54,9 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     held = plain.held_rows(graph)
     m, multipliers = len(held.phi), graph.numbers(symbol.name for symbol in plain.multipliers)
     phi = [*held.phi, *(ZERO for _ in held.rows)]
-    pulls = gradient(graph, graph.add(graph.products(held.phi, multipliers[:m])), moving[:n])
-    for a in range(n if held.rows else 0):
-        turned = graph.products([row[a] for row in held.rows], multipliers[m:])
-        pulls[a] = graph.add([pulls[a], *turned])
+    pulls = held.pulls(graph, moving[:n], multipliers) if phi else []
     moved = {("b", c): row[-1] for c, row in enumerate(held.rows, m)}
-    moved |= {
-        ("rate", c): graph.add([*graph.products(row, moving[n:]), scaled(-1, b)])
-        for c, (*row, b) in enumerate(held.rows, m)
-    }
+    moved |= {("rate", c): rate for c, rate in enumerate(held.rates(graph, moving[n:]), m)}
     derivatives = Derivatives(graph)
     outputs: dict[Key, Value] = {}
     by_size = _BySize(graph, plain, derivatives)
@@ -74,7 +68,7 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(own[n:])}
             outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
             outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
-            for i, pull in enumerate(pulls if phi else ()):
+            for i, pull in enumerate(pulls):
                 later = by_size.later(pull) if held.rows else ZERO
                 outputs["pull_a", i, name] = graph.add([by_size.over(scaled(-1, pull)), later])
             continue
@@ -84,9 +78,7 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
             outputs["P_a", i, name] = slopes[n + i]
         outputs |= {("phi_a", c, name): derivatives(value, x) for c, value in enumerate(phi)}
         outputs |= {(f"{what}_a", c, name): derivatives(y, x) for (what, c), y in moved.items()}
-        outputs |= {
-            ("pull_a", i, name): derivatives(pull, x) for i, pull in enumerate(pulls if phi else ())
-        }
+        outputs |= {("pull_a", i, name): derivatives(y, x) for i, y in enumerate(pulls)}
     return written_as_jet(plain, graph, outputs)
 
 

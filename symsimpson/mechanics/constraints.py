@@ -155,9 +155,8 @@ def accelerations(
     q, v, time = places
     derivatives, rows = Derivatives(graph), slopes(graph, held.phi, q)
     rates = [graph.add(graph.products(row, v)) for row in rows]
-    for *row, b in held.rows:
-        rows.append(row)
-        rates.append(graph.add([*graph.products(row, v), scaled(-1, b)]))
+    rows += [list(row[:-1]) for row in held.rows]
+    rates += held.rates(graph, v)
     curve = []
     for rate in rates:
         moving = graph.products([derivatives(rate, x) for x in q], v)

@@ -17,8 +17,7 @@ def fingerprint(system: Declared) -> str:
     plain = system.plain
     forces = [value for force in plain.forces.values() for value in force]
     values = [plain.T, *plain.energies, *plain.invariants.values(), *forces]
-    values += plain.constraints.values()
-    values += [value for row in plain.velocity_constraints.values() for value in row]
+    values += plain.held_values
     nodes = plain.graph.reached(n for _, n in values)
     place = {n: k for k, n in enumerate(nodes)}
 

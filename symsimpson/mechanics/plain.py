@@ -31,6 +31,19 @@ class Held(NamedTuple):
     phi: tuple[Value, ...]
     rows: tuple[tuple[Value, ...], ...] = ()
 
+    def rates(self, graph: Graph, v: Sequence[int]) -> list[Value]:
+        """Write A v - b of each velocity constraint."""
+        return [graph.add([*graph.products(row, v), scaled(-1, b)]) for *row, b in self.rows]
+
+    def pulls(self, graph: Graph, q: Sequence[int], multipliers: Sequence[int]) -> list[Value]:
+        """Write Phi^T lambda + A^T nu, by coordinate."""
+        m = len(self.phi)
+        slopes = gradient(graph, graph.add(graph.products(self.phi, multipliers[:m])), q)
+        turned = (
+            graph.products([row[a] for row in self.rows], multipliers[m:]) for a in range(len(q))
+        )
+        return [graph.add([slope, *more]) for slope, more in zip(slopes, turned, strict=True)]
+
 
 @dataclass(frozen=True)
 class Plain:
@@ -81,11 +94,26 @@ class Plain:
 
     def held_rows(self, graph: Graph) -> Held:
         """Write the constraints in another graph, whose symbols have the names of these."""
-        phi, rows = list(self.constraints.values()), list(self.velocity_constraints.values())
-        values = rebuilt(self.graph, [*phi, *(x for row in rows for x in row)], {}, graph)
-        width, behind = len(self.q) + 1, values[len(phi) :]
-        split = tuple(tuple(behind[k * width : (k + 1) * width]) for k in range(len(rows)))
-        return Held(tuple(values[: len(phi)]), split)
+        values = rebuilt(self.graph, self.held_values, {}, graph)
+        m, width = len(self.constraints), len(self.q) + 1
+        rows = (tuple(values[k : k + width]) for k in range(m, len(values), width))
+        return Held(tuple(values[:m]), tuple(rows))
+
+    @property
+    def held_values(self) -> list[Value]:
+        """Values that constraints are made of: phi, then the rows of A, each with b behind it."""
+        rows = self.velocity_constraints.values()
+        return [*self.constraints.values(), *(value for row in rows for value in row)]
+
+    @property
+    def bound(self) -> list[frozenset[int]]:
+        """The coordinates that each velocity constraint binds, or depends on."""
+        nodes, place = self.graph.nodes, {x: i for i, x in enumerate(self.numbers(self.q))}
+        return [
+            frozenset(i for i, (c, _) in enumerate(row[:-1]) if c)
+            | {place[x] for _, n in row for x in nodes[n].symbols & place.keys()}
+            for row in self.velocity_constraints.values()
+        ]
 
     @property
     def step(self) -> tuple[sp.Symbol, sp.Symbol, sp.Symbol]:
@@ -133,9 +161,8 @@ class Plain:
 
     @cached_property
     def autonomous(self) -> bool:
-        """Whether neither L, nor a force, nor a velocity constraint depends on t."""
-        rows = (value for row in self.velocity_constraints.values() for value in row)
-        written = (*self.energies, *self.f, *rows)
+        """Whether neither L, nor a force, nor a constraint depends on t."""
+        written = (*self.energies, *self.f, *self.held_values)
         return all(self.time not in self.graph.nodes[n].symbols for _, n in written)
 
     @cached_property

@@ -7,7 +7,7 @@ grant; the rest is undecided, and counts as not there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 
@@ -182,12 +182,6 @@ def analyse(system: Declared) -> Structure:
     )
 
 
-def _of_constraints(plain: Plain) -> list[Value]:
-    """List phi, and the entries of A and b."""
-    rows = plain.velocity_constraints.values()
-    return [*plain.constraints.values(), *(value for row in rows for value in row)]
-
-
 class _Look:
     """Answers about the Lagrangian of a system."""
 
@@ -196,7 +190,7 @@ class _Look:
         self._plain = plain
         self.q, self.v = plain.numbers(plain.q), plain.numbers(plain.v)
         self._positions = frozenset(self.q)
-        written = (*plain.energies, *plain.f, *_of_constraints(plain))
+        written = (*plain.energies, *plain.f, *plain.held_values)
         self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
         own, self.P = both[: len(self.q)], both[len(self.q) :]
@@ -224,13 +218,13 @@ class _Look:
         return {(i, k) for i, k, _, _ in self._met()} | self._held_together()
 
     def _held_together(self) -> set[tuple[int, int]]:
-        """List the pairs of coordinates that stand in one constraint."""
+        """List the pairs of coordinates that stand in one constraint, or that it binds."""
         nodes, place = self._plain.graph.nodes, {x: i for i, x in enumerate(self.q)}
-        present = [nodes[n].symbols for _, n in self._plain.constraints.values()]
-        for row in self._plain.velocity_constraints.values():
-            moved = [x for x, (c, _) in zip(self.q, row, strict=False) if c]
-            present.append(frozenset(moved).union(*(nodes[n].symbols for _, n in row)))
-        groups = [[place[x] for x in symbols & place.keys()] for symbols in present]
+        groups: list[Iterable[int]] = [
+            [place[x] for x in nodes[n].symbols & place.keys()]
+            for _, n in self._plain.constraints.values()
+        ]
+        groups += self._plain.bound
         return {(i, k) for group in groups for i in group for k in group if i != k}
 
     def moves(self, value: Value) -> int:
@@ -363,7 +357,7 @@ def kinetic(plain: Plain) -> Value:
 def _angle(plain: Plain, x: int) -> bool:
     """Return whether x stands somewhere, and in sines and cosines alone, by whole multiples."""
     graph = plain.graph
-    written = (*plain.energies, *plain.f, *_of_constraints(plain))
+    written = (*plain.energies, *plain.f, *plain.held_values)
     work = [n for c, n in written if c and x in graph.nodes[n].symbols]
     seen = set(work)
     while work:

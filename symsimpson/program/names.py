@@ -52,8 +52,7 @@ class Names:
         if self._declared is None:
             return frozenset()
         plain = self._declared.plain
-        rows = (plain.a, *plain.forces.values(), plain.constraints.values())
-        rows += (*plain.velocity_constraints.values(),)
+        rows = (plain.a, *plain.forces.values(), plain.held_values)
         values = [plain.T, plain.V, *plain.M.values(), *plain.invariants.values(), *chain(*rows)]
         used = {n for _, node in values for n in plain.graph.nodes[node].symbols}
         drawn: set[Any] = set()

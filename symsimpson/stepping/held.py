@@ -125,7 +125,7 @@ def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) 
         )
     if (size == 0).any():
         flat = ", ".join(repr(names[c]) for c in np.flatnonzero(size == 0))
-        if set(np.flatnonzero(size == 0)) & set(range(len(rows))[len(rows) - rolling :]):
+        if (size[len(rows) - rolling :] == 0).any():
             raise ModelError(
                 f"{program.system}: the constraint {flat} asks for nothing at {where}: all its "
                 "factors of velocities are zero there, so its force has no direction.\nBegin "
