@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,7 @@ from symsimpson.program.workspace import workspace
 from symsimpson.results.stored import Stored
 from symsimpson.stepping.arrival import states_at
 from symsimpson.stepping.driving import at_places, places, since
-from symsimpson.stepping.parts import Parts
-from symsimpson.stepping.run import Run
+from symsimpson.stepping.parts import Parts, steps_from
 
 __all__ = ["DenseOutput"]
 
@@ -144,11 +144,16 @@ class DenseOutput:
             (q[i], p[i]), codes[i] = self._after_record(self._run.records[last[i]], float(asked[i]))
         return q, p, codes
 
+    @cached_property
+    def _parts(self) -> Parts:
+        run = self._run
+        return Parts(run.program, run.parameter_values, float(run.h), run.input_values)
+
     def _after_record(self, record: Any, t: float) -> tuple[Any, Status]:
         """Return the state at a time behind an event, before the next one."""
         run, h = self._run, float(self._run.h)
         begin = float(run.t[0]) + h * record.step
-        parts = Parts(run.program, run.parameter_values, h, run.input_values)
+        parts = self._parts
         state, share = (record.q_after, record.p_after), (record.t - begin) / h
         if self._sign * (t - begin - h) <= 0:
             return parts(state, record.t, t - record.t, record.step, share)
@@ -245,9 +250,4 @@ class DenseOutput:
         return state, status
 
     def _run_on(self, t: Any, state: Any, h: Any, steps: int, inputs: Reals) -> tuple[Any, Status]:
-        program, numbers = self._run.program, self._run.program.numbers
-        values, h = numbers.read(self._run.parameter_values), numbers.read(h).item()
-        one = Run(program, values, h, t, 0, 1, inputs=inputs)
-        one.begin(*state, velocity=False)
-        one.advance(steps)
-        return [one.rows(name, program.n).copy() for name in ("POSITION", "MOMENTUM")], one.status
+        return steps_from(self._run.program, self._run.parameter_values, t, state, h, steps, inputs)

@@ -118,6 +118,7 @@ class _Run:
         self._parts = Parts(program, spec.parameters, float(spec.h), spec.inputs)
         self.size = np.zeros(len(acting.events))
         self.side: Sides = np.zeros(len(acting.events), dtype=np.int64)
+        self._signs = np.array([event.sign for event in acting.events])
         self.left = [int(event.terminal) or -1 for event in acting.events]
         self._kept: list[tuple[Floats, Floats, NDArray[np.int64]]] = []
         self._status: Status | None = None
@@ -130,10 +131,9 @@ class _Run:
         """Look at the start: impacts that touch act there, none may be behind its wall."""
         q, p = (x[0].copy() for x in self.run.end())
         t = float(self.spec.t0)
-        values = self.actor.values(t, (q, p))
-        self.size = np.maximum(self.size, np.abs(values))
-        self.size = np.maximum(self.size, self.actor.sizes(t, (q, p)))
         row = self.actor.row(t, (q, p))
+        values = row[: len(self.side)]
+        self.size = np.maximum(np.abs(values), self.actor.sizes(row, q))
         self.side = self._sides(values, np.zeros_like(self.side))  # a zero there is no event
         for k, event in enumerate(self.acting.events):
             off = BEHIND * max(1.0, self.size[k])
@@ -212,8 +212,7 @@ class _Run:
         t = run.t0 + run.h * (run.first + np.arange(kept + 1))
         values = np.ascontiguousarray(self.actor.looks(t, q, p).T)  # a row for each event
         self.size = np.fmax(self.size, np.fmax.reduce(np.abs(values), axis=1))
-        sides = np.sign(np.nan_to_num(values)).astype(np.int64)
-        sides[np.abs(values) <= self._small[:, None]] = 0
+        sides = self._sides(values.T, np.zeros_like(self.side)).T
         sides[:, 0] = self.side
         if (sides == 0).any():  # near zero they stay where they were
             place = np.where(sides == 0, 0, np.arange(kept + 1))
@@ -227,9 +226,7 @@ class _Run:
 
     def _acts(self, before: Sides, behind: Sides) -> NDArray[np.bool_]:
         """Return which events act between two sides."""
-        sign = np.array([event.sign for event in self.acting.events])
-        changed = before * behind < 0
-        return changed & ((sign == 0) | (behind == sign))
+        return (before * behind < 0) & ((self._signs == 0) | (behind == self._signs))
 
     def _split(self, step: int, start: Any) -> Any:
         """Take a step with events in it; None where the run ends within it."""
@@ -319,19 +316,18 @@ class _Run:
             self._end, self._status = (t, *state), Status.SUCCESS
             return None
         if state is not given:
-            self._look_ahead(t, step, state, small)
+            self._look_ahead(t, step, state)
         return None if self._accumulates(times) else state
 
-    def _look_ahead(self, t: float, step: int, state: Any, small: Floats) -> None:
+    def _look_ahead(self, t: float, step: int, state: Any) -> None:
         """Find on which sides expressions are behind an action, of zeros by a look ahead."""
         values = self.actor.values(t, state)
         begin = float(self.spec.t0 + self.spec.h * step)
         size, share = AHEAD * float(self.spec.h), (t - begin) / float(self.spec.h)
         soon, status = self._parts(state, t, size, step, share)
         ahead = self.actor.values(t + size, soon) if status is Status.SUCCESS else 0 * values
-        fresh = np.where(np.abs(values) <= small, np.sign(ahead), np.sign(values)).astype(np.int64)
-        own = [self.actor.is_impact(k) for k in range(len(self.side))]
-        self.side = np.where(own, self.side, fresh)
+        fresh = self._sides(values, np.sign(ahead).astype(np.int64))
+        self.side = np.where(self.actor.impacts, self.side, fresh)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts that lose energy follow each other ever faster: the run ends."""
@@ -356,16 +352,14 @@ class _Run:
     def trajectory(self) -> Trajectory:
         """Return what the run has come to."""
         run, spec, program = self.run, self.spec, self.program
+        q, p, iterations = (np.concatenate(x) for x in zip(*self._kept, strict=True))
         if run.status is Status.INTERRUPTED:  # wherever that was heard
-            q, p = (np.concatenate([one[k] for one in self._kept]) for k in range(2))
             run.go_on_from((q[-1], p[-1]), len(q) - 1)
             self.records = [one for one in self.records if one.step < len(q) - 1]
         status = run.status if self._status is None else self._status
-        q, p, iterations = (np.concatenate(x) for x in zip(*self._kept, strict=True))
         every = spec.every
-        stored = q, p, iterations, np.zeros((len(q), 0))
-        if every:
-            stored = tuple(x[::every] for x in stored)  # type: ignore[assignment]
+        some = slice(None, None, every or 1)
+        stored = q[some], p[some], iterations[some], np.zeros((len(q[some]), 0))
         trajectory = trajectory_of(program, run, spec.steps, status, spec, stored, every)
         about = trajectory.__getstate__()
         about |= {"records": tuple(self.records), "actors": self.acting.names}
@@ -386,5 +380,5 @@ class _Run:
         if status is Status.SUCCESS and not self.records and spec.steps and every:
             run.every = every
             with np.errstate(invalid="ignore"):  # of states that do not move
-                return verdict(program, run, found, (*stored[:3], stored[3]))
+                return verdict(program, run, found, stored)
         return found

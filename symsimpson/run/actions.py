@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
-from symsimpson.program.workspace import workspace
 from symsimpson.results.events import chandrupatla
-from symsimpson.stepping.acting import Acting, Change, Impact
+from symsimpson.stepping.acting import Acting, Impact
+from symsimpson.stepping.run import Run
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -48,6 +48,8 @@ class Actor:
         self._look = watching(program, acting.watched[:count], spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed = ""
+        #: Which events are impacts.
+        self.impacts = np.array([place is not None for place in acting.rate])
         self._restitution = [
             _restitution(program, event.action.restitution, spec.parameters)
             if isinstance(event.action, Impact)
@@ -70,11 +72,7 @@ class Actor:
 
     def is_impact(self, k: int) -> bool:
         """Return whether an event is an impact."""
-        return self._acting.rate[k] is not None
-
-    def changes(self, k: int) -> bool:
-        """Return whether an event changes the state by expressions."""
-        return bool(self._acting.changes[k])
+        return bool(self.impacts[k])
 
     def loses(self, k: int, before: State, behind: State, t: float) -> bool:
         """Return whether an event is an impact that left a slower rate than there was."""
@@ -94,19 +92,17 @@ class Actor:
         place = self._acting.when[k]
         return place is None or bool(row[place] > 0)
 
-    def sizes(self, t: float, state: State) -> Floats:
+    def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which gaps are made, to tell what rounding is."""
-        row, n = self.row(t, state), self._program.n
         found = np.zeros(len(self._acting.events))
         for k, first in enumerate(self._acting.slopes):
             if first is not None:
-                found[k] = np.abs(row[first : first + n] * state[0]).sum()
+                found[k] = np.abs(row[first : first + len(q)] * q).sum()
         return found
 
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
         """Return which impacts have a gap of zero."""
-        impacts = np.array([self.is_impact(k) for k in range(len(values))])
-        return impacts & (np.abs(values) <= small)
+        return self.impacts & (np.abs(values) <= small)
 
     def looks(self, t: Floats, q: Floats, p: Floats) -> Floats:
         """Return the expressions of events at many states."""
@@ -166,11 +162,10 @@ class Actor:
         Yields the number of each, the states before and behind it, and its impulse.
         """
         for k in events:
-            event = self._acting.events[k]
             if not self.is_impact(k):
                 before, state = state, self._changed(t, state, k)
                 yield k, before, state, 0.0
-                if isinstance(event.action, Change) and self.failed:
+                if self.failed:
                     return
         forced = {k for k in events if self.is_impact(k)}
         for _ in range(MOST_MAPS):
@@ -197,6 +192,12 @@ class Actor:
         times, places = np.full(len(p), t), np.repeat(q[None], len(p), axis=0)
         n = self._program.n
         return evaluate(self._program, "energy", "VELOCITY", n, times, places, p, self._values)
+
+    def _momenta(self, t: float, q: Floats, v: Floats) -> Floats:
+        """Return the momenta of velocities at a position."""
+        run = Run(self._program, self._values, self._sign, t, 0, 1)
+        run.begin(q, v, velocity=True)
+        return run.end()[1][0]
 
     def _hit(self, t: float, state: State, row: Floats, k: int) -> tuple[State, float]:
         """Return the state after an impact, and its impulse: v jumps along M^-1 dg/dq."""
@@ -228,7 +229,7 @@ class Actor:
             return state, 0.0
         impulse = (1 + e) * -rate / weight
         if self._program.header.constraints:
-            return (q, legendre(self._program, t, q, v + impulse * w, self._values)), impulse
+            return (q, self._momenta(t, q, v + impulse * w)), impulse
         return (q, p + impulse * n), impulse
 
     def _changed(self, t: float, state: State, k: int) -> State:
@@ -242,7 +243,7 @@ class Actor:
         for block, place, number in changes:
             {"q": q, "v": v, "p": p}[block][place] = row[number]
         blocks = {block for block, _, _ in changes}
-        moved = legendre(self._program, t, q, v, self._values)
+        moved = self._momenta(t, q, v)
         given = {place for block, place, _ in changes if block == "p"}
         # velocities are kept where positions change, unless momenta are given
         if "v" in blocks or "p" not in blocks:
@@ -267,18 +268,6 @@ class Actor:
                 f"The event {self._acting.names[k]!r} changes the state to one that constraints do "
                 f"not allow: it is off by {off:.2g}. "
             )
-
-
-def legendre(program: Program, t: float, q: Floats, v: Floats, values: Floats) -> Floats:
-    """Return p = dL/dv at one state."""
-    numbers, at, n = program.numbers, program.header.layout, program.n
-    W = workspace(program.header, numbers, numbers.read(values))
-    W[at["POSITION"] : at["POSITION"] + n, 0], W[at["VELOCITY"] : at["VELOCITY"] + n, 0] = q, v
-    apply = numbers.driver("apply")
-    for kernel in ("prepare", "legendre"):
-        apply(program.kernels.address(kernel), 1.0, t, W)
-    found: Floats = W[at["MOMENTUM"] : at["MOMENTUM"] + n, 0].copy()
-    return found
 
 
 def _lowest(first: float, last: float, a: float, b: float) -> float:

@@ -264,17 +264,13 @@ def read_events(program: Program, given: Any) -> Acting:
         return len(watched) - 1
 
     when = tuple(None if one.when is None else place(one.when) for one in events)
-    rates: list[int | None] = []
-    slopes: list[int | None] = []
-    changes = []
-    for one in events:
-        gap = isinstance(one.action, Impact)
-        rates.append(None)
-        slopes.append(None)
-        if gap:
-            rates[-1], slopes[-1] = _of_gap(program, one, place)
-        changes.append(_changes(program, one, place))
-    return Acting(events, tuple(watched), when, tuple(rates), tuple(slopes), tuple(changes))
+    gaps = [
+        _of_gap(program, one, place) if isinstance(one.action, Impact) else (None, None)
+        for one in events
+    ]
+    changes = tuple(_changes(program, one, place) for one in events)
+    rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
+    return Acting(events, tuple(watched), when, rates, slopes, changes)
 
 
 def _check_names(program: Program, events: Sequence[Event]) -> None:

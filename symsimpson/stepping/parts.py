@@ -15,7 +15,7 @@ from symsimpson.stepping.run import Run
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["Parts"]
+__all__ = ["Parts", "steps_from"]
 
 Floats = NDArray[np.float64]
 
@@ -72,8 +72,21 @@ class Parts:
         )
         if fine[0]:
             return (found[0, 0], found[1, 0]), Status.SUCCESS
-        run = Run(self._program, self._parameters, size, t, 0, 1, inputs=rests)
-        run.begin(q, p, velocity=False)
-        run.advance(1)
-        end = tuple(run.rows(name, n).copy() for name in ("POSITION", "MOMENTUM"))
-        return end, run.status
+        return steps_from(self._program, self._parameters, t, state, size, 1, rests)
+
+
+def steps_from(
+    program: Program, parameters: Any, t: Any, state: Any, h: Any, steps: int, inputs: Any
+) -> tuple[Any, Status]:
+    """Take steps from a state with all that a run has against what goes wrong.
+
+    Returns
+    -------
+    tuple
+        q and p behind them, or where they ended, and the status.
+    """
+    numbers = program.numbers
+    run = Run(program, numbers.read(parameters), numbers.read(h).item(), t, 0, 1, inputs=inputs)
+    run.begin(*state, velocity=False)
+    run.advance(steps)
+    return [x[0] for x in run.end()], run.status
