@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.golden import read_system
 from support.places import DATA
 
 import symsimpson as ss
@@ -25,22 +26,13 @@ def read(values):
 
 
 def run_of(case):
-    q = ss.coordinates(" ".join(case["coordinates"]))
-    values = {
-        sp.Symbol(name, real=True): float(sp.Rational(x)) for name, x in case["parameters"].items()
-    }
-    names = {x.func.__name__: x for x in q} | {a.name: a for a in values} | {"t": ss.time}
-    names |= {v: x.diff() for v, x in zip(case["velocities"], q, strict=True)}
-    system = ss.MechanicalSystem.from_lagrangian(
-        case["name"], sp.sympify(case["lagrangian"], locals=names), q, values
-    )
+    q, values, texts = read_system(case)
+    (lagrangian,) = texts([case["lagrangian"]])
+    system = ss.MechanicalSystem.from_lagrangian(case["name"], lagrangian, q, values)
+    gaps = texts(one["expression"] for one in case["events"])
     events = [
-        ss.Event(
-            sp.sympify(one["expression"], locals=names),
-            name="wall",
-            action=ss.Impact(sp.Rational(one["restitution"])),
-        )
-        for one in case["events"]
+        ss.Event(gap, name="wall", action=ss.Impact(sp.Rational(one["restitution"])))
+        for gap, one in zip(gaps, case["events"], strict=True)
     ]
     return ss.compile(system, case["scheme"]).integrate(
         read(case["q0"]), v0=read(case["v0"]), h=float(case["h"]), steps=case["N"], events=events

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.golden import read_system
 from support.places import DATA
 
 import symsimpson as ss
@@ -24,16 +25,7 @@ FIRST = ("affine_forced_simpson", "turntable_simpson")
 
 
 def system_of(case):
-    q = ss.coordinates(" ".join(case["coordinates"]))
-    values = {
-        sp.Symbol(name, real=True): float(sp.Rational(x)) for name, x in case["parameters"].items()
-    }
-    names = {x.func.__name__: x for x in q} | {a.name: a for a in values} | {"t": ss.time}
-    names |= {v: x.diff() for v, x in zip(case["velocities"], q, strict=True)}
-
-    def read(texts):
-        return [sp.sympify(text, locals=names) for text in texts]
-
+    q, values, read = read_system(case)
     forces = {x: f for x, f in zip(q, read(case["forces"]), strict=True) if f != 0}
     return ss.MechanicalSystem.from_lagrangian(
         case["name"],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from support.cases import sweep
+from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise
@@ -20,11 +21,6 @@ def case(name, scheme):
     values = stepper.program.named_values()
     start = np.concatenate([first.q[0], first.p[0]])
     return stepper, values, Precise(stepper, values, DIGITS).placed(start)
-
-
-def carried(stepper, z, h=H, **options):
-    n, z = stepper.n, z.astype(float)
-    return stepper.integrate(z[:n], p0=z[n:], h=h, steps=STEPS, **options)
 
 
 CASES = [
@@ -67,7 +63,7 @@ def test_derivatives_by_the_state(name, scheme):
     h = FINE.get(name, H)
     of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, h, STEPS)
     of_end, of_start = of_end.astype(float), of_start.astype(float)
-    found = carried(stepper, z, h, tangents=of_start).tangent[-1]
+    found = carried(stepper, z, h, STEPS, tangents=of_start).tangent[-1]
     assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
     n = stepper.n
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
@@ -79,36 +75,14 @@ def test_derivatives_by_the_state(name, scheme):
 def test_derivatives_by_parameters(name, scheme):
     """Also by those of constraints, where the start must move with them."""
     stepper, values, z = case(name, scheme)
-    size = Precise(stepper, values, DIGITS).small
-    names = stepper.parameters
-    run = carried(stepper, z, tangents=2 * stepper.n, sensitivities=names)
-    for name in names:
-        starts, ends = [], []
-        for sign in (1, -1):
-            moved = Precise(stepper, {**values, name: values[name] + sign * size}, DIGITS)
-            starts.append(moved.placed(z))
-            ends.append(moved.flow(starts[-1], H, STEPS))
-        start, end = (((a - b) / (2 * size)).astype(float) for a, b in (starts, ends))
-        found = run.tangent[-1] @ start + run.sensitivity[name][-1]
-        scale = np.abs(end).max() + np.abs(run.sensitivity[name][-1]).max()
-        assert np.abs(found - end).max() < 1e-12 * max(scale, 1e-3), name
+    check_parameters(stepper, values, z, H, STEPS, DIGITS)
 
 
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES[:5], 0))
 def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     """By the state, and by parameters of energies and of constraints."""
     stepper, _, z = case(name, scheme)
-    n, z, varied = stepper.n, z.astype(float), stepper.parameters
-    run = carried(stepper, z, tangents=2 * n, sensitivities=varied)
-    weights = np.random.default_rng(3).normal(size=2 * n)
-    names = [*stepper.coordinates, *(f"p_{q}" for q in stepper.coordinates)]
-    cost = "+".join(f"({float(w)!r})*{x}" for w, x in zip(weights, names, strict=True))
-    found = stepper.gradient(
-        z[:n], p0=z[n:], h=H, steps=STEPS, cost=cost, wrt=("q", "p", *varied)
-    ).gradient
-    columns = [run.tangent[-1], *(run.sensitivity[name][-1][:, None] for name in varied)]
-    truth = weights @ np.concatenate(columns, axis=1)
-    assert np.abs(found - truth).max() < 1e-12 * np.abs(truth).max()
+    check_adjoint(stepper, z, H, STEPS)
 
 
 @pytest.mark.slow

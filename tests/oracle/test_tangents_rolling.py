@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support.cases import sweep
 from support.rolling import allowed_state, carried_by_time
+from support.tangents import carried, check_adjoint, check_parameters
 
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise
@@ -25,11 +26,6 @@ def case(name, scheme):
     return stepper, values, z
 
 
-def carried(stepper, z, h=H, **options):
-    n, z = stepper.n, z.astype(float)
-    return stepper.integrate(z[:n], p0=z[n:], h=h, steps=STEPS, **options)
-
-
 CASES = [
     ("carried", "simpson"),
     ("chaplygin_sleigh", "gauss4"),
@@ -46,26 +42,14 @@ def test_derivatives_by_the_state(name, scheme):
     stepper, values, z = case(name, scheme)
     of_end, of_start = Precise(stepper, values, DIGITS).tangent(z, H, STEPS)
     of_end, of_start = of_end.astype(float), of_start.astype(float)
-    found = carried(stepper, z, tangents=of_start).tangent[-1]
+    found = carried(stepper, z, H, STEPS, tangents=of_start).tangent[-1]
     assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
 
 
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
 def test_derivatives_by_parameters(name, scheme):
     stepper, values, z = case(name, scheme)
-    size = Precise(stepper, values, DIGITS).small
-    names = stepper.parameters
-    run = carried(stepper, z, tangents=2 * stepper.n, sensitivities=names)
-    for name in names:
-        starts, ends = [], []
-        for sign in (1, -1):
-            moved = Precise(stepper, {**values, name: values[name] + sign * size}, DIGITS)
-            starts.append(moved.placed(z))
-            ends.append(moved.flow(starts[-1], H, STEPS))
-        start, end = (((a - b) / (2 * size)).astype(float) for a, b in (starts, ends))
-        found = run.tangent[-1] @ start + run.sensitivity[name][-1]
-        scale = np.abs(end).max() + np.abs(run.sensitivity[name][-1]).max()
-        assert np.abs(found - end).max() < 1e-12 * max(scale, 1e-3), name
+    check_parameters(stepper, values, z, H, STEPS, DIGITS)
 
 
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
@@ -83,14 +67,4 @@ def test_derivatives_by_the_step(name, scheme):
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
 def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     stepper, _, z = case(name, scheme)
-    n, z, varied = stepper.n, z.astype(float), stepper.parameters
-    run = carried(stepper, z, tangents=2 * n, sensitivities=varied)
-    weights = np.random.default_rng(3).normal(size=2 * n)
-    names = [*stepper.coordinates, *(f"p_{q}" for q in stepper.coordinates)]
-    cost = "+".join(f"({float(w)!r})*{x}" for w, x in zip(weights, names, strict=True))
-    found = stepper.gradient(
-        z[:n], p0=z[n:], h=H, steps=STEPS, cost=cost, wrt=("q", "p", *varied)
-    ).gradient
-    columns = [run.tangent[-1], *(run.sensitivity[name][-1][:, None] for name in varied)]
-    truth = weights @ np.concatenate(columns, axis=1)
-    assert np.abs(found - truth).max() < 1e-12 * np.abs(truth).max()
+    check_adjoint(stepper, z, H, STEPS)

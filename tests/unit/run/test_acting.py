@@ -21,6 +21,13 @@ PLANE = ss.MechanicalSystem(
     potential=0 * x,
     parameters={k: 0.5},
 )
+ROD = ss.MechanicalSystem(
+    "rod",
+    coordinates=(x, y),
+    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=10 * y,
+    constraints={"length": (x**2 + y**2 - 1) / 2},
+)
 FALL = np.sqrt(2 / 9.81)
 
 
@@ -138,15 +145,8 @@ def test_a_start_on_a_wall():
 
 def test_impacts_with_constraints_keep_to_them():
     """A pendulum of Cartesian coordinates against a wall: M v jumps along what the rod allows."""
-    rod = ss.MechanicalSystem(
-        "rod",
-        coordinates=(x, y),
-        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=10 * y,
-        constraints={"length": (x**2 + y**2 - 1) / 2},
-    )
     wall = ss.Event(x, name="wall", action=ss.Impact(0.5))
-    run = ss.compile(rod).integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[wall])
+    run = ss.compile(ROD).integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[wall])
     hits = run.events("wall")
     assert np.abs(hits.after.v + 0.5 * hits.v).max() < 1e-13
     assert np.abs(run.constraint_error).max() < 1e-15
@@ -317,14 +317,7 @@ def test_a_gap_that_closes_shortly_before_a_state():
 
 
 def test_changes_keep_to_constraints():
-    rod = ss.MechanicalSystem(
-        "rod",
-        coordinates=(x, y),
-        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=10 * y,
-        constraints={"length": (x**2 + y**2 - 1) / 2},
-    )
-    stepper = ss.compile(rod)
+    stepper = ss.compile(ROD)
     for change in ({"positions": {x: 0.5}}, {"velocities": {y: 1}}):
         event = ss.Event(x, name="mark", action=ss.Change(**change))
         with pytest.raises(ss.ConvergenceError, match="constraints do not allow"):
