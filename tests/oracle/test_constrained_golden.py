@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.golden import read_system
 from support.places import DATA
 
 import symsimpson as ss
@@ -29,16 +30,8 @@ SMALL = [case for case in CASES if len(case["q0"]) <= 4]
 
 
 def system_of(case):
-    q = ss.coordinates(" ".join(case["coordinates"]))
-    values = {
-        sp.Symbol(name, real=True): float(sp.Rational(value))
-        for name, value in case["params"].items()
-    }
-    names = {x.func.__name__: x for x in q} | {a.name: a for a in values}
-    names |= {v: x.diff() for v, x in zip(case["velocities"], q, strict=True)}
-    L, *phi = (
-        sp.sympify(text, locals=names) for text in (case["lagrangian"], *case["constraints"])
-    )
+    q, values, read = read_system(case | {"parameters": case["params"]})
+    L, *phi = read((case["lagrangian"], *case["constraints"]))
     return ss.MechanicalSystem.from_lagrangian(case["system"], L, q, values, constraints=phi)
 
 
