@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple
 from functools import lru_cache, partial
 from importlib import import_module
@@ -34,6 +34,7 @@ from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
+    from symsimpson.stepping.acting import Event
 
 __all__ = ["compile", "generate", "load", "resume"]
 
@@ -301,6 +302,7 @@ def resume(
     path: str | os.PathLike[str],
     *,
     inputs: Any = None,
+    events: Sequence[Event] | None = None,
     checkpoint_every: int | None = None,
     progress: bool | None = None,
     on_failure: Literal["raise", "return"] = "raise",
@@ -314,6 +316,8 @@ def resume(
         after its digest and its structure were checked: resume only files that you trust.
     inputs : mapping, optional
         Those of the run, if the system has any: a checkpoint keeps their digest alone.
+    events : sequence of Event, optional
+        Those of the run, if it had any: a checkpoint keeps what they did, and how they read.
     checkpoint_every, progress, on_failure
         As for :meth:`Stepper.integrate`.
 
@@ -360,6 +364,7 @@ def resume(
         sensitivities=stepper.program.header.varied_by if "tangents" in asked else None,
         record=asked.get("record"),
         reduce={name: (kind, text) for name, kind, text in asked.get("reduce", ())} or None,
+        events=events,
         checkpoint=path,
         checkpoint_every=checkpoint_every,
         progress=progress,

@@ -245,6 +245,7 @@ class Stepper(Examining):
         tangents: ArrayLike | None = None,
         sensitivities: Any = None,
         record: str | Sequence[str] | None = None,
+        events: Sequence[Event] | None = None,
         store: str | os.PathLike[str] | None = None,
         threads: int | None = None,
         client: Any = None,
@@ -275,9 +276,12 @@ class Stepper(Examining):
             becomes positive, by linear interpolation over a step, and NaN if it never does; zeros
             to rounding are found by :meth:`Trajectory.events`, which says what expressions may be.
             "lyapunov", "megno" and "sali" take no expression: they measure how variations of each
-            motion grow, as :meth:`lyapunov` does.
+            motion grow, as :meth:`lyapunov` does. ("count", name) tells how often an event acted.
         tangents, sensitivities, record
             As for :meth:`integrate`; the same variations for all members.
+        events : sequence of Event, optional
+            As for :meth:`integrate`. Members on which none acts run in blocks, the others each by
+            itself; not with ``store``.
         store : path, optional
             A Zarr store, a folder or a URL, for results that do not fit into memory. If it was
             begun by the same call, only what is missing is computed.
@@ -317,5 +321,5 @@ class Stepper(Examining):
 
         begin = q0, v0, p0, h, t_end, steps, t0
         asked = parameters, inputs, every, tangents, sensitivities
-        request = Request(*begin, *asked, record=record, reduce=reduce)
+        request = Request(*begin, *asked, record=record, reduce=reduce, events=events)
         return run_ensemble(self.program, request, store, threads, client, progress, on_failure)

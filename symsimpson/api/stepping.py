@@ -15,7 +15,10 @@ from symsimpson.stepping.spec import read_run
 from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from symsimpson.run.loop import ControlLoop
+    from symsimpson.stepping.acting import Event
 
 __all__ = ["Stepping"]
 
@@ -108,12 +111,13 @@ class Stepping(Evaluator):
         h: float,
         t0: float = 0.0,
         parameters: Parameters | None = None,
+        events: Sequence[Event] | None = None,
     ) -> ControlLoop:
         """Begin a run that is taken step by step, with inputs that may depend on what it does.
 
         Parameters
         ----------
-        q0, v0, p0, h, t0, parameters
+        q0, v0, p0, h, t0, parameters, events
             As for :meth:`integrate`.
 
         Returns
@@ -141,6 +145,14 @@ class Stepping(Evaluator):
 
         zeros = np.zeros(len(self.inputs)) if self.inputs else None
         request = Request(
-            q0, v0, p0, h, steps=1, t0=t0, parameters=parameters, inputs=of_a_step(zeros)
+            q0,
+            v0,
+            p0,
+            h,
+            steps=1,
+            t0=t0,
+            parameters=parameters,
+            inputs=of_a_step(zeros),
+            events=events,
         )
         return ControlLoop(self.program, read_run(self.program, request))

@@ -27,8 +27,8 @@ from symsimpson.module.interface import *
 BLOCK, STEP, BEGUN = 0, 1, 2
 #: After so many steps in which it does not change at all, the time of a member stands still.
 STANDSTILL = 1024
-#: What variations tell, among the kinds of reductions.
-LYAPUNOV, MEGNO, SALI = 4, 5, 6
+#: What variations tell, among the kinds of reductions, and how often an event acted.
+LYAPUNOV, MEGNO, SALI, ACTED = 4, 5, 6, 7
 
 MEMBERS, STORED = types.float64[:, ::1], types.float64[:, :, ::1]
 SIGNATURES |= {
@@ -113,6 +113,17 @@ def begin_variations(momentum_slopes, h, t, W, at, columns):
 
 
 @njit(**RARE)
+def begin_watching(kernels, h, t, W, at, first, rows):
+    """Look where members begin, before anything is known of the signs that are waited for."""
+    for lane in range(LANES):
+        for row in range(first, first + rows):
+            W[row, lane] = np.nan
+        W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
+    for k in range(RECORDERS, RECORDERS + at[OF_EVENTS]):
+        call(kernels[k], h, t, W)
+
+
+@njit(**RARE)
 def tell(W, at, h, row, kinds, seen, block):
     """Keep what the observed values of a block, from a row on, and its variations came to."""
     for k in range(kinds.shape[0]):
@@ -120,6 +131,9 @@ def tell(W, at, h, row, kinds, seen, block):
         for lane in range(LANES):
             member = block * LANES + lane
             if member >= seen.shape[0]:
+                continue
+            if kind == ACTED:  # members with some are run by themselves
+                seen[member, 2 * k] = 0.0
                 continue
             if kind < LYAPUNOV:
                 seen[member, 2 * k] = W[row + 2 * k, lane]
@@ -165,7 +179,8 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
 
     ``more`` holds addresses: legendre (0 if momenta are given), what parameters change of momenta
     (0 if nothing), and what sets the energy and the rate of a member that keeps a time of its own
-    (0 if none does); then where it stands what was observed, the first row and their number.
+    (0 if none does); then where it stands what was observed, the first row and their number, and
+    likewise what is known of signs that are waited for.
 
     Parameters
     ----------
@@ -199,6 +214,8 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
                 begin_growth(W, at, columns)
             elif columns.shape[1] > 0:
                 begin_variations(more[1], h, t0, W, at, columns)
+            if at[OF_EVENTS] > 0:
+                begin_watching(kernels, h, t0, W, at, more[5], more[6])
             for lane in range(LANES):
                 lost[lane] = 0 if W[at[STATUS], lane] != 0.0 else -1
                 lost[LANES + lane] = 0

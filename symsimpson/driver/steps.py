@@ -117,12 +117,15 @@ def store(W, at, place, stores):
 
 @njit(**INLINE)
 def record(kernels, first, h, t, reached, W, at):
-    """Call recorders, from a ``first`` one on: with the time of the step, or that of the state."""
-    last = len(kernels)
+    """Call recorders, from a ``first`` one on: with the time of the step, or that of the state.
+
+    Those that look for events come first: where there is one, no other is called.
+    """
+    last, looked = len(kernels), RECORDERS + at[OF_EVENTS]
     for k in range(first, last):
         for lane in range(LANES):
             W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
-        call(kernels[k], h, reached if k >= last - at[OF_STATES] else t, W)
+        call(kernels[k], h, reached if k < looked or k >= last - at[OF_STATES] else t, W)
 
 
 @njit(**RARE)

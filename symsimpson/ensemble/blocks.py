@@ -114,11 +114,14 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         columns = directions(2 * header.n, PAIR)
         growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
     asked = recorders_of(header, count, task.record, task.reductions, growing)
+    if task.acting is not None:  # a member stops where an event is, and is run by itself
+        asked += task.acting.watchers(header, header.rows + sum(one.room for one in asked))
     called = ordered(header, asked)
-    observed = [(one.first, one.room) for one in called if one.kernel == "observe"] or [(0, 0)]
+    rows = {one.kernel: (one.first, one.room) for one in called if one.room}
+    observed, watched = (rows.get(kernel, (0, 0)) for kernel in ("observe", "watch"))
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
-    more = np.array([legendre, slopes, retime, *observed[0]], dtype=np.int64)
+    more = np.array([legendre, slopes, retime, *observed, *watched], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
     advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)

@@ -49,9 +49,9 @@ def run_ensemble(
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
     found, stopped = _run(program, task, store, client)
-    if not stopped:
+    if not stopped and task.acting is None:  # else energies change with what events do
         look_at_ends(program, task, found)
-    elif on_failure == "raise":
+    elif stopped and on_failure == "raise":
         raise Interrupted(found.message, trajectory=found)
     return found
 
@@ -82,6 +82,11 @@ def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensembl
         raise InputError(
             f"{program.system} is retimed: its members have times of their own, and a store has "
             "one row of times for all.\nLeave store out, and store few states of each."
+        )
+    if store is not None and task.acting is not None:
+        raise InputError(
+            "a store does not keep events, which its members would have to be run with again.\n"
+            "Leave store out; every=None and reduce= keep few numbers of each member."
         )
     if client is not None:
         check_client(client, store)

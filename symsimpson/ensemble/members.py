@@ -15,6 +15,7 @@ from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.program.values import read_array, read_parameters, whole_number
+from symsimpson.stepping.acting import read_acting
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
@@ -63,7 +64,8 @@ def read_task(
                 f"{name} has {size} members, another argument has {members}.\n"
                 "Give each argument one row for each member, or one for all."
             )
-    stride, reductions = read_every(request.every), read_reductions(program, request.reduce)
+    stride, acting = read_every(request.every), read_acting(program, request)
+    reductions = read_reductions(program, request.reduce, acting.names if acting else ())
     if retimed and any(one.kind == "mean" for one in reductions):
         raise InputError(
             f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
@@ -101,10 +103,12 @@ def read_task(
         progress,
         lanes,
         retimed,
+        request.events,
         tangents=None if request.carried is None else _columns(program, request.carried),
         t_end=end,
         record=read_record(program, request.record),
         reductions=reductions,
+        acting=acting,
     )
 
 

@@ -13,7 +13,7 @@ from symsimpson.derivatives.chaos import run_lyapunov
 from symsimpson.ensemble.task import Results, Task
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
 from symsimpson.program.evaluating import evaluate_members, watching
-from symsimpson.program.observed import reduce_values
+from symsimpson.program.observed import OF_EVENTS, reduce_values
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.folds import SINGULAR, close, independence_of
@@ -83,6 +83,9 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
         values = reduce_values(task.reductions, t, seen)
         if task.of_variations and run.success:
             values = _of_variations(program, task, member, values)
+        for k, one in enumerate(task.reductions):
+            if one.kind == OF_EVENTS:
+                values[k] = len(run.events(one.expression))
         results.seen[member, : 2 * len(values) : 2] = values
     if task.retimed:
         results.part[member] = run.tau[-1] - run.h * run.steps

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.module.header import Header
+from symsimpson.module.interface import MET
 from symsimpson.program.machine import lanes_of_machine
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, ordered, split
@@ -31,6 +32,8 @@ class Task(RunSpec):
     progress: bool | None
     lanes: int
     retimed: bool = False
+    #: Events as they were given.
+    events: Any = None
 
     @property
     def members(self) -> int:
@@ -55,6 +58,7 @@ class Task(RunSpec):
             t0=self.t0,
             parameters={name: values[name] for name in names if name not in header.from_start},
             inputs=self.inputs_of(member),
+            events=self.events,
             **more,
         )
 
@@ -115,6 +119,7 @@ class Results:
         """Return the arrays as an ensemble has them."""
         task = self._task
         status, steps, iterations = (column.copy() for column in self.codes.T)
+        status[status == MET] = Status.INTERRUPTED  # before it was run by itself
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
         reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
         found: dict[str, Any] = {

@@ -23,16 +23,16 @@ ADJACENT = (
 #: unknowns, the number of coordinates, of rows, how many of the unknowns are measured, how many
 #: steps an explicit kernel may take in one call, as it is told the time of the first, from one
 #: input to the next how many rows; where it stands how variations grow, and how many of them are
-#: made orthonormal, after each so many steps; how many recorders are called with the time of the
-#: state. Behind all that, the first row and the number of those that are stored with states, of
-#: each recorder.
+#: made orthonormal, after each so many steps; how many recorders look for events, before all
+#: others, and how many are called last, both with the time of the state. Behind all that, the first
+#: row and the number of those that are stored with states, of each recorder.
 TOLD = {
     name: place
     for place, name in enumerate(
         (
             *(block.name for block in TABLE if block.told),
             *("STATE_END", "DIMENSION", "ROWS", "MEASURED", "STEPS_A_CALL", "INPUT_STRIDE"),
-            *("GROWN", "RENEWED", "RENEWAL", "OF_STATES"),
+            *("GROWN", "RENEWED", "RENEWAL", "OF_EVENTS", "OF_STATES"),
         )
     )
 }

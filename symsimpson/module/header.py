@@ -163,6 +163,7 @@ class Header:
             "GROWN": self.rows,
             "RENEWED": 0,
             "RENEWAL": 1,
+            "OF_EVENTS": 0,
             "OF_STATES": 0,
         }
         return np.array([{**none, **self.layout, **more}[name] for name in TOLD], dtype=np.int64)

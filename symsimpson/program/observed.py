@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
+from symsimpson.module.interface import MET
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.program.reader import Reader
 from symsimpson.program.recorders import Recorder
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "KINDS",
+    "WATCHED",
+    "ZERO",
     "Observed",
     "Reduction",
     "observers",
@@ -27,12 +30,15 @@ __all__ = [
     "read_expression",
     "read_reductions",
     "reduce_values",
+    "watchers",
 ]
 
 #: Ways to reduce values over the steps of a run, in the order of their numbers; then what
-#: variations of a motion tell, which are no values of states.
-KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali")
-OF_VARIATIONS = KINDS[4:]
+#: variations of a motion tell, which are no values of states; then how often an event acted.
+KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
+OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
+#: Rows for each expression whose sign is waited for, and the part of its size that is rounding.
+WATCHED, ZERO = 4, 64 * 2.0**-52
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,11 @@ class Reduction(Observed):
         """Whether it tells of variations of a motion."""
         return self.kind in OF_VARIATIONS
 
+    @property
+    def of_states(self) -> bool:
+        """Whether it is taken over values at states."""
+        return self.kind in OF_STATES
+
 
 def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
@@ -92,14 +103,17 @@ def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] 
     return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
 
 
-def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[Reduction, ...]:
-    """Read a mapping from names to pairs of a kind and an expression.
+def read_reductions(
+    program: Program, given: Mapping[str, Any] | None, actors: Sequence[str] | None = None
+) -> tuple[Reduction, ...]:
+    """Read a mapping from names to pairs of a kind and an expression, or the name of an event.
 
     Raises
     ------
     InputError
         If a kind is unknown, or an expression contains something else than arithmetic, functions
-        and the names of coordinates, momenta, parameters, t, energy and kinetic_energy.
+        and the names of coordinates, momenta, parameters, t, energy and kinetic_energy; or if none
+        of the ``actors`` has the name.
     """
     if given is None:
         return ()
@@ -114,11 +128,19 @@ def read_reductions(program: Program, given: Mapping[str, Any] | None) -> tuple[
         if isinstance(kind, str) and kind in OF_VARIATIONS:
             found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue
-        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in KINDS[:4]):
+        if isinstance(pair, tuple) and len(pair) == 2 and pair[0] == OF_EVENTS:
+            if actors is not None and str(pair[1]) not in actors:
+                raise InputError(
+                    f"reduce[{name!r}] counts {str(pair[1])!r}, and no event is called so.\n"
+                    f"Events of this call are {', '.join(actors) or 'none: pass events='}."
+                )
+            found.append(Reduction(str(pair[1]), "0.0", False, name=str(name), kind=OF_EVENTS))
+            continue
+        if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in OF_STATES):
             raise InputError(
-                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(KINDS[:4])} and "
-                "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); or one of "
-                f"{', '.join(OF_VARIATIONS)}."
+                f"reduce[{name!r}] is {pair!r}.\nPass a pair of one of {', '.join(OF_STATES)} and "
+                "an expression, such as ('max', 'q1') or ('first', 'q1 - 3'); one of "
+                f"{', '.join(OF_VARIATIONS)}; or ('count', name of an event)."
             )
         reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
@@ -143,7 +165,7 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
     From the ``first`` row on, which is behind all others, there are two for each: what it came to,
     NaN at first, and the value at the state before; then how many states were looked at.
     """
-    watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if not one.of_variations]
+    watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if one.of_states]
     if not watched:
         return ()
     count = first + 2 * len(reductions)
@@ -156,11 +178,62 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
     for row, one in watched:
         lines += [f"value = {one.text}", *_reduced(one.kind, row, now, passed)]
     lines.append(f"W[{count}, lane] = number + 1.0")
-    body = ["if W[ACTIVE, lane] > 0.0:", *(f"    {line}" for line in lines)]
-    text = _kernel("Quantities that are watched, reduced over states.", [], body)
+    text = _kernel("Quantities that are watched, reduced over states.", [], _where_active(lines))
     energy = (Recorder("energy", of_states=True),) if any(x.energetic for _, x in watched) else ()
     rows = 2 * len(reductions) + 1
     return *energy, Recorder("observe", first, room=rows, text=text, of_states=True)
+
+
+def watchers(
+    header: Header,
+    watched: Sequence[Observed],
+    signs: Sequence[int],
+    gaps: Sequence[bool],
+    first: int,
+) -> tuple[Recorder, ...]:
+    """Return what stops a run behind a step in which an expression changes its sign.
+
+    From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
+    that is not known, its largest size, its value, and the value before. ``signs`` are those that
+    are waited for, or 0; a gap may also pass through zero and come back within a step.
+    """
+    lines, kept = list(_names(header)), list[str]()
+    for k, (one, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
+        row = first + WATCHED * k
+        side, size, before, earlier = (f"W[{row + i}, lane]" for i in range(WATCHED))
+        waited = f"side * now_{k} < 0.0" + (f" and now_{k} == {sign}.0" if sign else "")
+        lines += [
+            f"value_{k} = {one.text}",
+            f"side = {side}",
+            f"size_{k} = abs(value_{k}) if abs(value_{k}) > {size} else {size}",
+            f"small = {ZERO!r} * size_{k}",
+            f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else side)",
+            f"met_{k} = 1.0 if {waited} else (1.0 if now_{k} != now_{k} else 0.0)",
+        ]
+        kept += [f"{side}, {size} = now_{k}, size_{k}"]
+        if gap:
+            lines += [
+                f"falls = {earlier} - {before}",
+                f"rises = 2.0 * (value_{k} - {before}) + falls",
+                f"low = value_{k} if value_{k} < {before} else {before}",
+                "most = falls if falls > rises else rises",
+                "dips = low > small and falls > 0.0 and rises > 0.0 and low < most",
+                f"met_{k} = 1.0 if dips or (side != side and now_{k} < 0.0) else met_{k}",
+            ]
+            kept += [f"{earlier} = {before}", f"{before} = value_{k}"]
+    lines.append(f"met = {' + '.join(f'met_{k}' for k in range(len(watched)))}")
+    lines += ["if met > 0.0:", f"    W[STATUS, lane] = {MET}.0", "else:"]
+    lines += [f"    {line}" for line in kept]
+    text = _kernel("Signs of expressions that are waited for.", [], _where_active(lines))
+    energetic = any(x.energetic for x in watched)
+    energy = (Recorder("energy", of_events=True),) if energetic else ()
+    room = WATCHED * len(watched)
+    return *energy, Recorder("watch", first, room=room, text=text, of_events=True)
+
+
+def _where_active(lines: Sequence[str]) -> list[str]:
+    """Return lines that are done in lanes that go on."""
+    return ["if W[ACTIVE, lane] > 0.0:", *(f"    {line}" for line in lines)]
 
 
 def _reduced(kind: str, row: int, now: str, passed: str) -> list[str]:
@@ -219,11 +292,11 @@ def reduce_values(
 ) -> list[float]:
     """Reduce values of quantities at the states of a run, shape (len(t), len(found)).
 
-    What variations tell is not known of states.
+    What variations and events tell is not known of states.
     """
     return [
         float("nan")
-        if one.of_variations
+        if not one.of_states
         else _first_crossing(t, value)
         if one.kind == "first"
         else float(getattr(value, one.kind)())

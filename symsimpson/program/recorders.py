@@ -33,6 +33,8 @@ class Recorder:
         The text of the kernel, where it is none of the module's.
     of_states : bool
         Whether it is told the time of the state, not that of the step that led there.
+    of_events : bool
+        Whether it looks for events before all others are called, and may stop the run.
     renewed, renewal : int
         How many variations are made orthonormal, and after how many steps.
     name : str
@@ -45,6 +47,7 @@ class Recorder:
     room: int = 0
     text: str = ""
     of_states: bool = False
+    of_events: bool = False
     renewed: int = 0
     renewal: int = 1
     name: str = ""
@@ -100,9 +103,9 @@ NAMED: dict[str, Callable[[Header, int], Recorder | None]] = {"work": work}
 
 
 def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
-    """Return recorders in the order of their calls: the clock first, those of states last."""
+    """Return recorders in the order of their calls: of events, the clock, others, of states."""
     first = (clock(header),) if header.retimed else ()
-    return (*first, *sorted(recorders, key=lambda one: one.of_states))
+    return tuple(sorted((*first, *recorders), key=lambda one: one.of_states - one.of_events))
 
 
 def split(
@@ -126,6 +129,7 @@ def split(
 def told(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
     """Return what the driver is told of a module and of the recorders of a run."""
     found = header.told.copy()
+    found[TOLD["OF_EVENTS"]] = sum(one.of_events for one in recorders)
     found[TOLD["OF_STATES"]] = sum(one.of_states for one in recorders)
     for one in recorders:
         if one.renewed:

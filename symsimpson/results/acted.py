@@ -30,6 +30,17 @@ class Record(NamedTuple):
     impulse: float
     simultaneous: bool
 
+    @property
+    def told(self) -> list[Any]:
+        """The record in values of JSON."""
+        return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
+
+    @classmethod
+    def read(cls, told: list[Any]) -> Record:
+        """Return the record that was told."""
+        numbers: list[Any] = [np.array(x) if isinstance(x, list) else x for x in told]
+        return cls(*numbers)
+
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Actions(Events):

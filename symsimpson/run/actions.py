@@ -44,8 +44,6 @@ class Actor:
     def __init__(self, program: Program, spec: RunSpec, acting: Acting) -> None:
         self._program, self._acting, self._values = program, acting, spec.parameters
         self._watch = watching(program, acting.watched, spec.parameters)
-        count = len(acting.events)  # of many states no more is asked for
-        self._look = watching(program, acting.watched[:count], spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed = ""
         #: Which events are impacts.
@@ -104,33 +102,12 @@ class Actor:
         """Return which impacts have a gap of zero."""
         return self.impacts & (np.abs(values) <= small)
 
-    def looks(self, t: Floats, q: Floats, p: Floats) -> Floats:
-        """Return the expressions of events at many states."""
-        return self._look(t, np.ascontiguousarray(q), np.ascontiguousarray(p))
-
-    def dips(
-        self, t: Floats, q: Floats, p: Floats, values: Floats, small: Floats
-    ) -> NDArray[np.bool_]:
-        """Return between which states a gap may pass through zero and come back, by its rates.
-
-        These are asked for where gaps fall before and rise behind by more than they are.
-        """
-        found = np.zeros((len(t) - 1, len(values)), dtype=np.bool_)
-        for k, place in enumerate(self._acting.rate):
-            if place is None:
-                continue
-            gap = values[k]
-            least, change = np.minimum(gap[:-1], gap[1:]), np.diff(gap)
-            falls = np.concatenate([[-np.inf], change[:-1]])
-            rises = np.concatenate([change[1:], [np.inf]])
-            near = (least > small[k]) & (least < np.maximum(-falls, rises))
-            for i in np.flatnonzero(near & (falls < 0) & (rises > 0)).tolist():
-                first, last = self.rows(t[i : i + 2], q[i : i + 2], p[i : i + 2])
-                found[i, k] = k in self.dipping(first, last, small, t[i + 1] - t[i])
-        return found
+    def rates(self, row: Floats) -> Floats:
+        """Return the rates of gaps, and 0 for other expressions."""
+        return np.array([0.0 if place is None else row[place] for place in self._acting.rate])
 
     def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
-        """Return which gaps may do so between two states."""
+        """Return which gaps may pass through zero and come back between two states, by rates."""
         found = []
         for k, place in enumerate(self._acting.rate):
             if place is not None and min(first[k], last[k]) > small[k]:
@@ -140,19 +117,17 @@ class Actor:
                     found.append(k)
         return found
 
-    def root(
-        self, row: Callable[[float], Floats], k: int, low: float, high: float, side: float = 0.0
-    ) -> float:
-        """Return where an expression is zero, to rounding; it begins on a side of zero."""
+    def root(self, row: Callable[[float], Floats], k: int, span: float, side: float = 0.0) -> float:
+        """Return where from 0 to a span an expression is zero, to rounding; it begins on a side."""
 
         def value(_: NDArray[np.int64], x: Floats) -> Floats:
             return np.array([row(float(x[0]))[k]])
 
-        first, last = row(low)[k], row(high)[k]
+        first, last = row(0.0)[k], row(span)[k]
         if side and first * side <= 0:  # rounding has left it behind
             first = side * np.finfo(float).tiny
-        found = chandrupatla(value, np.array([high - low]), np.array([first]), np.array([last]))
-        return low + float(found[0])
+        found = chandrupatla(value, np.array([span]), np.array([first]), np.array([last]))
+        return float(found[0])
 
     def acted(
         self, t: float, state: State, events: Sequence[int], small: Floats

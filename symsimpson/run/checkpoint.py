@@ -59,6 +59,7 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),
         **({"tangents": spec.tangents.tolist()} if spec.tangents is not None else {}),
         **({"record": list(spec.record)} if spec.record else {}),
+        **({"events": [repr(x) for x in spec.acting.events]} if spec.acting else {}),
         **({"reduce": [x.asked for x in spec.reductions]} if spec.reductions else {}),
     }
 
@@ -207,6 +208,12 @@ class Checkpoint:
             raise InputError(
                 f"{self.path} holds a run with other inputs.\nPass those that it began with: "
                 "symsimpson.resume(path, inputs=...)."
+            )
+        own, given = record.asked.get("events"), self._asked.get("events")
+        if own != given and {**record.asked, "events": given} == {"events": None, **self._asked}:
+            raise InputError(
+                f"{self.path} holds a run with {'other' if own else 'no'} events.\nPass those that "
+                "it began with: symsimpson.resume(path, events=[...])."
             )
         if record.asked != self._asked:
             raise InputError(

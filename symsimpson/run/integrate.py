@@ -135,7 +135,13 @@ def new_run(
     InputError
         If they do not fit into memory.
     """
+    given = spec.inputs if inputs is None else inputs
+    asked = tuple(recorders) or _recorders(program, spec)
     try:
+        if spec.acting is not None:
+            from symsimpson.run.acting import ActingRun  # few runs need it
+
+            return ActingRun(program, spec, spec.acting, stride, stored, given, asked)
         return Run(
             program,
             spec.parameters,
@@ -144,9 +150,11 @@ def new_run(
             stride,
             stored,
             program.kernels.fallbacks,
-            spec.inputs if inputs is None else inputs,
-            recorders or _recorders(program, spec),
+            given,
+            asked,
         )
+    except InputError:
+        raise
     except (MemoryError, ValueError):
         raise InputError(
             f"{stored} stored states of {2 * program.n} numbers do not fit into memory.\n"
@@ -249,7 +257,11 @@ def trajectory_of(
                     (t, tau, q, p, iterations), (spec.t_end, tau_end, *end), bool(every)
                 )
     recorded = more[0] if every else run.left()[None]
-    message = status.message
+    if run.end_within is not None:
+        t_end, *end = run.end_within
+        states = (t, tau, q, p, iterations), (t_end, t_end - run.t0, *np.array(end)[:, None])
+        t, tau, q, p, iterations = with_end(*states, bool(every))
+    message = run.reason or status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""
         time, h = float(t[-1] if run.header.retimed else run.t0 + run.h * done), float(run.h)

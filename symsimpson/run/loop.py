@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.run.integrate import begin_run, look_at_step, new_run, raise_failure, trajectory_of
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.request import of_a_step
@@ -13,6 +14,8 @@ from symsimpson.stepping.spec import RunSpec
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
+    from symsimpson.results.events import Events
+    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["ControlLoop"]
 
@@ -77,12 +80,35 @@ class ControlLoop:
         with numbers.working():
             self._inputs[:] = read_driving(program, of_a_step(u), run.h, 1)
             before = run.step
+            if run.arrived:
+                raise InputError(f"the loop is at its end: {run.reason}\nBegin another one.")
             run.advance(before + 1)
-            if not run.alive:
-                ended = trajectory_of(
-                    program, run, before + 1, run.status, self._spec, run.stored(), 0
-                )
+            if not (run.alive or run.arrived):
+                ended = self._trajectory(before + 1)
                 raise_failure(run, ended, ended)
+
+    def _trajectory(self, steps: int) -> Trajectory:
+        """Return the run so far, of which the last state is kept."""
+        run = self._run
+        return trajectory_of(self.program, run, steps, run.status, self._spec, run.stored(), 0)
+
+    def events(self, name: str) -> Events:
+        """Return what an event has done so far, as :meth:`Trajectory.events` of a run does.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        Actions
+        """
+        return self._trajectory(self.steps).events(name)
+
+    @property
+    def ended_by(self) -> str | None:
+        """The name of the event that ended the loop, within the step after the last."""
+        return self._run.ended_by
 
     @property
     def steps(self) -> int:
@@ -93,6 +119,8 @@ class ControlLoop:
     def t(self) -> Any:
         """The time after the last step."""
         run = self._run
+        if run.end_within is not None:
+            return self.program.numbers.single(run.end_within[0])
         t = run.value("TIME") if run.header.retimed else run.t0 + run.h * run.step
         return self.program.numbers.single(t)
 
@@ -115,12 +143,13 @@ class ControlLoop:
         program, run = self.program, self._run
         numbers = program.numbers
         with numbers.working():
-            t = numbers.read([run.t0 + run.h * run.step])
-            q, p = (run.rows(name, program.n)[None] for name in ("POSITION", "MOMENTUM"))
+            t, q, p = (numbers.read(x)[None] for x in (self.t, self.q, self.p))
             kernel = velocities_by(run.header)
             return evaluate(program, kernel, "VELOCITY", program.n, t, q, p, run.parameters)[0]
 
     def _state(self, block: str) -> Reals:
+        if self._run.end_within is not None:
+            return self._run.end_within[1 + (block == "MOMENTUM")].copy()
         return self.program.numbers.result(self._run.rows(block, self.program.n).copy())
 
     def __repr__(self) -> str:

@@ -45,13 +45,10 @@ def run(
     ------
     InputError, StorageError, ConvergenceError, Interrupted
     """
-    if request.events is not None and request.events not in ([], ()):
-        from symsimpson.run.acting import acting_run  # few runs need it
-
-        return acting_run(program, request, progress, on_failure)
     if request.t_eval is not None or request.save is not None:
         return _chosen(program, request, progress, on_failure)
     plain = request.inputs is None and not request.recorded and request.checkpoint is None
+    plain = plain and request.events is None
     if plain and progress is None and on_failure in ("raise", "return"):
         over = brief_run(program, request)
         if over is not None:

@@ -40,6 +40,8 @@ def verdict(program: Program, run: Run, trajectory: Trajectory, stored: Stored) 
     Where the energy is no number, or constraints follow from one another, the run ended before;
     where the motion was not resolved, it is warned of.
     """
+    if trajectory.records or trajectory.ended_by:  # energies change with what events do
+        return trajectory
     judged = _by_energy(program, run, trajectory, stored)
     return look_at_folds(program, run, judged, *stored[:2])
 

@@ -8,13 +8,16 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
-from symsimpson.program.observed import Observed, read_expression
+from symsimpson.program.observed import Observed, read_expression, watchers
 from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
+    from symsimpson.module.header import Header
     from symsimpson.program.program import Program
+    from symsimpson.program.recorders import Recorder
+    from symsimpson.stepping.request import Request
 
-__all__ = ["Acting", "Change", "Event", "Impact", "Switch", "read_events"]
+__all__ = ["Acting", "Change", "Event", "Impact", "Switch", "read_acting"]
 
 #: What may be changed, and the blocks of a state that it stands in.
 CHANGED = {"positions": "q", "velocities": "v", "momenta": "p"}
@@ -233,6 +236,39 @@ class Acting:
         """Names of the records."""
         return tuple(event.key for event in self.events)
 
+    def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
+        """Return what looks for the events, with rows from the first free one on."""
+        signs, gaps = [one.sign for one in self.events], [rate is not None for rate in self.rate]
+        return watchers(header, self.watched[: len(self.events)], signs, gaps, first)
+
+
+def read_acting(program: Program, request: Request) -> Acting | None:
+    """Read the events of a run, if there are any.
+
+    Raises
+    ------
+    InputError
+        If they do not fit the system, or what else is asked for.
+    """
+    given = request.events
+    if given is None or (isinstance(given, Sequence) and not len(given)):
+        return None
+    why = ""
+    if program.numbers.epsilon != 2.0**-52:
+        why = "many digits"
+    elif program.header.retimed:
+        why = "a rate: the energy of a retimed run stays as it is"
+    for name in ("t_eval", "save", "tangents", "sensitivities", "record"):
+        given_too = getattr(request, name)
+        if given_too is not None and not (isinstance(given_too, tuple) and not given_too):
+            why = f"{name}="
+    if why:
+        raise InputError(
+            f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
+            "events without an action are found behind a run, by run.events(expression)."
+        )
+    return read_events(program, given)
+
 
 def read_events(program: Program, given: Any) -> Acting:
     """Read the events of a run.
@@ -289,29 +325,32 @@ def _check_names(program: Program, events: Sequence[Event]) -> None:
 
 def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
     """Return where the rate of a gap stands, and the first of its slopes."""
-    gap, system = event.expression, program.declared
+    from sympy.core.function import AppliedUndef  # SymPy is slow to import, and is there by now
+
+    gap = event.expression
     if hasattr(gap, "lhs") and hasattr(gap, "rhs"):
         gap = gap.lhs - gap.rhs
-    if system is None or not hasattr(gap, "diff"):
+    if not hasattr(gap, "atoms"):
         raise InputError(
             f"the gap of an impact, {event.key!r}, is differentiated.\n"
-            "Write it as a SymPy expression in the coordinates of a system that was declared here."
+            "Write it as a SymPy expression in the coordinates of the system."
         )
-    (t,) = system.coordinates[0].args
-    moving = [q.diff(t) for q in system.coordinates if gap.has(q.diff(t))]
+    places = {f: program.names.coordinates.place(f) for f in gap.atoms(AppliedUndef)}
+    own = {place: f for f, place in places.items() if place is not None}
+    if not own:
+        raise InputError(
+            f"the gap {event.key!r} depends on no coordinate.\nAn impact changes velocities along "
+            "its slope. Use Change, with this expression of the time."
+        )
+    ((t,),) = {f.args for f in own.values()}
+    moving = [q.diff(t) for q in own.values() if gap.has(q.diff(t))]
     if moving:
         raise InputError(
             f"the gap of an impact is a function of positions and t, and {event.key!r} contains "
             f"the velocity of {spelled(moving[0].expr)}.\nUse Change for what is to happen there."
         )
-    n = [gap.diff(q) for q in system.coordinates]
-    if not any(x != 0 for x in n):
-        raise InputError(
-            f"the gap {event.key!r} depends on no coordinate.\nAn impact changes velocities along "
-            "its slope. Use Change, with this expression of the time."
-        )
-    places = [place(x) for x in n]
-    return place(gap.diff(t)), places[0]
+    slopes = [place(gap.diff(own[k]) if k in own else 0 * t) for k in range(program.n)]
+    return place(gap.diff(t)), slopes[0]
 
 
 def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int, int], ...]:

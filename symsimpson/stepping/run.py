@@ -82,6 +82,11 @@ class Run:
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
         self._interrupted = False
+        #: What is said of how it ended, in place of what its status says of all runs; the event
+        #: that ended it, and where that was, the time and the state.
+        self.reason = ""
+        self.ended_by: str | None = None
+        self.end_within: tuple[Any, Any, Any] | None = None
         self._set, self._set_until = 0, -1
 
     def begin(
@@ -109,14 +114,6 @@ class Run:
                 self._driver("begin")(self._kernels(), 0, self.h, self.t0, self.W, self.told)
             self.rows("TIME", 1)[:] = self.t0
             self.rows("TIME_END", 2)[:] = (0, 0) if t_end is None else (1, t_end)
-        self.store(0)
-
-    def go_on_from(self, state: Sequence[NDArray[Any]], step: int) -> None:
-        """Go on from another state behind so many steps, as if the run began there."""
-        self.first, self._progress[:] = step, 0
-        self._set, self._set_until = 0, -1
-        setting = self.h, self._time(), self.W, self.told
-        self._begin_anew(self._kernels(), 0, setting, (self._parameters, *state))
         self.store(0)
 
     @property
@@ -266,6 +263,11 @@ class Run:
         return bool(self._column[self._status] == ARRIVED)
 
     @property
+    def hopeful(self) -> bool:
+        """Whether other kernels may take a step that failed."""
+        return not (self.alive or self.arrived) and self.status not in HOPELESS
+
+    @property
     def parameters(self) -> NDArray[Any]:
         """Values of the parameters, with those that follow from the start."""
         return self.rows("PARAMETER", self._parameters.size).copy()
@@ -286,10 +288,9 @@ class Run:
                 self._watcher(self.step - before)
             if self.step > before and spent > PATIENCE / 8:
                 self._stretch = max(1, int(PATIENCE / spent * (self.step - before)))
-            hopeful = not (self.alive or self.arrived) and self.status not in HOPELESS
-            if hopeful and self._expect_rounding():
+            if self.hopeful and self._expect_rounding():
                 self._change_to(self._set)
-            elif hopeful and self._set + 1 < len(self._fallbacks):
+            elif self.hopeful and self._set + 1 < len(self._fallbacks):
                 self._set_until = self.step + FALLBACK_STRETCH
                 self._change_to(self._set + 1)
             elif self._set and self.step == self._set_until:
@@ -373,11 +374,11 @@ class Run:
                 stored[0] = stored[kept]
         return kept
 
-    def position(self) -> list[int]:
+    def position(self) -> list[Any]:
         """Return what tells, beside the workspace, where the run is."""
         return [self.first, self._progress.item(0), self._set, self._set_until]
 
-    def put_back(self, position: Sequence[int], workspace: NDArray[np.float64]) -> None:
+    def put_back(self, position: Sequence[Any], workspace: NDArray[np.float64]) -> None:
         """Go on where another run was."""
         self.first, self._progress[0], self._set, self._set_until = position
         self._column[:] = workspace

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.observed import Reduction, read_reductions
 from symsimpson.program.values import read_vector
+from symsimpson.stepping.acting import Acting, read_acting
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
@@ -52,6 +53,8 @@ class RunSpec:
         What is added up over steps.
     reductions : tuple of Reduction
         What values of states are reduced to.
+    acting : Acting or None
+        Events that act on it.
     """
 
     q0: Reals
@@ -67,6 +70,7 @@ class RunSpec:
     t_end: Any = field(default=None, kw_only=True)
     record: tuple[str, ...] = field(default=(), kw_only=True)
     reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
+    acting: Acting | None = field(default=None, kw_only=True)
 
     @property
     def velocities(self) -> bool:
@@ -113,6 +117,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
         )
         inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
+        acting = read_acting(program, request)
         return RunSpec(
             q,
             second,
@@ -126,13 +131,14 @@ def read_run(program: Program, request: Request) -> RunSpec:
             tangents=tangents,
             t_end=end,
             record=read_record(program, request.record),
-            reductions=_reductions(program, request.reduce),
+            reductions=_reductions(program, request.reduce, acting.names if acting else ()),
+            acting=acting,
         )
 
 
-def _reductions(program: Program, given: Any) -> tuple[Reduction, ...]:
+def _reductions(program: Program, given: Any, actors: tuple[str, ...]) -> tuple[Reduction, ...]:
     """Read what values of the states of one run are reduced to."""
-    found = read_reductions(program, given)
+    found = read_reductions(program, given, actors)
     for one in found:
         if one.of_variations:
             raise InputError(

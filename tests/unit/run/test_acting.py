@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 
 import symsimpson as ss
+from symsimpson.run.acting import ActingRun
 
 (z,) = ss.coordinates("z")
 x, y = ss.coordinates("x y")
@@ -223,12 +224,7 @@ def test_events_that_do_not_fit(events, told):
 
 
 def test_what_does_not_go_with_events():
-    for more in (
-        {"t_eval": [0.5]},
-        {"save": "z"},
-        {"tangents": 2},
-        {"reduce": {"a": ("max", "z")}},
-    ):
+    for more in ({"t_eval": [0.5]}, {"save": "z"}, {"tangents": 2}, {"record": "work"}):
         given = {"t_end": 2.0} | more
         with pytest.raises(ss.InputError, match=f"do not go with {next(iter(more))}="):
             drop(floor(), **given)
@@ -344,3 +340,93 @@ def test_no_events_are_a_plain_run():
     run = ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=5, events=[])
     assert run.success
     assert not run.records
+
+
+def test_a_run_from_a_checkpoint_goes_on_to_the_same_bits(tmp_path):
+    """With events, stopped by Ctrl-C between two of them, and resumed with what they did."""
+    whole = drop(floor(), t_end=4.0)
+    file = tmp_path / "run.ckpt"
+    first = drop(floor(), t_end=4.0, checkpoint=file, checkpoint_every=70)
+    assert np.array_equal(first.q, whole.q)
+    again = ss.resume(file, events=[floor()])
+    assert np.array_equal(again.q, whole.q)
+    assert np.array_equal(again.events("floor").t, whole.events("floor").t)
+    with pytest.raises(ss.InputError, match="holds a run with other events"):
+        ss.resume(file)
+    with pytest.raises(ss.InputError, match="holds a run with other events"):
+        ss.resume(file, events=[floor(0.5)])
+
+
+def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
+    whole, file = drop(floor(), t_end=2.0), tmp_path / "run.ckpt"
+    advance = ActingRun.advance
+
+    def cut(run, stop):
+        advance(run, stop)
+        if run.step >= 120:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(ActingRun, "advance", cut)
+        part = drop(floor(), t_end=2.0, checkpoint=file, checkpoint_every=60, on_failure="return")
+    assert part.status is ss.Status.INTERRUPTED
+    assert 0 < len(part.events("floor")) < len(whole.events("floor"))
+    again = drop(floor(), t_end=2.0, checkpoint=file)
+    assert np.array_equal(again.q, whole.q)
+    assert np.array_equal(again.p, whole.p)
+    assert [one.t for one in again.records] == [one.t for one in whole.records]
+
+
+def test_observed_values_and_counts():
+    reduce = {"high": ("max", "z"), "hits": ("count", "floor"), "end": ("max", "t")}
+    run = drop(floor(), reduce=reduce, every=None)
+    whole = drop(floor())
+    assert run.reduced["hits"] == len(whole.records) == 3
+    assert run.reduced["high"] == whole.q.max()
+    assert run.reduced["end"] == 2.0
+    assert np.array_equal(run.q[-1], whole.q[-1])
+    with pytest.raises(ss.InputError, match="counts 'wall', and no event"):
+        drop(floor(), reduce={"hits": ("count", "wall")})
+    with pytest.raises(ss.InputError, match="none: pass events="):
+        ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=3, reduce={"a": ("count", "b")})
+
+
+def test_members_of_an_ensemble_do_what_single_runs_do():
+    """Some meet the floor, others do not: these stay in their blocks."""
+    stepper, heights = ss.compile(BALL), np.array([[0.5], [1.0], [40.0], [0.3], [50.0], [30.0]])
+    given = {"v0": [0.0], "h": 0.01, "steps": 150}
+    reduce = {"hits": ("count", "floor"), "low": ("min", "z")}
+    many = stepper.ensemble(heights, events=[floor()], reduce=reduce, every=50, **given)
+    assert (many.status == 0).all()
+    for k, height in enumerate(heights):
+        one = stepper.integrate(height, events=[floor()], every=50, **given)
+        assert np.array_equal(many.q[k], one.q), k
+        assert many.reduced["hits"][k] == len(one.records)
+    assert many.reduced["hits"].tolist() == [3, 2, 0, 5, 0, 0]
+    behind = stepper.ensemble([[1.0], [-1.0]], events=[floor()], **given)
+    assert behind.status.tolist() == [0, ss.Status.BAD_INPUT]
+    with pytest.raises(ss.InputError, match="a store does not keep events"):
+        stepper.ensemble(heights, events=[floor()], store="somewhere", **given)
+
+
+def test_a_loop_bounces_as_a_run_does():
+    loop = ss.compile(BALL).start([1.0], v0=[0.0], h=0.01, events=[floor()])
+    for _ in range(200):
+        loop.step()
+    run = drop(floor())
+    assert np.array_equal(loop.q, run.q[-1])
+    again = pickle.loads(pickle.dumps(loop))
+    again.step()
+    loop.step()
+    assert np.array_equal(loop.q, again.q)
+    assert loop.events("floor").t.tolist() == run.events("floor").t.tolist()
+    last = ss.compile(BALL).start(
+        [1.0], v0=[0.0], h=0.01, events=[ss.Event(z, name="down", terminal=True)]
+    )
+    while last.ended_by is None:
+        last.step()
+    assert abs(last.t - FALL) < 1e-14
+    assert abs(last.q[0]) < 1e-15
+    assert abs(last.v[0] + 9.81 * FALL) < 1e-13
+    with pytest.raises(ss.InputError, match="the loop is at its end: 'down' ended the run"):
+        last.step()
