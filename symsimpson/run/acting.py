@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from symsimpson.stepping.run import Run
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
+    from symsimpson.run.saltation import Saltation
     from symsimpson.stepping.spec import RunSpec
 
 __all__ = ["ActingRun"]
@@ -87,7 +88,11 @@ class ActingRun(Run):
         self._signs = np.array([event.sign for event in acting.events])
         rows = self._column[first : first + WATCHED * len(self._signs)]
         self.side, self.size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
-        self._code = 0
+        self._code, self._saltation = 0, cast("Saltation | None", None)
+        if spec.tangents is not None:
+            from symsimpson.run.saltation import Saltation  # few runs need it
+
+            self._saltation = Saltation(program, acting, spec.parameters, float(spec.h), inputs)
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
@@ -112,9 +117,12 @@ class ActingRun(Run):
                 )
             self.side[k] = 1
         if self._actor.touching(values, self._small).any():
+            if self._saltation is not None:
+                self._saltation.begin(self._columns.reshape(-1, 2 * self.header.n).T)
             found = self._act(t, 0, state, [], {})
             if found is not None:
                 self._go_on(found)
+                self._put_variations()
                 self.store(0)
             self._column[self._status] = self._code
         self._remember()
@@ -198,6 +206,8 @@ class ActingRun(Run):
         if found is None:
             self._go_on(start)
             self._column[self._status] = self._code
+            if self._code == ARRIVED:
+                self._put_variations()
             return
         if len(self.records) == acted and (self.side == given[0]).all():  # nothing was there
             self.W[:] = behind
@@ -212,6 +222,7 @@ class ActingRun(Run):
             self._progress[0] += 1
             self._go_on(found)
             self._remember()
+            self._put_variations()
         self._call(self._time(), of_states=True)
         if self.every and self._progress.item(0) % self.every == 0:
             place = self._progress.item(0) // self.every
@@ -241,6 +252,8 @@ class ActingRun(Run):
         h, t0 = float(self.h), float(self.t0 + self.h * step)
         state, done = start, 0.0
         times: Times = {}
+        if self._saltation is not None:
+            self._saltation.begin(self._columns.reshape(-1, 2 * self.header.n).T)
         for action in count():
             if action > MOST_ACTIONS:
                 why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
@@ -257,11 +270,11 @@ class ActingRun(Run):
             if found is None:
                 values = self._actor.values(t0 + h, end)
                 self.side[:] = self._sides(values, self.side)
+                self._vary(state, t0 + done, rest, step, done / h, None)
                 return end
-            part, state, events = found
-            done += part
-            if not events:  # a look between the ends of the step, at which nothing acts
-                continue
+            part, behind, events = found
+            self._vary(state, t0 + done, part, step, done / h, events[0])
+            state, done = behind, done + part
             state = self._act(t0 + done, step, state, events, times)
             if state is None:
                 return None
@@ -307,6 +320,8 @@ class ActingRun(Run):
         several = len({k for k, *_, impulse in done if impulse}) > 1
         for k, before, behind, impulse in done:
             state = behind
+            if self._saltation is not None:
+                self._saltation.act(t, before, k)
             direction = -1 if self._actor.is_impact(k) else int(self.side[k])
             together = several and self._actor.is_impact(k)
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
@@ -321,6 +336,21 @@ class ActingRun(Run):
         if state is not given:
             self._look_ahead(t, step, state)
         return None if self._accumulates(times) else state
+
+    def _put_variations(self) -> None:
+        """Let variations of the state be those behind the parts of a step."""
+        if self._saltation is not None:
+            self._columns[:] = self._saltation.columns.T.ravel()
+
+    def _vary(self, *part: Any) -> None:
+        """Carry variations of the state through a part of a step."""
+        if self._saltation is not None:
+            self._saltation.flow(*part)
+
+    @property
+    def _columns(self) -> Floats:
+        """Rows in which variations of the state stand, one behind the other."""
+        return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
 
     def _look_ahead(self, t: float, step: int, state: Any) -> None:
         """Find on which sides expressions are behind an action, of zeros by a look ahead."""
@@ -368,12 +398,16 @@ class ActingRun(Run):
         events = np.flatnonzero(here & self._acts(self.side, -self.side)).tolist()
         if not events:
             return
+        self._saltation, carried = None, self._saltation
         found = self._act(t, self.step, state, events, {})
+        self._saltation = carried
         if found is None and self.ended_by:
             assert self.end_within is not None
             found = self.end_within[1:]
         if found is not None:
             self._go_on(found)
+            if self._saltation is not None:  # on which side of the end it is depends on the state
+                self._columns[:] = np.nan
             if self.every and self._progress.item(0) % self.every == 0:
                 self.store(self._progress.item(0) // self.every)
         self._column[self._status] = self._code

@@ -260,7 +260,10 @@ def trajectory_of(
     if run.end_within is not None:
         t_end, *end = run.end_within
         states = (t, tau, q, p, iterations), (t_end, t_end - run.t0, *np.array(end)[:, None])
+        before = len(t)
         t, tau, q, p, iterations = with_end(*states, bool(every))
+        if len(t) > before:
+            recorded = np.vstack([recorded, run.left()])
     message = run.reason or status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""

@@ -258,7 +258,7 @@ def read_acting(program: Program, request: Request) -> Acting | None:
         why = "many digits"
     elif program.header.retimed:
         why = "a rate: the energy of a retimed run stays as it is"
-    for name in ("t_eval", "save", "tangents", "sensitivities", "record"):
+    for name in ("t_eval", "save", "record"):
         given_too = getattr(request, name)
         if given_too is not None and not (isinstance(given_too, tuple) and not given_too):
             why = f"{name}="

@@ -1,0 +1,158 @@
+"""Derivatives of a run through events: of the length of parts of steps, and of what events do.
+
+Where a variation of the state moves the time of an event, the part of the step before it becomes
+longer, and that behind it shorter. Both are differentiated as they were computed: by the length of
+the step, not by the vector field, which differs from that by the error of the scheme.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from mpmath import workdps
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.program.recorders import tangents
+from symsimpson.run.jumps import DIGITS, Jumps, slope
+from symsimpson.stepping.driving import at_places, places
+from symsimpson.stepping.run import Run
+from symsimpson.stepping.variations import varied_program
+from symsimpson.support.calling import warn
+
+if TYPE_CHECKING:
+    from symsimpson.program.program import Program
+    from symsimpson.stepping.acting import Acting
+
+__all__ = ["Saltation"]
+
+Floats = NDArray[np.float64]
+State = tuple[Floats, Floats]
+#: What is zero with a rate below this part of that over the part of the step is grazed.
+GRAZED = 1e-3
+
+
+class Saltation:
+    """Carries variations of the state through a step in which events act.
+
+    Parameters
+    ----------
+    program : Program
+        Whose module differentiates by what ``sensitivities`` are asked for.
+    acting : Acting
+    parameters : ndarray, shape (m,)
+    h : float
+    inputs : ndarray, shape (1, N, s, u)
+
+    Attributes
+    ----------
+    columns : ndarray, shape (2 n, k)
+        Variations of the state; the last ones are those by parameters and inputs.
+    moved : ndarray, shape (k,)
+        Variations of the time that has come.
+
+    Raises
+    ------
+    InputError
+        If the system is not known, or inputs vary within a step.
+    """
+
+    def __init__(
+        self, program: Program, acting: Acting, parameters: Floats, h: float, inputs: Floats
+    ) -> None:
+        if program.declared is None:
+            raise InputError(
+                f"{program.system}: derivatives of a run with events need the energies of the "
+                "system, and a module has none.\nMake the stepper with symsimpson.compile."
+            )
+        if inputs.size and inputs.shape[2] > 1:
+            raise InputError(
+                f"{program.system}: derivatives of a run with events do not go with inputs that "
+                "vary within a step.\nGive one value for each step."
+            )
+        own = program.header.varied_by or ()
+        by = ("h",) if program.header.autonomous else ("h", "t")
+        self._program, self._by = varied_program(program, (*own, *by)), by
+        self._acting, self._parameters = acting, parameters
+        self._h, self._inputs, self._own = h, inputs, own
+        self._jumps = Jumps(program, acting, parameters)
+        self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
+
+    def begin(self, columns: Floats) -> None:
+        """Begin a step with these variations, whose time does not vary."""
+        self.columns, self.moved = columns, np.zeros(columns.shape[1])
+
+    def flow(
+        self, state: State, t: float, size: float, step: int, share: float, event: int | None
+    ) -> None:
+        """Carry them through a part of a step, up to an event or to the end of the step."""
+        if size == 0.0:
+            return
+        columns, by_length, by_time, end = self._carried(state, t, size, step, share)
+        columns = columns + np.outer(by_time, self.moved)
+        if event is None:
+            longer = -self.moved
+        else:
+            with workdps(DIGITS):
+                begun = self._jumps.value(event, self._jumps.point(t, *state))
+                longer = self._later(event, t + size, end, columns, by_length, begun / size)
+        self.columns = columns + np.outer(by_length, longer)
+        self.moved = self.moved + longer
+
+    def act(self, t: float, state: State, event: int) -> None:
+        """Let an event act on them."""
+        with workdps(DIGITS):
+            at = self._jumps.point(t, *state)
+            ways = self._jumps.ways(self.moved, self.columns, self._varied)
+            found = [slope(lambda z: self._jumps.act(event, z), at, way) for way in ways]
+        self.columns = np.array(found, dtype=np.float64).T.reshape(self.columns.shape)
+
+    def _later(
+        self, event: int, t: float, end: State, columns: Floats, by_length: Floats, mean: Any
+    ) -> Floats:
+        """Return by how much the event comes later, for each of the variations.
+
+        ``mean`` is the rate at which the expression came to be zero, over the part of the step.
+        """
+        at = self._jumps.point(t, *end)
+        value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
+        ways = self._jumps.ways(self.moved, columns, self._varied)
+        (own,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
+        (rate,) = slope(value, at, own)
+        if abs(rate) <= GRAZED * abs(mean):
+            warn(
+                f"{self._program.system}: at t={t:g} {self._acting.names[event]!r} is grazed: the "
+                "time of the event depends on the state without bound, and so do derivatives "
+                "behind it.\nThey are those of the run, and tell little of runs nearby.",
+                ResolutionWarning,
+            )
+        return np.array([float(-slope(value, at, way)[0] / rate) for way in ways])
+
+    @property
+    def _varied(self) -> Sequence[str]:
+        """Names that the last of the variations are by."""
+        return self._own
+
+    def _carried(
+        self, state: State, t: float, size: float, step: int, share: float
+    ) -> tuple[Floats, Floats, Floats, State]:
+        """Return variations behind a part of a step, derivatives by its length and its time."""
+        program, count = self._program, self.columns.shape[1]
+        n, more = program.n, len(self._by)
+        at = share + size / self._h * places(program)
+        rests = at_places(program, self._inputs, np.array([step]), at[None])
+        own = (tangents(program.header, count + more),)
+        run = Run(program, self._parameters, size, t, 0, 1, inputs=rests, recorders=own)
+        run.begin(*state, velocity=False)
+        run.rows("TANGENTS", 1)[:] = count + more
+        begun = np.concatenate([self.columns, np.zeros((2 * n, more))], axis=1)
+        run.rows("TANGENT", begun.size)[:] = begun.T.ravel()
+        run.advance(1)
+        found = run.left().reshape(count + more, 2 * n).T
+        if not run.alive:
+            found = np.full_like(found, np.nan)
+        by_time = found[:, count + 1] if more > 1 else np.zeros(2 * n)
+        q, p = (x[0] for x in run.end())
+        return found[:, :count], found[:, count], by_time, (q, p)
