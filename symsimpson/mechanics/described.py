@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -10,7 +10,9 @@ import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.errors import ModelError
 from symsimpson.mechanics.declared import Declared
+from symsimpson.support.calling import explaining
 
 __all__ = ["Described"]
 
@@ -19,6 +21,7 @@ Matrix: TypeAlias = sp.ImmutableDenseMatrix
 INNER = frozenset({"digest", "large", "mass_checked", "plain", "retimer", "retiming", "seconds"})
 
 
+@explaining(ModelError)
 class Described(Declared):
     """Properties that follow from the declaration of a system, in the user's own symbols."""
 
@@ -99,6 +102,52 @@ class Described(Declared):
         from symsimpson.mechanics.equations import linearised
 
         return linearised(self, q0, v0, parameters, inputs, t)
+
+    def consistent(
+        self,
+        q0: ArrayLike,
+        v0: ArrayLike,
+        fixed: Iterable[Any] = (),
+        parameters: Mapping[Any, Any] | None = None,
+        t: float = 0.0,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the nearest state that satisfies the constraints.
+
+        Parameters
+        ----------
+        q0, v0 : array_like, shape (n,)
+        fixed : sequence of coordinates or their names, optional
+            Those that stay as they are.
+        parameters : mapping, optional
+            Values other than the defaults.
+        t : float
+            The time, where velocity constraints depend on it.
+
+        Returns
+        -------
+        q0, v0 : ndarray, shape (n,)
+            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. The change is the
+            smallest in the norm of M, or merely small where that does not converge.
+
+        Raises
+        ------
+        InputError
+            If there is no such state nearby, or the arguments make no sense.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> x, y = ss.coordinates("x y")
+        >>> rod = ss.MechanicalSystem(
+        ...     "rod", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2, potential=y,
+        ...     constraints={"length": x**2 + y**2 - 1})
+        >>> q, v = rod.consistent([0.6, -0.7], [1.0, 0.0], fixed=["x"])
+        >>> q.round(12).tolist(), v.round(12).tolist()
+        ([0.6, -0.8], [1.0, 0.75])
+        """
+        from symsimpson.mechanics.consistent import consistent
+
+        return consistent(self, q0, v0, fixed, parameters, t)
 
     def __repr__(self) -> str:
         names = ", ".join(q.func.__name__ for q in self.coordinates)

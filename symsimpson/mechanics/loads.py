@@ -1,70 +1,137 @@
-"""Contents of a LagrangesMethod of SymPy: L, constraints, and loads as generalised forces."""
+"""Loads of SymPy's mechanics as generalised forces, and those that a potential gives."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import sympy as sp
+from sympy.core.function import AppliedUndef
+from sympy.integrals.manualintegrate import manualintegrate
 
-from symsimpson.mechanics.checks import fail
 from symsimpson.mechanics.coordinates import time
+from symsimpson.mechanics.expressions import SMOOTH
 
-__all__ = ["read_method"]
+__all__ = ["Force", "added", "generalised", "potential_of"]
 
-
-def read_method(
-    name: str, lm: Any
-) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr], list[sp.Expr]]:
-    """Return L, the coordinates, the generalised forces, and the constraints of both kinds.
-
-    Raises
-    ------
-    ModelError
-        If it is no LagrangesMethod.
-    """
-    try:
-        lagrangian, coordinates = lm._L[0], tuple(lm.q)
-        held, loads = list(lm._hol_coneqs), _generalised(lm)
-        rolling = list(lm.coneqs)[len(held) :]
-    except (AttributeError, TypeError, IndexError):
-        kane = type(lm).__name__ == "KanesMethod"
-        raise fail(
-            name,
-            f"{type(lm).__name__} is not a sympy.physics.mechanics.LagrangesMethod.",
-            "Kane's equations come without a Lagrangian, and a variational step is made of "
-            "one. Write L = sympy.physics.mechanics.Lagrangian(frame, *bodies), with the "
-            "bodies' potential_energy, and use from_lagrangian(name, L, coordinates, "
-            "parameters)."
-            if kane
-            else "Pass the LagrangesMethod itself, or use from_lagrangian(name, L, ...).",
-        ) from None
-    return lagrangian, coordinates, loads, held, rolling
+#: A generalised force, by coordinate; those on which it does not act are left out.
+Force = dict[Any, sp.Expr]
+#: Longer expressions are not integrated: SymPy may take for ever.
+TOO_LONG = 400
+#: Functions of a potential; a logarithm may not be defined where its derivative is.
+ALLOWED = {*SMOOTH} - {sp.log}
 
 
-def _generalised(method: Any) -> dict[Any, sp.Expr]:
-    """Return the generalised forces of a LagrangesMethod's ``forcelist``, by coordinate.
+def generalised(
+    loads: Iterable[Any],
+    inertial: Any,
+    coordinates: Sequence[Any],
+    speeds: Mapping[Any, sp.Expr] | None = None,
+) -> Force:
+    """Return the generalised force of loads.
 
     Parameters
     ----------
-    method : sympy.physics.mechanics.LagrangesMethod
-        Its ``forcelist`` holds pairs of a point and a force, or of a frame and a torque.
+    loads : iterable of pairs
+        Of a point and a force, or of a frame and a torque.
+    inertial : ReferenceFrame
+    coordinates : sequence of functions of time
+    speeds : mapping, optional
+        Generalised speeds, in which velocities and loads are written, in those of coordinates.
 
     Returns
     -------
     dict
-        For each coordinate the sum of vector . d(velocity)/d(velocity of the coordinate); those
-        on which no force acts are left out.
+        For each coordinate the sum of vector . d(velocity)/d(velocity of the coordinate).
     """
-    loads, inertial = list(method.forcelist or []), method.inertial
-    found: dict[Any, sp.Expr] = {}
-    for q in method.q:
-        speed = q.diff(time)
-        parts = []
-        for where, vector in loads:
-            turning = hasattr(where, "ang_vel_in")
-            velocity = where.ang_vel_in(inertial) if turning else where.vel(inertial)
-            parts.append(vector.dot(velocity.diff(speed, inertial, var_in_dcm=False)))
-        total = sp.Add(*parts)
+    found: Force = {}
+    parts = []
+    for where, vector in loads:
+        turning = hasattr(where, "ang_vel_in")
+        velocity = where.ang_vel_in(inertial) if turning else where.vel(inertial)
+        parts.append((vector.xreplace(speeds or {}), velocity.xreplace(speeds or {})))
+    for q in coordinates:
+        slopes = ((f, v.diff(q.diff(time), inertial, var_in_dcm=False)) for f, v in parts)
+        total = sp.Add(*(f.dot(slope) for f, slope in slopes))
         if total != 0:
             found[q] = total
     return found
+
+
+def potential_of(
+    each: Sequence[Force],
+    coordinates: Sequence[AppliedUndef],
+    given: sp.Expr,
+    inputs: Sequence[sp.Expr],
+    vanish: Callable[[Iterable[sp.Expr]], bool],
+) -> tuple[sp.Expr, Force]:
+    """Return a potential V of the loads that have one, and the force that is left beside -dV/dq.
+
+    Parameters
+    ----------
+    each : sequence of dict
+        The generalised force of each load. The part of it that stands without velocities belongs
+        to V if f = -dV/dq, of itself or together with others.
+    coordinates : sequence of functions of time
+    given : expression
+        Taken for V if it is that of all loads.
+    inputs : sequence of symbols
+        These stand in no potential, and neither does the time.
+    vanish : callable
+        Whether expressions are zero identically.
+    """
+    still = {q.diff(time): 0 for q in coordinates}
+    static = [{q: f.xreplace(still) for q, f in force.items()} for force in each]
+    whole = added(static)
+    if given != 0 and vanish(whole.get(q, 0) + given.diff(q) for q in coordinates):
+        V, held = given, static
+    else:
+        V, held, others = sp.S.Zero, [], []
+        for force in static:
+            part = _integrated(force, coordinates, inputs, vanish)
+            if part is None:
+                others.append(force)
+            else:
+                V, held = V + part, [*held, force]
+        part = _integrated(added(others), coordinates, inputs, vanish)
+        if part is not None:
+            V, held = V + part, static
+    left = added([*each, *({q: -f for q, f in force.items()} for force in held)])
+    return V, {q: f for q, f in left.items() if not vanish([f])}
+
+
+def added(forces: Iterable[Force]) -> Force:
+    """Add forces; short sums are multiplied out, so that terms cancel."""
+    terms: dict[Any, list[sp.Expr]] = {}
+    for force in forces:
+        for q, f in force.items():
+            terms.setdefault(q, []).append(f)
+    totals = {q: sp.Add(*parts) for q, parts in terms.items()}
+    return {q: sp.expand(f) if f.count_ops() < TOO_LONG else f for q, f in totals.items()}
+
+
+def _integrated(
+    force: Force,
+    coordinates: Sequence[AppliedUndef],
+    inputs: Sequence[sp.Expr],
+    vanish: Callable[[Iterable[sp.Expr]], bool],
+) -> sp.Expr | None:
+    """Return V with f = -dV/dq; None if there is none, or it is not found."""
+    plain = {q: sp.Dummy(q.func.__name__, real=True) for q in coordinates}
+    f = [sp.sympify(force.get(q, 0)).xreplace(plain) for q in coordinates]
+    driven = [x.atoms(AppliedUndef) | (x.free_symbols & {time, *inputs}) for x in f]
+    if any(driven) or any(x.has(sp.nan, sp.zoo) for x in f):
+        return None
+    V = sp.S.Zero
+    back = {own: q for q, own in plain.items()}
+    for x, part in zip(plain.values(), f, strict=True):
+        slope = part + V.diff(x)
+        if not vanish([slope.xreplace(back)]):
+            terms = sp.Add.make_args(sp.expand(slope)) if slope.count_ops() < TOO_LONG else [slope]
+            pairs = [term.as_independent(x, as_Add=False) for term in terms]
+            V -= sp.Add(*(factor * manualintegrate(rest, x) for factor, rest in pairs))
+            if V.has(sp.Integral, sp.nan) or {g.func for g in V.atoms(sp.Function)} - ALLOWED:
+                return None
+    V = V.xreplace(back)
+    exact = vanish(force.get(q, sp.S.Zero) + V.diff(q) for q in coordinates)
+    return V if exact else None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, ClassVar, TypeAlias
 
-import numpy as np
 import sympy as sp
-from numpy.typing import ArrayLike, NDArray
 from sympy.core.function import AppliedUndef
 
 from symsimpson.errors import ModelError
@@ -22,7 +20,7 @@ from symsimpson.mechanics.described import Described
 from symsimpson.mechanics.digest import fingerprint
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.forces import read_inputs
-from symsimpson.mechanics.loads import read_method
+from symsimpson.mechanics.methods import read_method
 from symsimpson.mechanics.plain import Plain, Symbols, unfrozen
 from symsimpson.mechanics.quadratic import polynomial
 from symsimpson.mechanics.structure import Structure, analyse
@@ -280,9 +278,7 @@ class MechanicalSystem(Described):
         >>> ss.MechanicalSystem.from_lagranges_method("quartic", method, {}).potential
         x(t)**4
         """
-        lagrangian, coordinates, loads, held, rolling = read_method(name, lm)
-        if loads:
-            forces = {**(forces or {}), "forcelist": loads}
+        lagrangian, coordinates, loads, held, rolling = read_method(name, lm, inputs)
         return cls.from_lagrangian(
             name,
             lagrangian,
@@ -290,7 +286,7 @@ class MechanicalSystem(Described):
             parameters,
             positions=positions,
             invariants=invariants,
-            forces=forces,
+            forces={**(forces or {}), **loads} if loads else forces,
             dissipation=dissipation,
             inputs=inputs,
             constraints={**names_of(name, constraints), **names_of(name, held)},
@@ -301,51 +297,43 @@ class MechanicalSystem(Described):
             units=units,
         )
 
-    def consistent(
-        self,
-        q0: ArrayLike,
-        v0: ArrayLike,
-        fixed: Iterable[Any] = (),
-        parameters: Mapping[Any, Any] | None = None,
-        t: float = 0.0,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the nearest state that satisfies the constraints.
+    @classmethod
+    def from_kanes_method(
+        cls, name: str, kane: Any, parameters: Mapping[sp.Symbol, float] = NONE, **others: Any
+    ) -> MechanicalSystem:
+        """Declare a system by a :class:`sympy.physics.mechanics.KanesMethod`.
 
         Parameters
         ----------
-        q0, v0 : array_like, shape (n,)
-        fixed : sequence of coordinates or their names, optional
-            Those that stay as they are.
-        parameters : mapping, optional
-            Values other than the defaults.
-        t : float
-            The time, where velocity constraints depend on it.
-
-        Returns
-        -------
-        q0, v0 : ndarray, shape (n,)
-            They satisfy phi(q) = 0, dphi/dq.v = 0 and A v = b to rounding. The change is the
-            smallest in the norm of M, or merely small where that does not converge.
+        name, parameters, others
+            As for :meth:`from_lagranges_method`.
+        kane : sympy.physics.mechanics.KanesMethod
+            Its ``kanes_equations`` were called. T is that of its bodies, and speeds are written in
+            velocities; one in no kinematical equation becomes that of a coordinate of its own,
+            ``u_integral``. The part of loads that has a potential, as gravity and springs have, is
+            V, which is found by integration and holds as an identity; a ``potential_energy`` of
+            bodies that is not theirs is left out. The rest is the force "loads". If bodies roll,
+            and their places are no coordinates, there is a force "rolling" without power, by which
+            equations are Kane's. Velocity constraints that follow from configuration constraints
+            are left out.
 
         Raises
         ------
-        InputError
-            If there is no such state nearby, or the arguments make no sense.
+        ModelError
+            If it has auxiliary speeds, does not determine its speeds, or as above.
 
         Examples
         --------
         >>> import symsimpson as ss
-        >>> x, y = ss.coordinates("x y")
-        >>> rod = ss.MechanicalSystem(
-        ...     "rod", coordinates=(x, y), kinetic=(x.diff()**2 + y.diff()**2)/2, potential=y,
-        ...     constraints={"length": x**2 + y**2 - 1})
-        >>> q, v = rod.consistent([0.6, -0.7], [1.0, 0.0], fixed=["x"])
-        >>> q.round(12).tolist(), v.round(12).tolist()
-        ([0.6, -0.8], [1.0, 0.75])
+        >>> from sympy.physics.mechanics import KanesMethod, Particle, Point, ReferenceFrame
+        >>> (x, u), frame, point = ss.coordinates("x u"), ReferenceFrame("N"), Point("P")
+        >>> point.set_vel(frame, u * frame.x)
+        >>> kane = KanesMethod(frame, [x], [u], [x.diff() - u])
+        >>> _ = kane.kanes_equations([Particle("body", point, 1)], [(point, -4 * x**3 * frame.x)])
+        >>> ss.MechanicalSystem.from_kanes_method("quartic", kane).potential
+        x(t)**4
         """
-        from symsimpson.mechanics.consistent import consistent
-
-        return consistent(self, q0, v0, fixed, parameters, t)
+        return cls.from_lagranges_method(name, kane, parameters, **others)
 
     @property
     def retiming(self) -> Any:

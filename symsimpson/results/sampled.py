@@ -248,4 +248,4 @@ def quantity(states: States, name: str) -> NDArray[Any]:
     """Return a quantity of states by its name, "q", "p" and "v" among them."""
     if name in VECTORS and name not in states.program.names.coordinates.places:
         return np.asarray(getattr(states, name))
-    return np.asarray(states._named(name))
+    return np.asarray(states[name])

@@ -86,17 +86,6 @@ def test_lagrangians_of_first_order_are_told_from_missing_masses():
         ss.MechanicalSystem.from_lagrangian("massless", x.diff() ** 2 / 2 - x * y, (x, y))
 
 
-def test_kanes_method_is_told_where_a_lagrangian_comes_from():
-    from sympy.physics.mechanics import KanesMethod, Particle, Point, ReferenceFrame
-
-    frame, point, (u,) = ReferenceFrame("N"), Point("P"), ss.coordinates("u")
-    point.set_vel(frame, u * frame.x)
-    kane = KanesMethod(frame, [x], [u], [x.diff() - u])
-    kane.kanes_equations([Particle("body", point, 1)], [(point, -x * frame.x)])
-    with pytest.raises(ss.ModelError, match=r"KanesMethod.*\nKane's equations come without"):
-        ss.MechanicalSystem.from_lagranges_method("kane", kane)
-
-
 def test_parameters_and_their_absence():
     """None are needed where there are none; a matrix of coordinates is a sequence of them."""
     given = {"kinetic": (x.diff() ** 2 + y.diff() ** 2) / 2, "potential": x**2 * y**2}

@@ -1,0 +1,219 @@
+"""Contents of a KanesMethod of SymPy, written in coordinates and their velocities."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import sympy as sp
+from sympy.core.function import AppliedUndef
+
+from symsimpson.errors import ModelWarning
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.findings import Findings
+from symsimpson.graph.nodes import ZERO, Graph, Value
+from symsimpson.graph.rebuild import rebuilt
+from symsimpson.mechanics.checks import fail, spell
+from symsimpson.mechanics.coordinates import time
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.loads import Force, added, generalised, potential_of
+from symsimpson.mechanics.plain import Symbols
+from symsimpson.mechanics.quadratic import rank
+from symsimpson.support.calling import warn
+
+__all__ = ["read_kane"]
+
+#: Longer denominators of speeds are left as they are: SymPy may take for ever.
+TOO_LONG = 120
+#: Steps to a state that satisfies constraints, and what counts as zero there.
+ITERATIONS, NOTHING = 20, 1e-9
+
+
+def read_kane(
+    name: str, kane: Any, inputs: Sequence[sp.Expr]
+) -> tuple[sp.Expr, tuple[Any, ...], dict[Any, Any], list[sp.Expr], list[sp.Expr]]:
+    """Return L, the coordinates, the forces by name, and the constraints of both kinds.
+
+    Raises
+    ------
+    ModelError
+        If something that is needed is not in it, or cannot be written in velocities.
+
+    Notes
+    -----
+    A body that rolls may have a velocity that is no derivative of a place in the coordinates. Then
+    Lagrange's equations of T have terms that Kane's have not, p.(d/dt dv/dq' - dv/dq), and the same
+    of the angular momentum. They become the force "rolling", which has no power.
+    """
+    try:
+        parts = kane.to_linearizer()
+    except ValueError as error:
+        raise fail(
+            name,
+            f"SymPy cannot take the KanesMethod apart: {' '.join(str(error).split())}",
+            "Bodies and loads are in it once kanes_equations(bodies, loads) was called. Functions "
+            "of time other than coordinates and speeds may stand in loads alone.",
+        ) from None
+    if len(parts.f_2) > len(parts.u) - len(parts.f_v):
+        raise fail(
+            name,
+            "the KanesMethod has auxiliary speeds.",
+            "They are zero in every motion, and bring forces of constraints into evidence. Leave "
+            "u_auxiliary out: run['lambda_...'] has the multipliers of constraints.",
+        )
+    frame, held = kane._inertial, list(parts.f_c)
+    coordinates, speeds, rows = _speeds(name, kane)
+    known = _Identities(name, coordinates, held)
+    kinetic, rolling = _inertia(kane.bodies, frame, speeds, known)
+    each = [generalised([load], frame, coordinates, speeds) for load in kane.loads or ()]
+    given = sp.Add(*(body.potential_energy for body in kane.bodies)).xreplace(speeds)
+    potential, loads = potential_of(each, coordinates, given, inputs, known.vanish)
+    if given != 0 and not known.vanish((given - potential).diff(q) for q in coordinates):
+        warn(
+            f"system '{name}': the potential_energy of bodies is not that of the loads.\n"
+            "It is left out: Kane's equations have loads alone. Apply its forces as loads, or set "
+            "it to 0.",
+            ModelWarning,
+        )
+    forces = {"loads": loads, "rolling": rolling}
+    rows += [row.xreplace(speeds) for row in parts.f_v]
+    return (
+        kinetic - potential,
+        coordinates,
+        {key: force for key, force in forces.items() if force},
+        held,
+        _others(rows, known),
+    )
+
+
+class _Identities:
+    """Tests of expressions in coordinates and velocities, with constraints of positions."""
+
+    def __init__(
+        self, name: str, coordinates: Sequence[AppliedUndef], held: Sequence[sp.Expr]
+    ) -> None:
+        self.name, self.coordinates, self.held = name, coordinates, held
+        self.rates = [q.diff(time) for q in coordinates]
+
+    def others(self, expressions: Iterable[sp.Expr]) -> list[sp.Expr]:
+        """List the symbols and functions in expressions besides coordinates, velocities and t."""
+        kinds = (sp.Symbol, AppliedUndef, sp.Derivative)
+        atoms = set().union(*(x.atoms(*kinds) for x in expressions))
+        return sorted(atoms - {time, *self.coordinates, *self.rates}, key=sp.default_sort_key)
+
+    def read(self, expressions: Iterable[sp.Expr]) -> tuple[Graph, list[Value]]:
+        """Read expressions, in which everything else is a parameter."""
+        expressions = list(map(sp.sympify, expressions))
+        symbols = Symbols(self.coordinates, dict.fromkeys(self.others(expressions), 0.0))
+        allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t)
+        return symbols.graph, [
+            read_expression(self.name, "KanesMethod", x, symbols, symbols.known, allowed)
+            for x in expressions
+        ]
+
+    def vanish(self, expressions: Iterable[sp.Expr]) -> bool:
+        """Return whether all of some expressions are zero."""
+        graph, values = self.read(expressions)
+        return all(map(Findings(graph, values).vanishes, values))
+
+    def idle(self, force: Sequence[sp.Expr]) -> bool:
+        """Return whether a force does nothing that the constraints allow, looked at in doubles."""
+        if self.vanish(force):
+            return True
+        if not self.held:
+            return False
+        phi, others = sp.Matrix(self.held), self.others([*force, *self.held])
+        own = {x: sp.Dummy() for x in (*self.coordinates, *self.rates, time, *others)}
+        parts = sp.Matrix(force), phi.row_join(phi.diff(time)), phi.jacobian(self.coordinates)
+        at = sp.lambdify([*own.values()], [x.xreplace(own) for x in parts], cse=True)
+        state = np.random.default_rng(20).uniform(0.3, 1, len(own))
+        for _ in range(ITERATIONS):
+            found, gaps, slopes = map(np.asarray, at(*state))
+            inverse = np.linalg.pinv(slopes)
+            state[: 2 * len(force)] -= (inverse @ gaps).T.ravel()
+        left = found - inverse @ slopes @ found
+        return bool(max(np.abs(gaps).max(), np.abs(left).max()) < NOTHING)
+
+    def rows(self, equations: Sequence[sp.Expr]) -> tuple[Graph, list[list[Value]]]:
+        """Return the coefficients of equations that are linear in the velocities."""
+        graph, values = self.read([*self.rates, *equations])
+        v = [n for _, n in values[: len(self.rates)]]
+        rest = rebuilt(graph, values[len(v) :], dict.fromkeys(v, ZERO))
+        slopes = (gradient(graph, value, v) for value in values[len(v) :])
+        return graph, [[*row, last] for row, last in zip(slopes, rest, strict=True)]
+
+
+def _speeds(name: str, kane: Any) -> tuple[tuple[Any, ...], dict[Any, sp.Expr], list[sp.Expr]]:
+    """Return the coordinates, speeds in terms of velocities, and equations without a speed.
+
+    Speeds that no kinematical equation has get coordinates of their own.
+    """
+    implicit = copy.copy(kane)
+    implicit.explicit_kinematics = False
+    kinematics = implicit.mass_matrix_kin * kane.q.diff(time) - implicit.forcing_kin
+    used = [u for u in kane.u if kinematics.has(u)]
+    more = {u: sp.Function(f"{u.func.__name__}_integral")(time) for u in kane.u if u not in used}
+    with_speeds = [x for x in kinematics if x.has(*used)] if used else []
+    solved = list(sp.linsolve(with_speeds, *used)) if used else [()]
+    if not solved or any(x.has(*used) for x in solved[0]) or len(with_speeds) != len(used):
+        raise fail(
+            name,
+            f"the {len(with_speeds)} kinematical equations do not say what the {len(used)} speeds "
+            f"{spell(tuple(used))} are.",
+            "Each speed is to follow from coordinates and velocities. Write as many equations as "
+            "there are speeds, as u - (...), and what coordinates are held by, as q0*q0.diff() + "
+            "... of a quaternion, as equations without a speed.",
+        )
+    speeds = {u: _shorter(x) for u, x in zip(used, solved[0], strict=True)}
+    speeds |= {u: s.diff(time) for u, s in more.items()}
+    return (*kane.q, *more.values()), speeds, [x for x in kinematics if x not in with_speeds]
+
+
+def _shorter(speed: sp.Expr) -> sp.Expr:
+    """Simplify a denominator, which mostly is one of squares of sines and cosines."""
+    over, under = sp.fraction(sp.together(speed))
+    return over / (sp.trigsimp(under) if 0 < under.count_ops() < TOO_LONG else under)
+
+
+def _inertia(
+    bodies: Iterable[Any], frame: Any, speeds: Mapping[Any, sp.Expr], known: _Identities
+) -> tuple[sp.Expr, Force]:
+    """Return T, and the terms that Lagrange's equations of it have and Kane's have not."""
+    kinetic: list[sp.Expr] = []
+    gaps: list[Force] = []
+    for body in bodies:
+        v = body.masscenter.vel(frame).xreplace(speeds)
+        parts = [(v, body.mass * v)]
+        if hasattr(body, "central_inertia"):
+            w = body.frame.ang_vel_in(frame).xreplace(speeds)
+            parts.append((w, body.central_inertia.dot(w)))
+        for rate, momentum in parts:
+            kinetic.append(momentum.dot(rate) / 2)
+            turns = (rate.diff(q, frame, var_in_dcm=False).dt(frame) for q in known.rates)
+            gap = [momentum.dot(turn).xreplace(speeds) for turn in turns]
+            gap = [x - kinetic[-1].diff(q) for x, q in zip(gap, known.coordinates, strict=True)]
+            if not known.idle(gap):
+                gaps.append(dict(zip(known.coordinates, gap, strict=True)))
+    total = added(gaps)
+    return sp.Add(*kinetic), {q: f for q, f in total.items() if not known.vanish([f])}
+
+
+def _others(rows: Sequence[sp.Expr], known: _Identities) -> list[sp.Expr]:
+    """Return the velocity constraints that do not follow from constraints of positions."""
+    count = len(known.held)
+    graph, matrix = known.rows([*(phi.diff(time) for phi in known.held), *rows])
+    independent, kept = matrix[:count], []
+    for equation, row in zip(rows, matrix[count:], strict=True):
+        if rank(graph, [*independent, row]) > len(independent):
+            independent.append(row)
+            kept.append(equation)
+    if count + len(kept) > len(rows):
+        raise fail(
+            known.name,
+            "the velocity constraints do not hold the configuration constraints.",
+            "Kane's equations hold velocities alone. Give the time derivative of each "
+            "configuration constraint among velocity_constraints, too, or leave it out.",
+        )
+    return kept
