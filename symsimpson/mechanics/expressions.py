@@ -206,7 +206,7 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             "doubles can be.",
             "Choose other units, or a smaller factor.",
         )
-    if number is not None and number != 0 and float(number) == 0:
+    if number is not None and not number.is_zero and float(number) == 0:
         raise fail(
             system,
             f"the {what} contains the number {spell(node)} = {sp.N(number, 3)}, smaller than "

@@ -50,7 +50,8 @@ SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")
 #: Symbols of what a kernel computes before an expression is evaluated.
 COMPUTED = tuple(one.symbol for one in QUANTITIES.values() if one.symbol and one.kernel)
-LONGEST = 2000
+#: Characters of a text that users write, and of one that SymPy writes for them.
+LONGEST, LONGEST_OF_SYMPY = 2000, 100_000
 LARGEST = 10**300
 
 
@@ -92,12 +93,13 @@ class Reader:
 
     def read_any(self, expression: Any) -> str:
         """Read a text, an expression of SymPy, or an equation."""
+        most = LONGEST
         if hasattr(expression, "free_symbols") and hasattr(expression, "xreplace"):
-            expression = self._named_plainly(expression)
+            expression, most = self._named_plainly(expression), LONGEST_OF_SYMPY
         if hasattr(expression, "lhs") and hasattr(expression, "rhs"):
             left, right = expression.lhs, expression.rhs
-            return self.read(f"({left})" if right == 0 else f"({left}) - ({right})")
-        return self.read(str(expression))
+            return self.read(f"({left})" if right == 0 else f"({left}) - ({right})", most)
+        return self.read(str(expression), most)
 
     def portable(self, expression: Any, text: str) -> str:
         """Return an expression as it was given, or where only a user knows its names in others.
@@ -184,10 +186,10 @@ class Reader:
 
         return re.sub(pattern, stand_in, text)
 
-    def read(self, text: str) -> str:
-        """Read a text."""
-        if len(text) > LONGEST:
-            raise self._refuse(f"it has {len(text)} characters, more than {LONGEST}")
+    def read(self, text: str, most: int = LONGEST) -> str:
+        """Read a text of no more than so many characters."""
+        if len(text) > most:
+            raise self._refuse(f"it has {len(text)} characters, more than {most}")
         try:
             body = ast.parse(self._with_stand_ins(text).strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
