@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,6 +20,7 @@ from symsimpson.support.derivation import Report
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.results.events import Events
+    from symsimpson.stepping.acting import Event
 
 __all__ = ["Examining"]
 
@@ -61,6 +62,7 @@ class Examining(Differentiating):
         wrap: Any = (),
         parameters: Parameters | None = None,
         inputs: Any = None,
+        events: Sequence[Event] | None = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Events:
@@ -70,7 +72,7 @@ class Examining(Differentiating):
         ----------
         expression, direction, wrap
             As for :meth:`Trajectory.events`.
-        q0, v0, p0, h, t_end, steps, t0, parameters, inputs, progress, on_failure
+        q0, v0, p0, h, t_end, steps, t0, parameters, inputs, events, progress, on_failure
             As for :meth:`integrate`. The steps of the run are those of :meth:`integrate`.
 
         Returns
@@ -94,7 +96,7 @@ class Examining(Differentiating):
         from symsimpson.results.events import read_zeros
         from symsimpson.run.section import poincare
 
-        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs)
+        request = Request(q0, v0, p0, h, t_end, steps, t0, parameters, inputs, events=events)
         wanted = read_zeros(self.program, expression, direction, wrap)
         return poincare(self.program, request, wanted, progress, on_failure)
 

@@ -93,6 +93,7 @@ class Stepper(Examining):
         t0: Any = 0.0,
         parameters: Parameters | None = None,
         inputs: Any = None,
+        events: Sequence[Event] | None = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Sampled: ...
@@ -112,6 +113,7 @@ class Stepper(Examining):
         parameters: Parameters | None = None,
         inputs: Any = None,
         every: int | None = 1,
+        events: Sequence[Event] | None = None,
         progress: bool | None = None,
         on_failure: Literal["raise", "return"] = "raise",
     ) -> Saved: ...

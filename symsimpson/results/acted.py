@@ -35,6 +35,10 @@ class Record(NamedTuple):
         """The record in values of JSON."""
         return [x.tolist() if isinstance(x, np.ndarray) else x for x in self]
 
+    def since(self, step: int) -> Record:
+        """Return the record in a run that begins at a step of this one."""
+        return self._replace(step=self.step - step)
+
     @classmethod
     def read(cls, told: list[Any]) -> Record:
         """Return the record that was told."""

@@ -13,7 +13,8 @@ from symsimpson.program.program import Program, read_program
 from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS
-from symsimpson.results.saving import RECORDED, digest_of
+from symsimpson.results.acted import Record
+from symsimpson.results.saving import ACTED, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.extras import library
@@ -115,6 +116,11 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
     h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
     stored = steps // every + 1 if every > 0 else 1
     tau, retimed = t - t[0], program.header.retimed
+    told: dict[str, Any] = {"names": [], "ended_by": None, "records": []}
+    if ACTED in found:
+        told = json.loads(np.asarray(found[ACTED], dtype=np.uint8).tobytes().decode())
+    if told["ended_by"] is not None:  # within a step
+        stored += int(every > 0 and len(t) == stored + 1)
     if retimed:
         tau = np.asarray(found["tau"], dtype=np.float64)
         stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
@@ -178,4 +184,7 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         varied_by=varied,
         recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
+        records=tuple(Record.read(one) for one in told["records"]),
+        actors=tuple(told["names"]),
+        ended_by=told["ended_by"],
     )

@@ -9,15 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.errors import InputError
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
 from symsimpson.results.tables import write
 
-__all__ = ["RECORDED", "digest_of", "save"]
+__all__ = ["ACTED", "RECORDED", "digest_of", "save"]
 
 #: Before the names of what was recorded, in files.
 RECORDED = "recorded_"
+#: The name of what events did.
+ACTED = "acted"
 
 
 def save(run: Stored, path: str | os.PathLike[str]) -> None:
@@ -33,14 +34,12 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
 
 def _dataset(run: Stored) -> Any:
     """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
-    if run.records or run.ended_by:
-        raise InputError(
-            "a run in which events acted is not kept in a file from which it can be made again.\n"
-            "Save its states as a table, .csv, .parquet or .npz, and run.events(name) beside it."
-        )
     found = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    if run.actors:
+        text = np.frombuffer(_acted(run).encode(), dtype=np.uint8)
+        found[ACTED] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
     if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
         found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
@@ -61,11 +60,18 @@ def _dataset(run: Stored) -> Any:
     return found
 
 
+def _acted(run: Stored) -> str:
+    """Return what events did, as JSON."""
+    told = {"names": run.actors, "ended_by": run.ended_by, "records": [x.told for x in run.records]}
+    return json.dumps(told)
+
+
 def digest_of(run: Stored) -> str:
     """Return a digest of all that a trajectory is made of."""
     reduced = (run.reduced_values,) if run.reduced_values else ()
     outcome = run.status.name, run.message, run.program.source
-    about = (float(run.h), run.steps, run.every, *outcome, *reduced)
+    acted = (_acted(run),) if run.actors else ()
+    about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)
     beside = [] if run.variations is None else [run.variations]

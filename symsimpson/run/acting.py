@@ -16,7 +16,7 @@ from symsimpson.program.observed import OF_EVENTS, WATCHED, ZERO, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.acted import Record
-from symsimpson.run.actions import Actor
+from symsimpson.run.actions import Actor, limit_of
 from symsimpson.stepping.acting import Acting, Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
@@ -33,13 +33,10 @@ Floats = NDArray[np.float64]
 Times = dict[int, list[float]]
 #: A rest of a step below this part of it is none; events that are so near act together.
 NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
-#: Impacts whose times add up to less than this part of a step from the last one on accumulate; so
-#: do more actions than these within one step.
-ACCUMULATED, MOST_ACTIONS = 1e-6, 500
+#: So many actions within one step are too many.
+MOST_ACTIONS = 500
 #: A start may be so far behind a wall, relative to its size.
 BEHIND = 1e-9
-#: Times from one to the next have one ratio then, but for this part of it.
-STEADY = 0.1
 #: Where an expression is zero behind an action, its sign is that after so much of a step.
 AHEAD = 1e-6
 
@@ -53,9 +50,7 @@ class ActingRun(Run):
     Attributes
     ----------
     side, size : ndarray of float
-        On which side of zero each expression is, NaN where that is not known, and the largest size
-        that it had: rows of the workspace.
-    records : list of Record
+        On which side of zero each expression is, and the largest size that it had.
     """
 
     def __init__(
@@ -80,7 +75,7 @@ class ActingRun(Run):
             inputs=inputs,
             recorders=(*recorders, *own),
         )
-        self.records = list[Record]()
+        self.records: list[Record] = []
         self._acting, self._steps = acting, spec.steps
         self._system = program.system
         self._actor = Actor(program, spec, acting)
@@ -118,11 +113,12 @@ class ActingRun(Run):
             self.side[k] = 1
         if self._actor.touching(values, self._small).any():
             if self._saltation is not None:
-                self._saltation.begin(self._columns.reshape(-1, 2 * self.header.n).T)
+                self._saltation.begin(self._variations)
             found = self._act(t, 0, state, [], {})
             if found is not None:
                 self._go_on(found)
-                self._put_variations()
+                if self._saltation is not None:
+                    self._saltation.put(self._variations)
                 self.store(0)
             self._column[self._status] = self._code
         self._remember()
@@ -176,8 +172,8 @@ class ActingRun(Run):
 
     def _sides(self, values: Floats, before: Floats) -> Floats:
         """Return on which sides of zero values are; near it they stay where they were."""
-        side = np.sign(np.nan_to_num(values))
-        return np.where(np.abs(values) <= self._small, before, side)
+        small = self._small
+        return np.where(values > small, 1.0, np.where(values < -small, -1.0, before))
 
     def _acts(self, before: Floats, behind: Floats) -> NDArray[np.bool_]:
         """Return which events act between two sides."""
@@ -192,6 +188,7 @@ class ActingRun(Run):
         """Keep the values of expressions where the run is, and those before, by their rates."""
         row = self._actor.row(float(self._time()), self._state())
         self._value[:] = row[: len(self.side)]
+        self.size[:] = np.fmax(self.size, np.abs(self._value))
         self._earlier[:] = self._value - self.h * self._actor.rates(row)
 
     def _split_step(self) -> None:
@@ -206,23 +203,21 @@ class ActingRun(Run):
         if found is None:
             self._go_on(start)
             self._column[self._status] = self._code
-            if self._code == ARRIVED:
-                self._put_variations()
+            if self._code == ARRIVED and self._saltation is not None:
+                self._saltation.put(self._variations)
             return
         if len(self.records) == acted and (self.side == given[0]).all():  # nothing was there
             self.W[:] = behind
             self.side[:], self.size[:] = given
             self._column[self._status] = 0
-            values = self._actor.values(float(self._time() + self.h), self._state())
-            self._earlier[:], self._value[:] = self._value, values
-            self.size[:] = np.fmax(self.size, np.abs(values))
             self._call(self._time(), of_states=False)
             self._progress[0] += 1
         else:
             self._progress[0] += 1
             self._go_on(found)
-            self._remember()
-            self._put_variations()
+            if self._saltation is not None:
+                self._saltation.put(self._variations)
+        self._remember()
         self._call(self._time(), of_states=True)
         if self.every and self._progress.item(0) % self.every == 0:
             place = self._progress.item(0) // self.every
@@ -253,7 +248,7 @@ class ActingRun(Run):
         state, done = start, 0.0
         times: Times = {}
         if self._saltation is not None:
-            self._saltation.begin(self._columns.reshape(-1, 2 * self.header.n).T)
+            self._saltation.begin(self._variations)
         for action in count():
             if action > MOST_ACTIONS:
                 why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
@@ -270,10 +265,12 @@ class ActingRun(Run):
             if found is None:
                 values = self._actor.values(t0 + h, end)
                 self.side[:] = self._sides(values, self.side)
-                self._vary(state, t0 + done, rest, step, done / h, None)
+                if self._saltation is not None:
+                    self._saltation.flow(state, t0 + done, rest, step, done / h, None)
                 return end
             part, behind, events = found
-            self._vary(state, t0 + done, part, step, done / h, events[0])
+            if self._saltation is not None:
+                self._saltation.flow(state, t0 + done, part, step, done / h, events[0])
             state, done = behind, done + part
             state = self._act(t0 + done, step, state, events, times)
             if state is None:
@@ -295,14 +292,17 @@ class ActingRun(Run):
         first, last = self._actor.row(t0 + done, start), self._actor.row(t0 + h, end)
         sides = self._sides(last[: len(self.side)], self.side)
         met = np.flatnonzero(self._acts(self.side, sides)).tolist()
-        ends = dict.fromkeys(met, rest)
+        root, ends = self._actor.root, {k: (rest, last[k]) for k in met}
         for k in self._actor.dipping(first, last, self._small, rest):
             if k not in met:
-                lowest = self._actor.root(row, self._actor.rate(k), rest)
-                if row(lowest)[k] < -self._small[k]:
-                    ends[k] = lowest
+                place = self._actor.rate(k)
+                lowest = root(row, place, rest, (first[place], last[place]))
+                if (low := row(lowest)[k]) < -self._small[k]:
+                    ends[k] = lowest, low
         sides = self.side.tolist()
-        roots = {k: self._actor.root(row, k, until, sides[k]) for k, until in ends.items()}
+        roots = {
+            k: root(row, k, until, (first[k], low), sides[k]) for k, (until, low) in ends.items()
+        }
         if not roots:
             return None
         part = min(roots.values(), key=lambda x: abs(x))
@@ -337,18 +337,8 @@ class ActingRun(Run):
             self._look_ahead(t, step, state)
         return None if self._accumulates(times) else state
 
-    def _put_variations(self) -> None:
-        """Let variations of the state be those behind the parts of a step."""
-        if self._saltation is not None:
-            self._columns[:] = self._saltation.columns.T.ravel()
-
-    def _vary(self, *part: Any) -> None:
-        """Carry variations of the state through a part of a step."""
-        if self._saltation is not None:
-            self._saltation.flow(*part)
-
     @property
-    def _columns(self) -> Floats:
+    def _variations(self) -> Floats:
         """Rows in which variations of the state stand, one behind the other."""
         return self.rows("TANGENT", 2 * self.header.n * int(self.value("TANGENTS")))
 
@@ -363,18 +353,11 @@ class ActingRun(Run):
         self.side[:] = np.where(self._actor.impacts, self.side, fresh)
 
     def _accumulates(self, times: Times) -> bool:
-        """Return whether impacts that lose energy follow each other ever faster: the run ends."""
-        h = abs(float(self.h))
+        """Return whether impacts follow each other ever faster: the run ends."""
         for k, hits in times.items():
-            if len(hits) < 4:
-                continue
-            first, late, later = np.diff(hits[-4:])
-            before, ratio = (late / first, later / late) if first and late else (1.0, 1.0)
-            steady = abs(ratio - before) <= STEADY * abs(before)
-            left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
-            if steady and abs(left) < ACCUMULATED * h:
-                name, about = self._acting.names[k], float(hits[-1] + left)
-                why = f"{name!r} acts ever faster up to t={about!r}. "
+            about = limit_of(hits, abs(float(self.h)))
+            if about is not None:
+                why = f"{self._acting.names[k]!r} acts ever faster up to t={about!r}. "
                 self._fail(Status.EVENTS_ACCUMULATE, why)
                 return True
         return False
@@ -407,7 +390,7 @@ class ActingRun(Run):
         if found is not None:
             self._go_on(found)
             if self._saltation is not None:  # on which side of the end it is depends on the state
-                self._columns[:] = np.nan
+                self._variations[:] = np.nan
             if self.every and self._progress.item(0) % self.every == 0:
                 self.store(self._progress.item(0) // self.every)
         self._column[self._status] = self._code

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["Actor"]
+__all__ = ["Actor", "limit_of"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
@@ -28,8 +28,29 @@ STILL = 1e-12
 MOST_MAPS = 500
 #: A state that an event leads to may miss constraints by so much.
 ALLOWED = 1e-9
+#: Newton's method for the time of an event ends with corrections below this part of the span.
+EXACT, MOST_NEWTON = 4 * 2.0**-52, 12
 #: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
 NEAR = 0.1
+
+
+#: Impacts whose times add up to less than this part of a step from the last one on accumulate; from
+#: one to the next they have one ratio then, but for that part of it.
+ACCUMULATED, STEADY = 1e-6, 0.1
+
+
+def limit_of(times: Sequence[float], h: float) -> float | None:
+    """Return when impacts within a step of length h end that follow each other ever faster.
+
+    Infinitely many: their times are those of a geometric series. None if they do not accumulate.
+    """
+    if len(times) < 4:
+        return None
+    first, late, later = np.diff(times[-4:]).tolist()
+    before, ratio = (late / first, later / late) if first and late else (1.0, 1.0)
+    left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
+    steady = abs(ratio - before) <= STEADY * abs(before)
+    return float(times[-1] + left) if steady and abs(left) < ACCUMULATED * h else None
 
 
 class Actor:
@@ -57,7 +78,7 @@ class Actor:
 
     def rows(self, t: Floats, q: Floats, p: Floats) -> Floats:
         """Return all that is asked for at states."""
-        return self._watch(np.asarray(t), np.ascontiguousarray(q), np.ascontiguousarray(p))
+        return self._watch(t, q, p)
 
     def row(self, t: float, state: State) -> Floats:
         """Return all that is asked for at one state."""
@@ -117,17 +138,44 @@ class Actor:
                     found.append(k)
         return found
 
-    def root(self, row: Callable[[float], Floats], k: int, span: float, side: float = 0.0) -> float:
-        """Return where from 0 to a span an expression is zero, to rounding; it begins on a side."""
+    def root(
+        self,
+        row: Callable[[float], Floats],
+        k: int,
+        span: float,
+        ends: tuple[float, float],
+        side: float = 0.0,
+    ) -> float:
+        """Return where from 0 to a span an expression is zero, to rounding.
 
-        def value(_: NDArray[np.int64], x: Floats) -> Floats:
-            return np.array([row(float(x[0]))[k]])
-
-        first, last = row(0.0)[k], row(span)[k]
+        ``ends`` are its values there; it begins on a side of zero. Newton's method with the rate of
+        a gap takes few iterations; Chandrupatla's where there is none, or that leaves the bracket.
+        """
+        (first, last), low, high = ends, 0.0, span
         if side and first * side <= 0:  # rounding has left it behind
             first = side * np.finfo(float).tiny
-        found = chandrupatla(value, np.array([span]), np.array([first]), np.array([last]))
-        return float(found[0])
+        place = self._acting.rate[k] if k < len(self._acting.rate) else None
+        near = abs(first) < NEAR * abs(last)  # it has just been at zero, and is to come back there
+        x = span if near else span * first / (first - last)
+        for _ in range(MOST_NEWTON if place is not None else 0):
+            found = row(x)
+            value, rate = float(found[k]), float(found[place])
+            if value * first > 0:
+                low, first = x, value
+            else:
+                high, last = x, value
+            step = -value / rate if rate else np.inf
+            if abs(step) <= EXACT * abs(span) and rate * span * side <= 0:
+                return x + step if low < x + step < high or high < x + step < low else x
+            x += step
+            if not (low < x < high or high < x < low):
+                break
+
+        def shifted(_: NDArray[np.int64], x: Floats) -> Floats:
+            return np.array([row(low + float(x[0]))[k]])
+
+        given = np.array([high - low]), np.array([first]), np.array([last])
+        return low + float(chandrupatla(shifted, *given)[0])
 
     def acted(
         self, t: float, state: State, events: Sequence[int], small: Floats

@@ -148,10 +148,12 @@ def _stored(piece: Trajectory, before: int, spec: RunSpec) -> States:
     if every:
         places = np.arange(-before % every, last + 1, every)
         places = places[(places > 0) | (before == 0)]
-        # the end of a run to a time is behind part of a step
-        if spec.t_end is not None and last == 1 and piece.t[1] == spec.t_end != piece.t[0]:
+        # the end of a run to a time, or at an event, is behind part of a step
+        ended = spec.t_end is not None and last == 1 and piece.t[1] == spec.t_end != piece.t[0]
+        if ended or piece.ended_by is not None:
             places = np.array([1])
     else:
         end = spec.steps == before + last or (spec.t_end is not None and piece.t[-1] == spec.t_end)
+        end = end or piece.ended_by is not None
         places = np.array([last] if end else [], dtype=np.int64)
     return piece[places]

@@ -1,4 +1,4 @@
-"""What events do, in many digits: to be differentiated by differences."""
+"""Actions of events in many digits, to be differentiated by differences."""
 
 from __future__ import annotations
 

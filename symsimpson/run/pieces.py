@@ -86,6 +86,8 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         ends = end.t, end.tau, end.q, end.p
         columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
     t, tau, q, p = columns
+    first = run.step if end is not None else run.first
+    acted = (one.since(first) for one in run.records if one.step >= first)
     return Trajectory(
         t=t,
         q=q,
@@ -100,4 +102,6 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         parameter_values=run.parameters,
         input_values=since(spec.inputs, run.first),
         tau_values=tau if run.header.retimed else None,
+        records=tuple(acted),
+        ended_by=None if end is None else end.ended_by,
     )

@@ -80,9 +80,14 @@ class Saltation:
         self._jumps = Jumps(program, acting, parameters)
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
 
-    def begin(self, columns: Floats) -> None:
-        """Begin a step with these variations, whose time does not vary."""
-        self.columns, self.moved = columns, np.zeros(columns.shape[1])
+    def begin(self, rows: Floats) -> None:
+        """Begin a step with variations, one behind the other, whose time does not vary."""
+        self.columns = rows.reshape(-1, 2 * self._program.n).T.copy()
+        self.moved = np.zeros(self.columns.shape[1])
+
+    def put(self, rows: Floats) -> None:
+        """Put the variations there, one behind the other."""
+        rows[:] = self.columns.T.ravel()
 
     def flow(
         self, state: State, t: float, size: float, step: int, share: float, event: int | None

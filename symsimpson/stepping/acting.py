@@ -258,10 +258,8 @@ def read_acting(program: Program, request: Request) -> Acting | None:
         why = "many digits"
     elif program.header.retimed:
         why = "a rate: the energy of a retimed run stays as it is"
-    for name in ("t_eval", "save", "record"):
-        given_too = getattr(request, name)
-        if given_too is not None and not (isinstance(given_too, tuple) and not given_too):
-            why = f"{name}="
+    if request.record not in (None, ()):
+        why = "record="
     if why:
         raise InputError(
             f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "

@@ -56,8 +56,10 @@ class Parts:
         if size == 0.0:
             return (q, p), Status.SUCCESS
         h, n = self._h, len(q)
-        at = share + size / h * self._places
-        rests = at_places(self._program, self._inputs, np.array([step]), at[None])
+        rests = self._inputs
+        if rests.size:
+            at = share + size / h * self._places
+            rests = at_places(self._program, rests, np.array([step]), at[None])
         found, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         one = np.zeros(1, dtype=np.int64)
         self._between(

@@ -82,6 +82,8 @@ class Run:
         #: Steps before those whose states stand in the arrays; and what was done since.
         self.first, self._progress = 0, np.zeros(4, dtype=np.int64)
         self._interrupted = False
+        #: What events did, in the order of time.
+        self.records: list[Any] = []
         #: What is said of how it ended, in place of what its status says of all runs; the event
         #: that ended it, and where that was, the time and the state.
         self.reason = ""

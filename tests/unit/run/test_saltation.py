@@ -94,7 +94,7 @@ def test_changes_conditions_and_splits():
     kink = ss.Event(x.diff(), name="kink", action=ss.Switch())
     run = compare(PLANE, [swap, kink], [0.5, 0.2], [0.1, 0.6], h=0.05)  # off the grid of times
     assert {len(run.events("swap")), len(run.events("kink"))} == {1}
-    assert len(compare(PLANE, [push], [0.5, 0.2], [0.1, 0.6]).records) == 1
+    assert len(compare(PLANE, [push], [0.5, 0.2], [0.1, 0.6]).records) == 2
 
 
 def test_a_wall_that_moves_and_a_system_that_depends_on_time():
