@@ -8,7 +8,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-__all__ = ["undisturbed"]
+__all__ = ["listening", "undisturbed"]
+
+
+@contextmanager
+def listening() -> Iterator[list[int]]:
+    """Let Ctrl-C put its number into a list, for what looks at that and stops by itself."""
+    heard: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield heard
+        return
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        yield heard
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from support.places import PACKAGE
 SYMBOLIC = ("mechanics", "schemes", "discrete", "codegen")
 RUNNING = ("driver", "program", "stepping", "results", "run", "derivatives", "ensemble")
 #: What nothing below may import.
-TOP = ("analysis", "reference", "bench", "systems", "api", "cli", "export")
+TOP = ("analysis", "reference", "bench", "systems", "api", "cli", "export", "control")
 
 
 def loaded_by(statement):

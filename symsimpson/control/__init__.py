@@ -1,0 +1,1 @@
+"""Optimal control: energies in, an exact sparse programme out, and its solution."""

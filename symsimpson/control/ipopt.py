@@ -1,0 +1,161 @@
+"""Ipopt, as casadi's wheel brings it: the one place that knows of a solver."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.control.transcription import Programme
+from symsimpson.support.extras import library
+
+__all__ = ["Outcome", "run_ipopt"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The last iterate of a solver, its multipliers, and how it ended, in the solver's words."""
+
+    x: Floats
+    multipliers: Floats
+    of_bounds: Floats
+    said: str
+    iterations: int
+    seconds: float
+    in_functions: float
+    history: dict[str, list[float]]
+
+
+def run_ipopt(
+    programme: Programme,
+    x0: Floats,
+    bounds: tuple[Floats, Floats],
+    limits: tuple[Floats, Floats],
+    options: dict[str, Any],
+    stopped: Callable[[], bool],
+) -> Outcome:
+    """Solve a programme from a guess; behind each iteration it is asked whether to stop.
+
+    Raises
+    ------
+    InputError
+        If casadi is not installed.
+    """
+    ca = library("casadi", "optimal control", "control")
+    rows, size = programme.shape
+    spent = 0.0
+
+    def pattern(places: Any, shape: tuple[int, int]) -> Any:
+        return ca.Sparsity.triplet(*shape, *(x.tolist() for x in places))
+
+    of_x, of_g, one = (ca.Sparsity.dense(k, 1) for k in (size, rows, 1))
+    none = ca.Sparsity.dense(0, 1)
+    jacobian = pattern(programme.jacobian_places, (rows, size))
+    hessian = pattern(programme.hessian_places, (size, size))
+
+    class Part(ca.Callback):  # type: ignore[name-defined]
+        """A function of casadi that calls one of ours."""
+
+        def __init__(self, name: str, takes: Any, gives: Any, function: Any, opts: Any) -> None:
+            super().__init__()
+            self.takes, self.gives, self.function = takes, gives, function
+            self.construct(name, opts)
+
+        def get_n_in(self) -> int:
+            return len(self.takes)
+
+        def get_n_out(self) -> int:
+            return len(self.gives)
+
+        def get_sparsity_in(self, i: int) -> Any:
+            return self.takes[i]
+
+        def get_sparsity_out(self, i: int) -> Any:
+            return self.gives[i]
+
+        def eval(self, given: Any) -> Any:
+            nonlocal spent
+            begin = perf_counter()
+            found = self.function(*(np.array(x.nonzeros()) for x in given))
+            made = [
+                ca.DM(where, [x] if isinstance(x, float) else x.tolist())
+                for where, x in zip(self.gives, found, strict=True)
+            ]
+            spent += perf_counter() - begin
+            return made
+
+    def values(x: Floats, p: Floats) -> tuple[Any, ...]:
+        return programme.values(x)
+
+    def gradient(x: Floats, p: Floats) -> tuple[Any, ...]:
+        return programme.values(x)[0], programme.slopes(x)[0]
+
+    def slopes(x: Floats, p: Floats) -> tuple[Any, ...]:
+        return programme.values(x)[1], programme.slopes(x)[1]
+
+    def curved(x: Floats, p: Floats, cost: Floats, multipliers: Floats) -> tuple[Any, ...]:
+        return (programme.curvatures(x, float(cost[0]), multipliers),)
+
+    class Watch(ca.Callback):  # type: ignore[name-defined]
+        """A function that casadi calls behind each iteration."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.construct("watch", {})
+
+        def get_n_in(self) -> int:
+            return int(ca.nlpsol_n_out())
+
+        def get_n_out(self) -> int:
+            return 1
+
+        def get_sparsity_in(self, i: int) -> Any:
+            kinds = {"f": one, "x": of_x, "lam_x": of_x, "g": of_g, "lam_g": of_g}
+            return kinds.get(ca.nlpsol_out(i), none)
+
+        def eval(self, given: Any) -> Any:
+            return [int(stopped())]
+
+    x = ca.MX.sym("x", size)
+    own = Part("nlp", [of_x, none], [one, of_g], values, {})
+    parts = {
+        "grad_f": Part("grad_f", [of_x, none], [one, of_x], gradient, {}),
+        "jac_g": Part("jac_g", [of_x, none], [of_g, jacobian], slopes, {}),
+        "hess_lag": Part("hess_lag", [of_x, none, one, of_g], [hessian], curved, {}),
+    }
+    watching = Watch()
+    f, g = own(x, ca.MX(0, 1))
+    solver = ca.nlpsol(
+        "solver",
+        "ipopt",
+        {"x": x, "f": f, "g": g},
+        {
+            "ipopt": options,
+            "print_time": False,
+            "error_on_fail": False,
+            "no_nlp_grad": True,
+            "iteration_callback": watching,
+            "iteration_callback_ignore_errors": False,
+            **parts,
+        },
+    )
+    begin = perf_counter()
+    found = solver(x0=x0, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
+    seconds = perf_counter() - begin
+    told = solver.stats()
+    return Outcome(
+        np.array(found["x"]).ravel(),
+        np.array(found["lam_g"]).ravel(),
+        np.array(found["lam_x"]).ravel(),
+        str(told["return_status"]),
+        int(told["iter_count"]),
+        seconds,
+        spent,
+        {name: list(map(float, values)) for name, values in told["iterations"].items()},
+    )

@@ -1,0 +1,280 @@
+"""Where the unknowns of a problem of optimal control stand, and the programme that they make."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from symsimpson.control.points import PointFunctions
+from symsimpson.control.transcription import Block, Programme
+from symsimpson.graph.nodes import Value, scaled
+from symsimpson.graph.rebuild import rebuilt
+
+if TYPE_CHECKING:
+    from symsimpson.control.reading import Reading
+    from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["Layout"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Layout:
+    """Unknowns and rows of a problem, for steps of a scheme.
+
+    Attributes
+    ----------
+    A, B, b, c : ndarray
+        Tables of the scheme: values and slopes of its polynomials at nodes, weights, places.
+    points : ndarray of int, shape (N, d + 1, n)
+        Unknowns: control points, the first and the last shared with the steps beside.
+    momenta : ndarray of int, shape (N + 1, n)
+    velocities : ndarray of int, shape (2, n)
+        At the start and at the end.
+    inputs : ndarray of int, shape (N, s, m)
+        Those at the end of a step are shared with the next one, if there are nodes.
+    parameters : ndarray of int
+        Those that are found.
+    h : int or None
+        The size of steps, if the duration is found.
+    size : int
+        Number of unknowns.
+    scale : float
+        By which rows of steps are multiplied: entries M / h of the Jacobian become M.
+    names : list of str
+        Of the rows.
+    """
+
+    def __init__(self, read: Reading, scheme: Scheme, steps: int) -> None:
+        self.read, self.scheme, self.steps = read, scheme, steps
+        self.A, self.B = (np.array(x, dtype=np.float64) for x in (scheme.A, scheme.B))
+        self.b, self.c = (
+            np.array(x, dtype=np.float64)
+            for x in (scheme.quadrature.weights, scheme.quadrature.nodes)
+        )
+        n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
+        self.n, self.degree, self.nodes = n, d, s
+        block = d * n + n  # control points of a step but for the last, and the momentum
+        first = np.arange(steps)[:, None, None] * block
+        own = first + np.arange(d)[None, :, None] * n + np.arange(n)
+        last = np.append(own[1:, :1], np.arange(n)[None, None] + steps * block, axis=0)
+        self.points: Ints = np.concatenate([own, last], axis=1)
+        self.momenta: Ints = np.arange(steps + 1)[:, None] * block + d * n + np.arange(n)
+        self.momenta[-1] = steps * block + n + np.arange(n)
+        size = steps * block + 2 * n
+        shared = self.c[0] == 0 and self.c[-1] == 1 and s > 1
+        each = s - 1 if shared else s
+        self.inputs: Ints = (
+            size
+            + (np.arange(steps)[:, None, None] * each + np.arange(s)[None, :, None]) * m
+            + np.arange(m)
+        )
+        size += (steps * each + shared) * m
+        self.velocities: Ints = size + np.arange(2 * n).reshape(2, n)
+        size += 2 * n
+        self.parameters: Ints = size + np.arange(len(read.found))
+        size += len(read.found)
+        low, high = read.duration
+        self.h = None if low == high else size
+        self.size = size + (self.h is not None)
+        self.scale = (low if low == high else np.sqrt(low * high)) / steps
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """The bounds of the unknowns."""
+        read = self.read
+        low, high = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+
+        def bound(where: Ints, pair: tuple[float, float]) -> None:
+            low[where], high[where] = pair
+
+        for k, pair in read.of_inputs.items():
+            bound(self.inputs[..., k], pair)
+        for a, pair in read.of_coordinates.items():
+            bound(self.points[:, 0, a], pair)
+            bound(self.points[-1, -1, a], pair)
+            for i in np.flatnonzero(self._alone):
+                bound(self.points[:, int(self.A[i].argmax()), a], pair)
+        for place, pair in zip(self.parameters, read.found_bounds, strict=True):
+            bound(place, pair)
+        if self.h is not None:
+            low[self.h], high[self.h] = (x / self.steps for x in read.duration)
+        return low, high
+
+    @property
+    def end_slopes(self) -> tuple[Any, Any]:
+        """The slopes of the polynomials of a step at its start and at its end."""
+        further = self.scheme.end_slope  # of the points behind the first: slopes add up to 0
+        last = [-sum(further), *further]
+        return [-x for x in reversed(last)], last
+
+    @property
+    def _alone(self) -> NDArray[np.bool_]:
+        """At which nodes the path is a control point."""
+        return np.asarray((np.abs(self.A) > 0).sum(axis=1) == 1)
+
+    @cached_property
+    def programme(self) -> tuple[Programme, Floats, Floats]:
+        """The programme, and the bounds of its rows; ``names`` are theirs."""
+        rows = _Rows(self)
+        blocks = [self._path(rows), *self._ends(rows)]
+        linear = sparse.coo_matrix(
+            (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
+        )
+        self.names = rows.names
+        self.step_rows = rows.steps
+        programme = Programme([made(rows.count) for made in blocks], linear)
+        low, high = (np.concatenate(x) for x in (rows.low, rows.high))
+        return programme, low, high
+
+    def _of(self, columns: Any, count: int) -> Any:
+        """Return the matrix that takes unknowns to points, one each."""
+        data = np.ones(count)
+        return sparse.csr_matrix(
+            (data, (np.arange(count), np.broadcast_to(columns, count))), shape=(count, self.size)
+        )
+
+    def _path(self, rows: _Rows) -> Any:
+        """Return the functions at nodes: forces, momenta, costs and what is bounded there."""
+        read, graph, N, s = self.read, self.read.graph, self.steps, self.nodes
+        n, d, count = self.n, self.degree, N * s
+        h, place = graph.numbers(["size of a step", "place in the motion"])
+        turned: dict[int, Value] = {
+            v: graph.multiply([(1, v), graph.power((1, h), -1)]) for v in read.v
+        }
+        turned[read.t] = graph.multiply([(1, place), (1, h)])
+        here = read.of_coordinates
+        values = [*read.forces, read.running]
+        given = rebuilt(graph, [*values, *read.momenta, *(x.value for x in read.within)], turned)
+        integrated = [graph.multiply([x, (1, h)]) for x in given[: n + 1]]
+        of_nodes = given[2 * n + 1 :] + [(1, read.q[a]) for a in here]
+        outputs = [*integrated, *given[n + 1 : 2 * n + 1], *of_nodes]
+        variables = [*read.q, *read.v, *read.u, *(read.parameters[i] for i in read.found)]
+        k, i = np.divmod(np.arange(count), s)
+        maps = []
+        for table in (self.A, self.B):
+            for a in range(n):
+                columns = self.points[k, :, a].ravel()
+                matrix = sparse.csr_matrix(
+                    (table[i].ravel(), (np.repeat(np.arange(count), d + 1), columns)),
+                    shape=(count, self.size),
+                )
+                matrix.eliminate_zeros()
+                maps.append(matrix)
+        maps += [self._of(self.inputs[k, i, a], count) for a in range(len(read.u))]
+        maps += [self._of(x, count) for x in self.parameters]
+        fixed: dict[int, Any] = {
+            x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found
+        }
+        fixed[place] = k + self.c[i]
+        if self.h is None:
+            fixed[h] = read.duration[0] / N
+        else:
+            variables.append(h)
+            maps.append(self._of(self.h, count))
+        steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
+        rows.steps = steps
+        sign = np.ones(d + 1)
+        sign[-1] = -1.0
+        rows.linear(steps[:, 0], self.momenta[:-1], self.scale)
+        rows.linear(steps[:, -1], self.momenta[1:], self.scale)
+        parts: list[tuple[Any, Any, Any]] = []
+        weights = self.scale * self.b[:, None] * sign
+        for table in (self.A, self.B):
+            for a in range(n):
+                at = steps[k, :, a].ravel()
+                parts.append((at, np.repeat(np.arange(count), d + 1), (weights * table)[i].ravel()))
+        parts.insert(n, (np.zeros(count, int), np.arange(count), self.b[i]))
+        for one in read.within:
+            at = rows.add(count, one.low, one.high, one.name)
+            parts.append((at, np.arange(count), np.ones(count)))
+        for a, (low, high) in here.items():
+            some = np.flatnonzero(~self._alone[i])
+            at = rows.add(len(some), low, high, read.names[a])
+            parts.append((at, some, np.ones(len(some))))
+        functions = PointFunctions(graph, variables, outputs)
+
+        def made(total: int) -> Block:
+            matrices = [
+                sparse.csr_matrix((x, (at, point)), shape=(total, count)) for at, point, x in parts
+            ]
+            for matrix in matrices:
+                matrix.eliminate_zeros()
+            return Block(functions, maps, matrices, fixed)
+
+        return made
+
+    def _ends(self, rows: _Rows) -> list[Any]:
+        """Return the functions at both ends: momenta, conditions, and the final cost."""
+        read, graph, made = self.read, self.read.graph, []
+        h, last = graph.numbers(["size of a step", "number of steps"])
+        for end, (limits, point) in enumerate(
+            zip(read.ends, (self.points[0, 0], self.points[-1, -1]), strict=True)
+        ):
+            name = ("start", "end")[end]
+            own = {read.t: graph.multiply([(1, last), (1, h)])}
+            legendre = [
+                graph.add([(1, p), scaled(-1, P)])
+                for p, P in zip(read.p, read.momenta, strict=True)
+            ]
+            final = [read.final] if end else []
+            outputs = rebuilt(graph, [*legendre, *final, *(x.value for x in limits)], own)
+            variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
+            unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
+            fixed: dict[int, Any] = {
+                x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found
+            }
+            fixed[last] = float(end * self.steps)
+            if self.h is None:
+                fixed[h] = read.duration[0] / self.steps
+            else:
+                variables.append(h)
+                unknown.append(self.h)
+            at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
+            at += [0] * len(final)
+            at += [rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in limits]
+            functions = PointFunctions(graph, variables, outputs)
+            maps = [self._of(x, 1) for x in unknown]
+
+            def of(total: int, at: Any = at, given: Any = (functions, maps, fixed)) -> Block:
+                functions, maps, fixed = given
+                matrices = [
+                    sparse.csr_matrix(([1.0], ([row], [0])), shape=(total, 1)) for row in at
+                ]
+                return Block(functions, maps, matrices, fixed)
+
+            made.append(of)
+        return made
+
+
+class _Rows:
+    """Rows as they come; the first is that of the cost."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout, self.count = layout, 1
+        self.low: list[Floats] = []
+        self.high: list[Floats] = []
+        self.names: list[str] = []
+        self.steps: Ints = np.zeros((0, 0, 0), dtype=np.int64)
+        self.at, self.columns, self.data = (
+            np.zeros(0, dtype=k) for k in (np.int64, np.int64, float)
+        )
+
+    def add(self, count: int, low: float, high: float, name: str) -> Ints:
+        """Return the numbers of further rows between two bounds."""
+        self.low.append(np.full(count, low))
+        self.high.append(np.full(count, high))
+        self.names += [name] * count
+        self.count += count
+        return np.arange(self.count - count, self.count)
+
+    def linear(self, at: Ints, columns: Ints, factor: float) -> None:
+        """Add unknowns to rows."""
+        self.at = np.concatenate([self.at, at.ravel()])
+        self.columns = np.concatenate([self.columns, columns.ravel()])
+        self.data = np.concatenate([self.data, np.full(at.size, factor)])

@@ -1,0 +1,138 @@
+"""Functions of one point of a path, with exact derivatives, evaluated at many points at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.nodes import Exact, Graph, Value
+
+__all__ = ["PointFunctions"]
+
+Floats = NDArray[np.float64]
+Entries = list[tuple[int, int, Value]]
+
+
+#: Functions of arrays, by the names that the graph has for them.
+FUNCTIONS: dict[str, Any] = {
+    **{name: getattr(np, name) for name in ("cos", "cosh", "exp", "floor", "log", "abs")},
+    **{name: getattr(np, name) for name in ("sin", "sinh", "sqrt", "tan", "tanh")},
+    **{f"a{name}": getattr(np, f"arc{name}") for name in ("cos", "cosh", "sin", "sinh", "tan")},
+    **{"atanh": np.arctanh, "atan2": np.arctan2, "pow": np.power, "sign": np.sign},
+}
+CONSTANTS = {"pi": math.pi, "EulerGamma": float(np.euler_gamma), "Catalan": 0.915965594177219015}
+
+
+class PointFunctions:
+    """Functions f of the variables of a point: values, slopes, and second derivatives of w.f.
+
+    Parameters
+    ----------
+    graph : Graph
+    variables : sequence of int
+        Nodes of the symbols by which they are differentiated.
+    outputs : sequence of Value
+
+    Attributes
+    ----------
+    slopes : list of (int, int)
+        Which f depends on which variable.
+    curved : list of (int, int)
+        Pairs of variables, the later one first, by which w.f has a second derivative.
+    """
+
+    def __init__(self, graph: Graph, variables: Sequence[int], outputs: Sequence[Value]) -> None:
+        self._graph, self._outputs, self.variables = graph, list(outputs), list(variables)
+        self._compiled: dict[str, tuple[Callable[..., None], list[int]]] = {}
+        self.weights = list(graph.numbers(f"weight_{r}" for r in range(len(outputs))))
+        own: list[Value] = list(outputs)
+        self._slopes: Entries = [
+            (r, c, slope)
+            for r, value in enumerate(own)
+            for c, slope in enumerate(gradient(graph, value, self.variables))
+            if slope[0]
+        ]
+        self.slopes = [(r, c) for r, c, _ in self._slopes]
+
+    @cached_property
+    def _curvatures(self) -> Entries:
+        graph, found = self._graph, []
+        total = graph.add(graph.products(self._outputs, self.weights))
+        for i, slope in enumerate(gradient(graph, total, self.variables)):
+            row = gradient(graph, slope, self.variables[: i + 1])
+            found += [(i, j, entry) for j, entry in enumerate(row) if entry[0]]
+        return found
+
+    @property
+    def curved(self) -> list[tuple[int, int]]:
+        """The pairs of variables by which w.f is curved."""
+        return [(i, j) for i, j, _ in self._curvatures]
+
+    def values(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return f at so many points, shape (len(f), count)."""
+        return self._evaluated("values", self._outputs, at, count)
+
+    def slopes_at(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return the slopes at points, shape (len(slopes), count)."""
+        return self._evaluated("slopes", [x for *_, x in self._slopes], at, count)
+
+    def curvatures_at(self, at: Mapping[int, Any], weights: Floats, count: int) -> Floats:
+        """Return second derivatives of w.f at points, shape (len(curved), count)."""
+        known = {**at, **dict(zip(self.weights, weights, strict=True))}
+        return self._evaluated("curvatures", [x for *_, x in self._curvatures], known, count)
+
+    def _evaluated(
+        self, kind: str, wanted: Sequence[Value], at: Mapping[int, Any], count: int
+    ) -> Floats:
+        if kind not in self._compiled:
+            self._compiled[kind] = _function(self._graph, wanted)
+        function, needed = self._compiled[kind]
+        found = np.empty((len(wanted), count))
+        with np.errstate(all="ignore"):
+            function(found, *(at[n] for n in needed))
+        return found
+
+
+def _function(graph: Graph, wanted: Sequence[Value]) -> tuple[Callable[..., None], list[int]]:
+    """Return what fills rows with values of the graph, and the symbols that it takes."""
+    lines, needed = [], []
+    for n in graph.reached(n for c, n in wanted if c):
+        kind, parts, _ = graph.nodes[n]
+        match kind:
+            case "symbol":
+                needed.append(n)
+                continue
+            case "sum":
+                text = " + ".join(_times(c, f"x{m}") for c, m in parts)
+            case "product":
+                text = " * ".join(_power(f"x{m}", e) for m, e in parts)
+            case "function":
+                given = ", ".join(_times(c, f"x{m}") for c, m in parts[1:])
+                text = f"{parts[0]}({given})"
+            case _:
+                text = repr(CONSTANTS[parts[0]] if parts else 1.0)
+        lines.append(f"    x{n} = {text}")
+    for row, (c, n) in enumerate(wanted):
+        lines.append(f"    found[{row}] = {_times(c, f'x{n}') if c else '0.0'}")
+    head = ", ".join(["found", *(f"x{n}" for n in needed)])
+    space = dict(FUNCTIONS)
+    exec("\n".join([f"def fill({head}):", *lines, "    return"]), space)
+    return space["fill"], needed
+
+
+def _times(c: Exact, x: str) -> str:
+    return x if c == 1 else f"-{x}" if c == -1 else f"{float(c)!r} * {x}"
+
+
+def _power(x: str, e: Exact) -> str:
+    if e == 1 or e == 2:
+        return " * ".join([x] * int(e))
+    if e == -1 or e == -2:
+        return f"(1.0 / ({' * '.join([x] * -int(e))}))"
+    return f"sqrt({x})" if 2 * e == 1 else f"{x} ** {float(e)!r}"

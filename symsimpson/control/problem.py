@@ -1,0 +1,168 @@
+"""Problems of optimal control as users write them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.control.reading import Reading
+from symsimpson.errors import InputError
+from symsimpson.mechanics.retimed import RetimedSystem
+from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.schemes.composition import Composition
+from symsimpson.schemes.named import read_scheme
+from symsimpson.support.calling import explaining
+from symsimpson.support.names import spelled
+
+if TYPE_CHECKING:
+    from symsimpson.control.result import ControlResult
+    from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["OptimalControl"]
+
+
+@explaining()
+@dataclass(frozen=True, eq=False)
+class OptimalControl:
+    """A problem of optimal control: least cost of a motion from a start to an end.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        With inputs, and forces in which they stand.
+    cost : expression
+        The running cost l(q, q', u, t), integrated over the motion.
+    final_cost : expression
+        A cost of the end, Phi(q, q', t).
+    start, end : mapping
+        Values of coordinates and velocities, by symbol or by name (``"x"``, ``"v_x"``), or of
+        expressions of them. What is not named is free.
+    duration : number or (low, high)
+        How long the motion is; or between which bounds it is found.
+    bounds : mapping
+        Pairs (low, high) of inputs, coordinates, velocities or expressions, None for no bound: at
+        all nodes that the equations see, and of coordinates at the ends of steps.
+    path : sequence of expression or (low, expression, high)
+        Expressions that are not to be positive, or between two numbers, at all nodes.
+    unknowns : mapping from parameter to (low, high)
+        Parameters that are found, too.
+
+    Raises
+    ------
+    InputError
+        If these make no sense, or contradict one another.
+    ModelError
+        If an expression contains something else than the symbols of the problem.
+
+    Examples
+    --------
+    >>> import sympy as sp, symsimpson as ss
+    >>> (x,), u = ss.coordinates("x"), sp.Symbol("u", real=True)
+    >>> cart = ss.MechanicalSystem(
+    ...     "cart", coordinates=(x,), kinetic=x.diff()**2 / 2, potential=0 * x,
+    ...     forces={x: u}, inputs=(u,))
+    >>> problem = ss.OptimalControl(
+    ...     cart, cost=u**2, start={x: 0, x.diff(): 0}, end={x: 1, x.diff(): 0}, duration=1)
+    >>> result = problem.solve(steps=10)
+    >>> result.success, round(result.cost, 9)
+    (True, 12.0)
+    """
+
+    system: MechanicalSystem
+    cost: Any = field(default=0, kw_only=True)
+    final_cost: Any = field(default=0, kw_only=True)
+    start: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+    end: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+    duration: Any = field(kw_only=True)
+    bounds: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+    path: Sequence[Any] = field(default=(), kw_only=True)
+    unknowns: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+
+    def __post_init__(self) -> None:
+        system = self.system
+        if not isinstance(system, MechanicalSystem) or isinstance(system, RetimedSystem):
+            raise InputError(
+                f"{type(system).__name__} is no system that can be controlled.\n"
+                "Pass a MechanicalSystem with inputs, not a retimed one."
+            )
+        for what, held in (
+            ("constraints", system.plain.constraints),
+            ("velocity constraints", system.plain.velocity_constraints),
+        ):
+            if held:
+                raise InputError(
+                    f"{system.name} has {what}, which are not rows of a problem of optimal control "
+                    "yet.\nTake coordinates in which there are none."
+                )
+        object.__setattr__(self, "_read", Reading(self))
+
+    @property
+    def reading(self) -> Reading:
+        """The problem in a graph."""
+        found: Reading = self.__dict__["_read"]
+        return found
+
+    def solve(
+        self,
+        scheme: str | Scheme = "lobatto6",
+        *,
+        steps: int = 40,
+        guess: Any = None,
+        error: float | None = None,
+        tolerance: float = 1e-9,
+        most_iterations: int = 500,
+        progress: bool | None = None,
+    ) -> ControlResult:
+        """Solve the problem for the motions of a scheme.
+
+        Parameters
+        ----------
+        scheme : str or Scheme
+            One of the Galerkin family.
+        steps : int
+        guess : ControlResult or mapping, optional
+            Another result, of any scheme and number of steps; or functions of the time, numbers or
+            arrays over equal times, of coordinates and inputs by symbol or by name, and a number
+            for "duration" and parameters that are found. Coordinates go in a straight line from
+            start to end unless given, inputs are 0.
+        error : float, optional
+            The number of steps is doubled until the estimated relative error of the cost is below
+            this, at most six times.
+        tolerance : float
+            Of the optimality conditions, scaled.
+        most_iterations : int
+        progress : bool, optional
+            Whether to show the solver's iterations.
+
+        Returns
+        -------
+        ControlResult
+            However it ended: its ``status`` tells, and the last iterate is there.
+
+        Raises
+        ------
+        InputError
+            If an argument makes no sense, or casadi is not installed.
+        """
+        from symsimpson.control.solving import solve  # casadi and SciPy are slow to import
+
+        found: Any = read_scheme(scheme)
+        if isinstance(found, Composition):
+            raise InputError(
+                f"{found.name} is a composition, whose steps have no control points.\n"
+                "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
+            )
+        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
+            raise InputError(f"steps is {steps!r}.\nPass a whole number of steps, at least 1.")
+        options = {
+            "tol": float(tolerance),
+            "max_iter": int(most_iterations),
+            "print_level": 5 if progress else 0,
+        }
+        return solve(self.reading, found, int(steps), guess, error, options)
+
+    def __repr__(self) -> str:
+        return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

@@ -1,0 +1,204 @@
+"""A problem of optimal control, read into a graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import mpmath
+import numpy as np
+import sympy as sp
+
+from symsimpson.errors import InputError
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.evaluate import evaluated
+from symsimpson.graph.nodes import Graph, Value, scaled
+from symsimpson.graph.rebuild import rebuilt
+from symsimpson.mechanics.coordinates import time
+from symsimpson.mechanics.expressions import read_expression
+from symsimpson.mechanics.plain import Symbols
+from symsimpson.support.names import did_you_mean, spelled
+
+__all__ = ["Limits", "Reading"]
+
+#: Functions whose slope jumps.
+KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """An expression between a low and a high number; these are equal where it is given."""
+
+    name: str
+    value: Value
+    low: float
+    high: float
+
+
+class Reading:
+    """The expressions of a problem in a graph of the plain symbols, and numbers.
+
+    Attributes
+    ----------
+    graph : Graph
+    q, v, p, u, parameters : tuple of int
+        Nodes of the symbols.
+    t : int
+    forces, momenta : list of Value
+        F = dL/dq + f and P = dL/dv.
+    running, final : Value
+    ends : pair of lists of Limits
+        Of the start and of the end.
+    within : list of Limits
+        At nodes; of inputs and coordinates, these are in ``of_inputs`` and ``of_coordinates``.
+    found : list of int
+        Places of parameters that are found.
+    values : list of float
+        Of all parameters.
+    duration : pair of float
+    """
+
+    def __init__(self, problem: Any) -> None:
+        system = self.system = problem.system
+        plain = system.plain
+        self.symbols = Symbols(system.coordinates, system.parameters, system.inputs)
+        graph = self.graph = Graph()
+        self.q, self.v, self.p, self.u, self.parameters = (
+            graph.numbers(s.name for s in group)
+            for group in (plain.q, plain.v, plain.p, plain.u, plain.parameters)
+        )
+        (self.t,) = graph.numbers([plain.t.name])
+        L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
+        slopes, n = gradient(graph, L, [*self.q, *self.v]), len(self.q)
+        self.forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
+        self.momenta = slopes[n:]
+        self.names = [spelled(q) for q in system.coordinates]
+        self.inputs = [spelled(u) for u in system.inputs]
+        self.values = [float(x) for x in system.parameters.values()]
+        self._known: dict[str, Any] = dict(zip(self.names, system.coordinates, strict=True))
+        self._known |= {f"v_{q}": x.diff(time) for q, x in self._known.items()}
+        self._known |= dict(zip(self.inputs, system.inputs, strict=True))
+        self.running = self.value("cost", problem.cost)
+        self.final = self.value("final_cost", problem.final_cost, ends=True)
+        self.ends = tuple(self._end(what, getattr(problem, what)) for what in ("start", "end"))
+        self.duration = _pair("duration", problem.duration)
+        if not 0 < self.duration[0] <= self.duration[1] < np.inf:
+            raise InputError(
+                f"duration is {problem.duration!r}.\nPass a positive number, or bounds (low, high) "
+                "of it."
+            )
+        own = {spelled(a): i for i, a in enumerate(system.parameters)}
+        self.found, self.found_bounds = [], []
+        for key, given in problem.unknowns.items():
+            if spelled(key) not in own:
+                raise InputError(
+                    f"unknowns names {spelled(key)!r}, which is no parameter."
+                    f"{did_you_mean(spelled(key), own)}\n{system.name} has {', '.join(own)}."
+                )
+            self.found.append(own[spelled(key)])
+            self.found_bounds.append(_pair(f"unknowns[{spelled(key)}]", given))
+        self._read_bounds(problem)
+        self._check()
+
+    def value(self, what: str, expression: Any, *, ends: bool = False) -> Value:
+        """Read an expression of coordinates, velocities, parameters, t, and inputs within."""
+        expression = self._known.get(expression, expression)
+        if isinstance(expression, Real):
+            expression = sp.nsimplify(expression, rational=True)
+        symbols = self.symbols
+        if isinstance(expression, sp.Expr) and expression.has(*KINKED):
+            raise InputError(
+                f"the {what} {expression} has a kink, and is to be differentiated twice.\n"
+                "Smooth it, as sqrt(x**2 + 1e-6) for |x|, or say it by bounds= and path=."
+            )
+        allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *(() if ends else symbols.u))
+        read = read_expression(self.system.name, what, expression, symbols, symbols.known, allowed)
+        (found,) = rebuilt(symbols.graph, [read], {}, self.graph)
+        return found
+
+    def _end(self, what: str, given: Mapping[Any, Any]) -> list[Limits]:
+        """Read what holds at an end."""
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"{what} is {type(given).__name__}, not a mapping.\n"
+                "Pass values by symbol: {x: 0, x.diff(): 0}."
+            )
+        found = []
+        for key, value in given.items():
+            name = key if isinstance(key, str) else spelled(key)
+            if isinstance(key, str) and key not in self._known:
+                raise InputError(
+                    f"{what} names {key!r}, which is no coordinate or velocity."
+                    f"{did_you_mean(key, self._known)}\nThe system has "
+                    f"{', '.join(self._known)}."
+                )
+            if isinstance(value, tuple):
+                low, high = _pair(f"{what}[{name}]", value)
+                found.append(Limits(name, self.value(what, key, ends=True), low, high))
+                continue
+            own, to = self.value(what, key, ends=True), self.value(what, value, ends=True)
+            if not self.graph.nodes[to[1]].symbols:  # a number of its own: bounds say it best
+                number = self._number(to)
+                found.append(Limits(name, own, number, number))
+            else:
+                found.append(Limits(name, self.graph.add([own, scaled(-1, to)]), 0.0, 0.0))
+        return found
+
+    def _number(self, value: Value) -> float:
+
+        c, n = value
+        return float(c * evaluated(self.graph, [n], {}, mpmath.fp)[n]) if c else 0.0
+
+    def _read_bounds(self, problem: Any) -> None:
+        self.of_inputs: dict[int, tuple[float, float]] = {}
+        self.of_coordinates: dict[int, tuple[float, float]] = {}
+        self.within: list[Limits] = []
+        for key, given in problem.bounds.items():
+            name = key if isinstance(key, str) else spelled(key)
+            pair = _pair(f"bounds[{name}]", given)
+            if name in self.inputs:
+                self.of_inputs[self.inputs.index(name)] = pair
+            elif name in self.names:
+                self.of_coordinates[self.names.index(name)] = pair
+            else:
+                self.within.append(Limits(name, self.value("bounds", key), *pair))
+        for one in problem.path:
+            low, expression, high = one if isinstance(one, tuple) else (None, one, 0)
+            pair = _pair(f"path {expression}", (low, high))
+            self.within.append(Limits(str(expression), self.value("path", expression), *pair))
+
+    def _check(self) -> None:
+        """Refuse ends that cannot be satisfied."""
+        n = len(self.q)
+        for limits, where in zip(self.ends, ("start", "end"), strict=True):
+            if len([x for x in limits if x.low == x.high]) > 2 * n:
+                raise InputError(
+                    f"{where} has {len(limits)} conditions on {2 * n} numbers, {n} coordinates and "
+                    "as many velocities.\nLeave out those that follow from others."
+                )
+            for one in limits:
+                if one.name in self.names:
+                    low, high = self.of_coordinates.get(
+                        self.names.index(one.name), (-np.inf, np.inf)
+                    )
+                    if one.high < low or one.low > high:
+                        raise InputError(
+                            f"{where} has {one.name} = {one.low:g}, outside of its bounds "
+                            f"({low:g}, {high:g}).\nWiden them, or begin within."
+                        )
+
+
+def _pair(what: str, given: Any) -> tuple[float, float]:
+    """Read a number, or bounds (low, high) with None for no bound."""
+    low, high = given if isinstance(given, (tuple, list)) and len(given) == 2 else (given, given)
+    try:
+        pair = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{what} is {given!r}.\nPass a number, or a pair (low, high) with None for no bound."
+        ) from None
+    if not pair[0] <= pair[1]:
+        raise InputError(f"{what} is {given!r}: low is not below high.\nPass a pair (low, high).")
+    return pair

@@ -1,0 +1,367 @@
+"""The solution of a problem of optimal control, or the last iterate of one that was not found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.api.compiling import compile as compile_stepper
+from symsimpson.control.layout import Layout
+from symsimpson.plotting.axes import axes
+from symsimpson.program.status import Status
+from symsimpson.results.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from symsimpson.api.stepper import Stepper
+    from symsimpson.control.ipopt import Outcome
+
+__all__ = ["ControlResult", "ControlStatus", "result_of"]
+
+Floats = NDArray[np.float64]
+
+
+class ControlStatus(Enum):
+    """How the search for a solution ended, with a sentence that says so."""
+
+    SOLVED = "A local optimum was found."
+    ACCEPTABLE = "An optimum was found, less exactly than was asked for."
+    INFEASIBLE = (
+        "The solver came to a point where the conditions cannot be satisfied better nearby. "
+        "Another guess, wider bounds or a longer duration may help."
+    )
+    ITERATION_LIMIT = "The solver used all its iterations. Allow more, or begin nearer."
+    RESTORATION_FAILED = (
+        "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
+        "rounding allows; else another guess may help."
+    )
+    INTERRUPTED = "The search was interrupted; the last iterate is kept."
+    NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
+
+
+STATUSES = {
+    "Solve_Succeeded": ControlStatus.SOLVED,
+    "Solved_To_Acceptable_Level": ControlStatus.ACCEPTABLE,
+    "Infeasible_Problem_Detected": ControlStatus.INFEASIBLE,
+    "Not_Enough_Degrees_Of_Freedom": ControlStatus.INFEASIBLE,
+    "Maximum_Iterations_Exceeded": ControlStatus.ITERATION_LIMIT,
+    "User_Requested_Stop": ControlStatus.INTERRUPTED,
+    "Invalid_Number_Detected": ControlStatus.NOT_FINITE,
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControlResult:
+    """A solution, or the last iterate.
+
+    Attributes
+    ----------
+    layout : Layout
+    x : ndarray
+        All unknowns.
+    multipliers : ndarray
+        Of the rows.
+    cost : float
+    status : ControlStatus
+    iterations : int
+    seconds, in_functions : float
+        Of the solver, and of these in functions of the problem.
+    violation : float
+        The largest of a row, and ``worst`` its name.
+    history : dict from str to list of float
+        What the solver tells of each iteration: ``obj`` the cost, ``inf_pr`` the violation, ...
+    error : float or None
+        An estimate of the relative error of the cost, if one was asked for.
+    """
+
+    layout: Layout
+    x: Floats
+    multipliers: Floats
+    cost: float
+    status: ControlStatus
+    iterations: int
+    seconds: float
+    in_functions: float
+    violation: float
+    worst: str
+    history: dict[str, list[float]]
+    error: float | None = None
+
+    @property
+    def success(self) -> bool:
+        """Whether an optimum was found."""
+        return self.status in (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
+
+    @property
+    def message(self) -> str:
+        """The status as a sentence, with the largest violation if there is one to tell."""
+        told = "" if self.success else f" The {self.worst} is off by {self.violation:.1e}."
+        return self.status.value + told
+
+    @property
+    def duration(self) -> float:
+        """How long the motion is."""
+        layout = self.layout
+        if layout.h is None:
+            return float(layout.read.duration[0])
+        return float(self.x[layout.h]) * layout.steps
+
+    @property
+    def t(self) -> Floats:
+        """Times of the ends of steps."""
+        return np.asarray(self.duration / self.layout.steps * np.arange(self.layout.steps + 1))
+
+    @property
+    def q(self) -> Floats:
+        """Positions at the ends of steps, shape (N + 1, n)."""
+        points = self.layout.points
+        return self.x[np.concatenate([points[:, 0], points[-1:, -1]])]
+
+    @property
+    def p(self) -> Floats:
+        """Momenta there."""
+        return self.x[self.layout.momenta]
+
+    @property
+    def unknowns(self) -> dict[str, float]:
+        """The parameters that were found, by name."""
+        layout = self.layout
+        names = [str(a) for a in layout.read.system.parameters]
+        found = zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
+        return {names[i]: x for i, x in found}
+
+    @property
+    def input_values(self) -> Floats:
+        """Inputs at the nodes of steps, shape (N, s, m)."""
+        return self.x[self.layout.inputs]
+
+    def inputs(self, t: ArrayLike) -> dict[str, Floats]:
+        """Return the inputs at times: the polynomials through their values at nodes.
+
+        Parameters
+        ----------
+        t : array_like
+
+        Returns
+        -------
+        dict from name to ndarray
+        """
+        basis, k = self._basis(np.asarray(t, dtype=np.float64), self.layout.c)
+        found = np.einsum("...i,...im->...m", basis, self.input_values[k])
+        return {name: found[..., j] for j, name in enumerate(self.layout.read.inputs)}
+
+    @property
+    def functions(self) -> dict[str, Any]:
+        """Coordinates and inputs as functions of the time, as a guess has them."""
+        layout = self.layout
+        points = np.array([float(c) for c in layout.scheme.points])
+
+        def coordinate(a: int) -> Any:
+            def value(t: Floats) -> Floats:
+                basis, k = self._basis(t, points)
+                return np.asarray((basis * self.x[layout.points[:, :, a]][k]).sum(axis=-1))
+
+            return value
+
+        found = {name: coordinate(a) for a, name in enumerate(layout.read.names)}
+        for name in layout.read.inputs:
+            found[name] = lambda t, name=name: self.inputs(t)[name]
+        return found
+
+    def _basis(self, t: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """Return Lagrange's polynomials of places in steps, at times, and the steps' numbers."""
+        layout = self.layout
+        h = self.duration / layout.steps
+        k = np.clip(np.floor(t / h).astype(np.int64), 0, layout.steps - 1)
+        c = np.clip(t / h - k, 0.0, 1.0)[..., None]
+        basis = [
+            np.prod([(c - y) / (x - y) for y in places if y != x], axis=0) + 0 * c for x in places
+        ]
+        return np.concatenate(basis, axis=-1), k
+
+    @cached_property
+    def costates(self) -> tuple[Floats, Floats]:
+        """Derivatives of the least cost by the state at the ends of steps: by q at fixed p, by p.
+
+        Each of shape (N + 1, n), of the order of the scheme.
+        """
+        layout = self.layout
+        programme, *_ = layout.programme
+        steps = layout.step_rows - 1  # behind the row of the cost
+        by_p = layout.scale * np.concatenate(
+            [self.multipliers[steps[:, 0]], -self.multipliers[steps[-1:, -1]]]
+        )
+        block = programme.blocks[0]
+        own = block.weights(np.concatenate([[1.0], self.multipliers]))
+        slopes = block.slopes(block.at(self.x)).reshape(-1, block.count)
+        n, N, s = layout.n, layout.steps, layout.nodes
+        at_nodes = np.zeros((2 * n, N, s))
+        for (r, c), values in zip(block.functions.slopes, slopes, strict=True):
+            if c < 2 * n:
+                at_nodes[c] += (own[r] * values).reshape(N, s)
+        first, last = (
+            at_nodes[:n] @ layout.A[:, j] + at_nodes[n:] @ layout.B[:, j] for j in (0, -1)
+        )
+        by_q = np.concatenate([first.T, -last.T[-1:]])
+        return by_q, by_p
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """The motion as a run of the scheme has it: energies, figures, states between steps."""
+        layout = self.layout
+        stepper = stepper_of(layout)
+        values = np.array(layout.read.values)
+        values[layout.read.found] = self.x[layout.parameters]
+        return Trajectory(
+            t=self.t,
+            q=self.q,
+            p=self.p,
+            newton_iterations=np.zeros(layout.steps + 1, dtype=np.int64),
+            h=self.duration / layout.steps,
+            steps=layout.steps,
+            every=1,
+            status=Status.SUCCESS,
+            message=self.message,
+            program=stepper.program,
+            parameter_values=values,
+            input_values=self.input_values[None],
+        )
+
+    def simulate(self, refine: int = 10) -> tuple[Trajectory, float]:
+        """Run the inputs that were found from the start, with finer steps of the scheme.
+
+        Parameters
+        ----------
+        refine : int
+            How many steps in place of one.
+
+        Returns
+        -------
+        Trajectory
+        float
+            How far from the end of the solution its end is, in coordinates.
+        """
+        layout = self.layout
+        stepper = stepper_of(layout)
+        steps, h = layout.steps * refine, self.duration / layout.steps / refine
+        given: dict[str, Any] = {"parameters": self.unknowns or None}
+        if layout.read.inputs:
+            given["inputs"] = self._refined(refine)
+        run = stepper.integrate(self.q[0], p0=self.p[0], h=h, steps=steps, **given)
+        return run, float(np.abs(run.q[-1] - self.q[-1]).max())
+
+    def lqr(self, Q: ArrayLike, R: ArrayLike) -> Floats:
+        """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k), held over steps.
+
+        They are those of the linear regulator of the exact linear maps of the steps, of least
+        sum of dz.Q.dz + du.R.du over the motion, and dz.Q.dz behind it.
+
+        Parameters
+        ----------
+        Q : array_like, shape (2 n, 2 n)
+            For z = (q, p).
+        R : array_like, shape (m, m)
+
+        Returns
+        -------
+        ndarray, shape (N, m, 2 n)
+        """
+        layout, run = self.layout, self.trajectory
+        names = layout.read.inputs
+        linear = stepper_of(layout).linearise(
+            self.q[0],
+            p0=self.p[0],
+            h=run.h,
+            steps=layout.steps,
+            inputs={name: self.input_values[..., j] for j, name in enumerate(names)},
+            parameters=self.unknowns or None,
+            wrt=list(layout.read.system.inputs),
+        )
+        Q, R = np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
+        B = np.stack([linear.by_input[name].sum(axis=-1) for name in names], axis=-1)
+        P, gains = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
+        for k in reversed(range(layout.steps)):
+            A_k, B_k = linear.by_state[k], B[k]
+            gains[k] = np.linalg.solve(R + B_k.T @ P @ B_k, B_k.T @ P @ A_k)
+            P = Q + A_k.T @ P @ (A_k - B_k @ gains[k])
+        return gains
+
+    def plot(self) -> Any:
+        """Draw coordinates and inputs over the time, inputs with their bounds.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
+        layout = self.layout
+        t = np.linspace(0, self.duration, 12 * layout.steps + 1)
+        for name in layout.read.names:
+            upper.plot(t, self.functions[name](t), label=name)
+        for k, (name, values) in enumerate(self.inputs(t).items()):
+            (line,) = lower.plot(t, values, label=name)
+            for bound in layout.read.of_inputs.get(k, ()):
+                if np.isfinite(bound):
+                    lower.axhline(bound, color=line.get_color(), linestyle=":", linewidth=1)
+        upper.set_ylabel("coordinates")
+        lower.set(xlabel="t", ylabel="inputs")
+        for ax in (upper, lower):
+            ax.legend()
+        return upper.figure
+
+    def _refined(self, refine: int) -> dict[str, Floats]:
+        """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
+        layout = self.layout
+        places = (np.arange(refine)[:, None] + layout.c) / refine
+        basis = np.stack(
+            [
+                np.prod([(places - y) / (x - y) for y in layout.c if y != x], axis=0) + 0 * places
+                for x in layout.c
+            ],
+            axis=-1,
+        )
+        values = np.einsum("rsi,kim->krsm", basis, self.input_values)
+        shape = layout.steps * refine, layout.nodes
+        return {name: values[..., j].reshape(shape) for j, name in enumerate(layout.read.inputs)}
+
+    def __repr__(self) -> str:
+        layout = self.layout
+        return (
+            f"ControlResult({layout.read.system.name}, {layout.scheme.name}: {layout.steps} "
+            f"steps, cost {self.cost:.9g}, {self.status.name} after {self.iterations} iterations)"
+        )
+
+
+def stepper_of(layout: Layout) -> Stepper:
+    """Return the stepper of a problem's system and scheme."""
+    return compile_stepper(layout.read.system, layout.scheme)
+
+
+def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
+    """Return what a solver came to."""
+    programme, low, high = layout.programme
+    cost, rows = programme.values(outcome.x)
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0)
+    worst = int(np.argmax(off)) if off.size else 0
+    return ControlResult(
+        layout,
+        outcome.x,
+        outcome.multipliers,
+        cost,
+        STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED),
+        outcome.iterations,
+        outcome.seconds,
+        outcome.in_functions,
+        float(off.max(initial=0.0)),
+        layout.names[worst],
+        outcome.history,
+    )

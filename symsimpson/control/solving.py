@@ -1,0 +1,206 @@
+"""The way from a guess to a result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.control.ipopt import run_ipopt
+from symsimpson.control.layout import Layout
+from symsimpson.control.points import PointFunctions
+from symsimpson.control.result import ControlResult, result_of
+from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.support.calling import warn
+from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.signals import listening
+
+if TYPE_CHECKING:
+    from symsimpson.control.reading import Reading
+    from symsimpson.schemes.scheme import Scheme
+
+__all__ = ["solve"]
+
+Floats = NDArray[np.float64]
+
+#: Measured on several problems and meshes: 12 to 21 iterations, where larger barriers fall into
+#: other optima; relaxed bounds would move a minimum time by 1e-8.
+OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
+#: So often steps are halved to make the error small.
+MOST_REFINEMENTS = 6
+
+
+def solve(
+    read: Reading,
+    scheme: Scheme,
+    steps: int,
+    guess: Any,
+    error: float | None,
+    options: dict[str, Any],
+) -> ControlResult:
+    """Solve a problem for the motions of a scheme; with more steps, until the error is small.
+
+    Raises
+    ------
+    InputError
+        If the guess does not fit, conditions are too many, or casadi is not installed.
+    """
+    _look_at_nodes(read, scheme)
+    found = _solved(Layout(read, scheme, steps), guess, options)
+    for _ in range(MOST_REFINEMENTS if error is not None else 0):
+        if not found.success:
+            break
+        finer = _solved(Layout(read, scheme, 2 * found.layout.steps), found, options)
+        off = abs(finer.cost - found.cost) / max(1.0, abs(finer.cost))
+        # what is left behind a change from h to h / 2, of an order of the scheme
+        found = replace(finer, error=off / (2**scheme.order - 1))
+        if found.error is not None and error is not None and found.error <= error:
+            break
+    return found
+
+
+def _solved(layout: Layout, guess: Any, options: dict[str, Any]) -> ControlResult:
+    """Solve a problem once."""
+    programme, low, high = layout.programme
+    equations, size = int((low == high).sum()), layout.size
+    if equations > size:
+        raise InputError(
+            f"{layout.read.system.name}: {equations} equations for {size} unknowns: the start "
+            "and the end have more conditions than inputs can satisfy.\nLeave conditions out, or "
+            "add inputs."
+        )
+    bounds = layout.bounds
+    x0 = np.clip(begin(layout, guess), *bounds)
+    with listening() as heard:
+        outcome = run_ipopt(
+            programme, x0, bounds, (low, high), {**OPTIONS, **options}, lambda: bool(heard)
+        )
+    return result_of(layout, outcome)
+
+
+def _look_at_nodes(read: Reading, scheme: Scheme) -> None:
+    """Warn of schemes whose steps feel sums of inputs alone."""
+    nodes, degree = scheme.stages, scheme.degree
+    shared = scheme.quadrature.nodes[0] == 0 and scheme.quadrature.nodes[-1] == 1
+    if read.inputs and nodes > degree + shared:
+        warn(
+            f"{scheme.name} has {nodes} nodes in a step of degree {degree}: some inputs act only "
+            "in sums, and are found only where the cost is convex in them.\nTake a scheme with "
+            "fewer nodes, as 'lobatto6' or 'gauss6'.",
+            ResolutionWarning,
+        )
+
+
+def begin(layout: Layout, guess: Any) -> Floats:
+    """Return the unknowns of a guess.
+
+    Raises
+    ------
+    InputError
+        If it is none, or has other names or shapes.
+    """
+    read, N = layout.read, layout.steps
+    low, high = read.duration
+    functions: dict[str, Any] = {}
+    whole = float(np.sqrt(low * high))
+    values = [np.sqrt(a * b) if 0 < a < b < np.inf else (a + b) / 2 for a, b in read.found_bounds]
+    values = [
+        x if np.isfinite(x) else read.values[i] for x, i in zip(values, read.found, strict=True)
+    ]
+    if isinstance(guess, ControlResult):
+        functions = guess.functions
+        whole = guess.duration
+        known = dict(zip(guess.layout.read.found, guess.x[guess.layout.parameters], strict=True))
+        values = [known.get(i, x) for i, x in zip(read.found, values, strict=True)]
+    elif guess is not None:
+        if not isinstance(guess, Mapping):
+            raise InputError(
+                f"guess is {type(guess).__name__}.\nPass another result, or a mapping from names "
+                "to functions of the time, numbers, or arrays over equal times."
+            )
+        given = {spelled(key): value for key, value in guess.items()}
+        own = [spelled(a) for a in layout.read.system.parameters]
+        found = {own[i]: k for k, i in enumerate(read.found)}
+        allowed = {*read.names, *read.inputs, "duration", *found}
+        for name in given:
+            if name not in allowed:
+                raise InputError(
+                    f"guess names {name!r}.{did_you_mean(name, sorted(allowed))}\n"
+                    f"It has values of {', '.join(sorted(allowed))}."
+                )
+        whole = float(given.pop("duration", whole))
+        values = [float(given.pop(own[i], x)) for i, x in zip(read.found, values, strict=True)]
+        functions = {name: _function(name, value, whole) for name, value in given.items()}
+    whole = min(max(whole, low), high)
+    x = np.zeros(layout.size)
+    h = whole / N
+    starts = h * np.arange(N)
+    points = np.array([float(c) for c in layout.scheme.points])
+    times = starts[:, None] + h * points
+    ends = [_given(limits, read) for limits in read.ends]
+    for a, name in enumerate(read.names):
+        first = ends[0].get(name, ends[1].get(name, 0.0))
+        last = ends[1].get(name, first)
+        line = functions.get(
+            name, lambda t, first=first, last=last: first + (last - first) * t / whole
+        )
+        x[layout.points[:, :, a]] = _numbers(name, line, times)
+    nodes = starts[:, None] + h * layout.c
+    for k, name in enumerate(read.inputs):
+        if name in functions:
+            x[layout.inputs[..., k]] = _numbers(name, functions[name], nodes)
+    x[layout.parameters] = values
+    if layout.h is not None:
+        x[layout.h] = h
+    # momenta of the path at the ends of steps
+    q = x[layout.points]
+    at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
+    v = np.concatenate([at_start @ q, (at_end @ q[-1])[None]]) / h
+    at = np.concatenate([q[:, 0], q[-1:, -1]])
+    momenta = PointFunctions(read.graph, read.q, read.momenta)
+    state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
+    state |= dict(zip(read.parameters, read.values, strict=True))
+    state |= {read.parameters[i]: y for i, y in zip(read.found, values, strict=True)}
+    state[read.t] = h * np.arange(N + 1)
+    x[layout.momenta] = momenta.values(state, N + 1).T
+    x[layout.velocities] = v[[0, -1]]
+    if not np.isfinite(x).all():
+        raise InputError(
+            "the guess has no finite momenta, or holds NaN.\nGive functions of the time with which "
+            "the motion stays where the energies have values."
+        )
+    return x
+
+
+def _given(limits: Any, read: Any) -> dict[str, float]:
+    """Return the coordinates that are given at an end."""
+    return {one.name: one.low for one in limits if one.low == one.high and one.name in read.names}
+
+
+def _function(name: str, given: Any, whole: float) -> Any:
+    """Return a guess as a function of the time."""
+    if callable(given):
+        return given
+    array = np.asarray(given, dtype=np.float64)
+    if array.ndim > 1:
+        raise InputError(
+            f"guess[{name!r}] has shape {array.shape}.\nPass a number, an array over equal times, "
+            "or a function of the time."
+        )
+    if array.ndim == 0:
+        return lambda t: np.full(np.shape(t), float(array))
+    return lambda t: np.interp(t, np.linspace(0, whole, array.size), array)
+
+
+def _numbers(name: str, function: Any, times: Floats) -> Floats:
+    """Evaluate a guess."""
+    found = np.asarray(function(times), dtype=np.float64)
+    if found.shape not in (times.shape, ()):
+        raise InputError(
+            f"guess[{name!r}] gives shape {found.shape} for times of shape {times.shape}.\n"
+            "It takes an array of times, and gives one of values."
+        )
+    return np.broadcast_to(found, times.shape)

@@ -1,0 +1,218 @@
+"""A problem of optimal control as a sparse programme: unknowns, rows, and exact derivatives.
+
+Steps are not solved: their control points, momenta and inputs are unknowns, and their equations
+rows (Ober-Bloebaum, Junge, Marsden, ESAIM COCV 17 (2011), 322, with any Galerkin scheme). Values
+are linear in functions of single points of the path, whose arguments are linear in the unknowns:
+
+    rows = C f(L x) + D x,   Jacobian = C f' L + D,   Hessian = L^T (C^T lambda . f'') L,
+
+so that each derivative is a constant sparse matrix times those of f, at all points at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from symsimpson.control.points import PointFunctions
+
+__all__ = ["Block", "Programme"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Functions of points: the same ones of many.
+
+    Attributes
+    ----------
+    functions : PointFunctions
+    maps : list of sparse matrices, shape (K, x)
+        One for each variable: what it is at each point, as it is linear in the unknowns.
+    rows : list of sparse matrices, shape (g, K)
+        One for each function: which rows have it, and how often; the first row is the cost.
+    given : dict
+        What else stands in the functions, by node: numbers, or arrays of shape (K,).
+    """
+
+    functions: PointFunctions
+    maps: list[Any]
+    rows: list[Any]
+    given: dict[int, Any]
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return int(self.maps[0].shape[0])
+
+    @cached_property
+    def _stacked(self) -> tuple[Any, Any, Any]:
+        """All maps below one another, all rows beside one another, and these transposed."""
+        rows = sparse.hstack(self.rows, format="csr")
+        return sparse.vstack(self.maps, format="csr"), rows, rows.T.tocsr()
+
+    def at(self, x: Floats) -> dict[int, Any]:
+        """Return the variables of the points."""
+        own = (self._stacked[0] @ x).reshape(-1, self.count)
+        return {**self.given, **dict(zip(self.functions.variables, own, strict=True))}
+
+    def weights(self, rows: Floats) -> Floats:
+        """Return the weights of the functions at each point, of weighted rows."""
+        found: Floats = (self._stacked[2] @ rows).reshape(-1, self.count)
+        return found
+
+    def values(self, at: dict[int, Any]) -> Floats:
+        """Return what the block has in each row."""
+        found: Floats = self._stacked[1] @ self.functions.values(at, self.count).ravel()
+        return found
+
+    def slopes(self, at: dict[int, Any]) -> Floats:
+        """Return the slopes at the points, one behind the other."""
+        return self.functions.slopes_at(at, self.count).ravel()
+
+    def curvatures(self, at: dict[int, Any], rows: Floats) -> Floats:
+        """Return second derivatives of the weighted rows, one behind the other."""
+        return self.functions.curvatures_at(at, self.weights(rows), self.count).ravel()
+
+    def slope_places(self) -> tuple[Ints, Ints, Ints, Floats]:
+        """Return which slope has which part in which entry (row, unknown) of the Jacobian."""
+        pairs = ((self.rows[r].tocsc(), self.maps[c].tocsr()) for r, c in self.functions.slopes)
+        return _placed([(a, b) for a, b in pairs], self.count)
+
+    def curvature_places(self) -> tuple[Ints, Ints, Ints, Floats]:
+        """Return the same for the Hessian: both halves of it, of which one is kept."""
+        pairs = [(self.maps[i].T.tocsc(), self.maps[j].tocsr()) for i, j in self.functions.curved]
+        number, row, column, part = _placed(pairs, self.count)
+        same = np.array([i == j for i, j in self.functions.curved], dtype=bool)
+        other = ~same[number // self.count]
+        return (
+            np.concatenate([number, number[other]]),
+            np.concatenate([row, column[other]]),
+            np.concatenate([column, row[other]]),
+            np.concatenate([part, part[other]]),
+        )
+
+
+def _placed(pairs: Sequence[tuple[Any, Any]], count: int) -> tuple[Ints, Ints, Ints, Floats]:
+    """Return parts a[r, k] b[k, c] of the entries (r, c) of a.diag(z).b, for many pairs a, b."""
+    found: list[tuple[Any, ...]] = [(np.zeros(0, int),) * 3 + (np.zeros(0),)]
+    for place, (a, b) in enumerate(pairs):
+        size_a, size_b = np.diff(a.indptr), np.diff(b.indptr)
+        sizes = size_a * size_b
+        k = np.repeat(np.arange(count), sizes)
+        within = np.arange(sizes.sum()) - np.repeat(sizes.cumsum() - sizes, sizes)
+        in_a = a.indptr[k] + within // np.maximum(size_b[k], 1)
+        in_b = b.indptr[k] + within % np.maximum(size_b[k], 1)
+        found.append(
+            (place * count + k, a.indices[in_a], b.indices[in_b], a.data[in_a] * b.data[in_b])
+        )
+    number, row, column, part = (np.concatenate(x) for x in zip(*found, strict=True))
+    return number, row, column, part
+
+
+class _Pattern:
+    """Entries of a sparse matrix that are linear in numbers."""
+
+    def __init__(
+        self, places: Sequence[tuple[Any, ...]], shape: tuple[int, int], constant: Any = None
+    ) -> None:
+        offset, numbers = 0, []
+        for number, *_, size in places:
+            numbers.append(number + offset)
+            offset += size
+        row, column, part = (np.concatenate([one[k] for one in places]) for k in (1, 2, 3))
+        more = sparse.coo_matrix(shape if constant is None else constant)
+        keys, inverse = np.unique(
+            np.concatenate([column, more.col]).astype(np.int64) * shape[0]
+            + np.concatenate([row, more.row]),
+            return_inverse=True,
+        )
+        self.column, self.row = keys // shape[0], keys % shape[0]
+        count = len(row)
+        self._linear = sparse.csr_matrix(
+            (part, (inverse[:count], np.concatenate(numbers))), shape=(len(keys), offset)
+        )
+        self._constant = np.bincount(inverse[count:], more.data, minlength=len(keys))
+
+    def __call__(self, numbers: Sequence[Floats]) -> Floats:
+        """Return the entries, by columns."""
+        found: Floats = self._linear @ np.concatenate(numbers) + self._constant
+        return found
+
+
+class Programme:
+    """A sparse programme: least cost, where rows and unknowns are within bounds.
+
+    Parameters
+    ----------
+    blocks : sequence of Block
+    linear : sparse matrix, shape (g, x)
+        D; the first row is that of the cost.
+
+    Attributes
+    ----------
+    jacobian_places, hessian_places : pair of ndarray of int
+        Rows and columns of the entries, by columns; of the Hessian those on and above the diagonal.
+    """
+
+    def __init__(self, blocks: Sequence[Block], linear: Any) -> None:
+        self.blocks, self._linear = tuple(blocks), linear.tocsr()
+        g, x = linear.shape
+        slopes = [
+            (*one.slope_places(), len(one.functions.slopes) * one.count) for one in self.blocks
+        ]
+        self._jacobian = _Pattern(slopes, (g, x), linear)
+        self._rest = self._jacobian.row > 0
+        self.jacobian_places = self._jacobian.row[self._rest] - 1, self._jacobian.column[self._rest]
+        curved = []
+        for one in self.blocks:
+            number, row, column, part = one.curvature_places()
+            upper = row <= column
+            size = len(one.functions.curved) * one.count
+            curved.append((number[upper], row[upper], column[upper], part[upper], size))
+        self._hessian = _Pattern(curved, (x, x))
+        self.hessian_places = self._hessian.row, self._hessian.column
+        self.shape = g - 1, x
+        self._last: Any = None
+
+    def values(self, x: Floats) -> tuple[float, Floats]:
+        """Return the cost and the rows."""
+        if "values" not in self._at(x):
+            found = self._linear @ x
+            for one, at in zip(self.blocks, self._last["points"], strict=True):
+                found += one.values(at)
+            self._last["values"] = float(found[0]), found[1:]
+        values: tuple[float, Floats] = self._last["values"]
+        return values
+
+    def slopes(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return the gradient of the cost, and the entries of the Jacobian."""
+        if "slopes" not in self._at(x):
+            points = zip(self.blocks, self._last["points"], strict=True)
+            entries = self._jacobian([one.slopes(at) for one, at in points])
+            gradient = np.zeros(self.shape[1])
+            own = ~self._rest
+            gradient[self._jacobian.column[own]] = entries[own]
+            self._last["slopes"] = gradient, entries[self._rest]
+        slopes: tuple[Floats, Floats] = self._last["slopes"]
+        return slopes
+
+    def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
+        """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
+        weights = np.concatenate([[cost], multipliers])
+        points = zip(self.blocks, self._at(x)["points"], strict=True)
+        return self._hessian([one.curvatures(at, weights) for one, at in points])
+
+    def _at(self, x: Floats) -> dict[str, Any]:
+        """Return what is known where the unknowns are; solvers ask for the same ones again."""
+        if self._last is None or not np.array_equal(self._last["x"], x):
+            self._last = {"x": x.copy(), "points": [one.at(x) for one in self.blocks]}
+        return self._last

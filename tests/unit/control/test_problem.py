@@ -1,0 +1,247 @@
+"""Problems of optimal control: derivatives of their programmes, outcomes, what is refused."""
+
+import signal
+
+import numpy as np
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+pytest.importorskip("casadi")
+sparse = pytest.importorskip("scipy.sparse")
+
+x, y = ss.coordinates("x y")
+u, w = sp.symbols("u w", real=True)
+m, k = sp.symbols("m k", positive=True)
+#: Masses that move, friction, time, two inputs.
+SYSTEM = ss.MechanicalSystem.from_lagrangian(
+    "slide",
+    m * (x.diff() ** 2 + (1 + x**2) * y.diff() ** 2) / 2
+    + x.diff() * y / 5
+    - k * (x**4 + y**2) / 2
+    + x * sp.sin(3 * ss.time),
+    (x, y),
+    {m: 1.2, k: 2.0},
+    forces={x: u * sp.cos(y) - x.diff() * y.diff() / 3, y: w - y.diff() / 5},
+    inputs=(u, w),
+)
+CART = ss.MechanicalSystem(
+    "cart", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0, forces={x: u}, inputs=(u,)
+)
+REST = {"start": {x: 0, x.diff(): 0}, "end": {x: 1, x.diff(): 0}}
+
+
+def cart(**more):
+    return ss.OptimalControl(CART, **{"cost": u**2, "duration": 1, **REST, **more})
+
+
+def everything(**more):
+    """A problem in which all that may be asked for is."""
+    given = {
+        "cost": u**2 + w**2 / 2 + x**2 * y.diff() ** 2 + k * y**4 + x * ss.time,
+        "final_cost": m * x.diff() ** 2 + sp.exp(y) * ss.time,
+        "start": {x: 0.1, "y": -0.2, x.diff(): 0, "v_y": 0},
+        "end": {x: 1, x.diff() * m: k / 5, x + y: (-3, 3)},
+        "duration": (0.8, 2.0),
+        "bounds": {u: (-30, 30), x: (-2, 2), y.diff(): (-9, None)},
+        "path": [x * y - 3, (-4, x.diff() + u / 50, 8)],
+        "unknowns": {k: (1.5, 2.5)},
+    }
+    return ss.OptimalControl(SYSTEM, **given | more)
+
+
+@pytest.mark.parametrize("scheme", ["simpson", "gauss4", "radau5"])
+def test_derivatives_are_exact(scheme):
+    """Of all rows by all unknowns, against differences of high order; patterns miss nothing."""
+    from symsimpson.control.layout import Layout
+    from symsimpson.control.solving import begin
+    from symsimpson.schemes.named import read_scheme
+
+    layout = Layout(everything().reading, read_scheme(scheme), 3)
+    programme, *_ = layout.programme
+    rng = np.random.default_rng(3)
+    at = begin(layout, None) + 0.1 * rng.normal(size=layout.size)
+    multipliers, cost = rng.normal(size=programme.shape[0]), 0.7
+
+    def slopes(at):
+        gradient, entries = programme.slopes(at)
+        jacobian = sparse.csr_matrix((entries, programme.jacobian_places), shape=programme.shape)
+        return gradient, jacobian.toarray()
+
+    def lagrangian(at):
+        gradient, jacobian = slopes(at)
+        return cost * gradient + jacobian.T @ multipliers
+
+    def differences(function, size=2e-3):
+        weights = enumerate([4 / 5, -1 / 5, 4 / 105, -1 / 280], start=1)
+        ways = size * np.eye(layout.size)
+        pairs = list(weights)
+        return np.array(
+            [
+                sum(c * (function(at + i * way) - function(at - i * way)) for i, c in pairs) / size
+                for way in ways
+            ]
+        ).T
+
+    def rows(at):
+        own, others = programme.values(at)
+        return np.array([own, *others])
+
+    gradient, jacobian = slopes(at)
+    right = differences(rows)
+    assert np.abs(np.vstack([gradient, jacobian]) - right).max() < 1e-10 * np.abs(right).max()
+    hessian = np.zeros((layout.size, layout.size))
+    hessian[programme.hessian_places] = programme.curvatures(at, cost, multipliers)
+    hessian += np.triu(hessian, 1).T
+    right = differences(lagrangian)
+    assert np.abs(hessian - right).max() < 1e-10 * np.abs(right).max()
+
+
+def test_all_that_may_be_asked_for_is_there_in_the_end():
+    found = everything().solve("lobatto6", steps=20)
+    assert found.success, found.message
+    assert found.violation < 1e-8
+    run = found.trajectory
+    assert abs(run.v[-1, 0] * 1.2 - found.unknowns["k"] / 5) < 1e-8
+    assert abs(run["x"][-1] - 1) < 1e-8
+    assert 0.8 <= found.duration <= 2.0
+    assert 1.5 <= found.unknowns["k"] <= 2.5
+    again, off = found.simulate(refine=8)
+    assert off < 1e-5
+    assert again.success
+    names = found.inputs(np.linspace(0, found.duration, 7))
+    assert sorted(names) == ["u", "w"]
+    assert names["u"].shape == (7,)
+
+
+def test_the_motion_is_a_run_of_the_scheme():
+    """Steps that were not solved, but written down as equations, are those of the stepper."""
+    found = cart(cost=u**2 + x**2).solve("simpson", steps=8)
+    given = {"u": found.input_values[..., 0]}
+    run = ss.compile(CART).integrate(
+        found.q[0], p0=found.p[0], h=found.duration / 8, steps=8, inputs=given
+    )
+    assert np.abs(run.q - found.q).max() < 1e-12
+    assert np.abs(run.p - found.p).max() < 1e-12
+
+
+def test_costates_are_derivatives_of_the_least_cost():
+    """By the state where it begins, against differences of the costs of other starts."""
+    given = {"duration": 1.5, "cost": u**2 + x**4, "end": {x: 1}}
+
+    def least(q, v):
+        problem = cart(**given, start={x: q, x.diff(): v})
+        return problem.solve("simpson", steps=20, tolerance=1e-11)
+
+    by_q, by_p = least(0.2, 0.1).costates
+    d = 1e-4
+    assert abs((least(0.2 + d, 0.1).cost - least(0.2 - d, 0.1).cost) / (2 * d) - by_q[0, 0]) < 1e-6
+    assert abs((least(0.2, 0.1 + d).cost - least(0.2, 0.1 - d).cost) / (2 * d) - by_p[0, 0]) < 1e-6
+
+
+def test_more_steps_until_the_cost_is_as_exact_as_asked():
+    found = cart(cost=u**2 + x**2).solve("midpoint", steps=10, error=1e-5)
+    assert found.error < 1e-5
+    assert found.layout.steps > 20
+    exact = cart(cost=u**2 + x**2).solve("gauss6", steps=20).cost
+    assert abs(found.cost / exact - 1) < 1e-5
+
+
+def test_gains_hold_a_run_near_the_solution():
+    found = cart().solve("simpson", steps=40)
+    gains = found.lqr(np.eye(2), 0.01 * np.eye(1))
+    assert gains.shape == (40, 1, 2)
+    stepper, h = ss.compile(CART), found.duration / 40
+    ends = []
+    for own in (gains, 0 * gains):
+        loop = stepper.start([0.1], p0=[0.1], h=h)
+        for k in range(40):
+            off = np.concatenate([loop.q - found.q[k], loop.p - found.p[k]])
+            loop.step((found.input_values[k, :, 0] - own[k] @ off)[:, None])
+        ends.append(abs(loop.q[0] - 1))
+    assert ends[0] < ends[1] / 2
+
+
+def test_guesses():
+    problem = cart(duration=(0.5, 3), cost=1 + u**2)
+    first = problem.solve("simpson", steps=10)
+    again = problem.solve("lobatto6", steps=15, guess=first)
+    assert again.iterations <= first.iterations
+    given = {x: lambda t: t**2, "u": [1.0, -1.0], "duration": 2.0}
+    assert abs(problem.solve("simpson", steps=10, guess=given).cost - first.cost) < 1e-8
+    for guess, told in (
+        ({"z": 1.0}, "guess names 'z'"),
+        ({x: np.zeros((2, 2))}, "has shape"),
+        ({x: lambda t: t[:1]}, "gives shape"),
+        ({x: np.nan}, "holds NaN"),
+        (3.0, "guess is float"),
+    ):
+        with pytest.raises(ss.InputError, match=told):
+            problem.solve(steps=4, guess=guess)
+
+
+def test_outcomes_that_are_no_solution_keep_what_there_is():
+    weak = cart(bounds={u: (-1, 1)}).solve(steps=10)  # too weak to be there in time
+    assert weak.status is ss.ControlStatus.INFEASIBLE
+    assert not weak.success
+    assert "off by" in weak.message
+    assert weak.violation > 1e-3
+    short = cart(cost=u**4 + x**2).solve(steps=10, most_iterations=1)
+    assert short.status is ss.ControlStatus.ITERATION_LIMIT
+    assert short.q.shape == (11, 1)
+    assert len(short.history["obj"]) == 2
+
+
+def test_ctrl_c_returns_the_iterate(monkeypatch):
+    from symsimpson.control.transcription import Programme
+
+    plain, calls = Programme.curvatures, []
+
+    def curvatures(*given):
+        calls.append(1)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return plain(*given)
+
+    monkeypatch.setattr(Programme, "curvatures", curvatures)
+    found = cart(cost=u**4 + sp.cosh(x)).solve(steps=10, tolerance=1e-11)
+    assert found.status is ss.ControlStatus.INTERRUPTED
+    assert np.isfinite(found.q).all()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({"duration": 0}, "duration is 0"),
+        ({"duration": (2, 1)}, "low is not below high"),
+        ({"cost": abs(u)}, "has a kink"),
+        ({"cost": sp.Max(u, 0)}, "has a kink"),
+        ({"start": {"z": 0}}, "start names 'z'"),
+        ({"start": [0, 0]}, "start is list"),
+        ({"bounds": {x: (-0.5, 0.5)}}, "end has x = 1, outside of its bounds"),
+        ({"bounds": {x: (1, 0)}}, "low is not below high"),
+        ({"bounds": {u: "wide"}}, "Pass a number, or a pair"),
+        ({"unknowns": {"M": (0, 1)}}, "unknowns names 'M'"),
+        ({"end": {x: 1, x.diff(): 0, x**2: 1}}, "3 conditions on 2 numbers"),
+    ],
+)
+def test_what_no_problem_can_be(more, told):
+    with pytest.raises(ss.InputError, match=told):
+        cart(**more)
+
+
+def test_what_cannot_be_solved_is_said_before():
+    with pytest.raises(ss.InputError, match="have no control points"):
+        cart().solve("kahan_li8")
+    with pytest.raises(ss.InputError, match="steps is 0"):
+        cart().solve(steps=0)
+    with pytest.raises(ss.ModelError, match="z"):
+        cart(cost=sp.Symbol("z") ** 2)
+    with pytest.raises(ss.InputError, match="is no system that can be controlled"):
+        ss.OptimalControl("cart", cost=1, duration=1)
+    free = ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2)
+    with pytest.raises(ss.InputError, match="more conditions than inputs can satisfy"):
+        ss.OptimalControl(free, duration=1, **REST).solve(steps=5)
+    with pytest.warns(ss.ResolutionWarning, match="act only in sums"):
+        cart().solve(ss.galerkin("gauss", 3, 1), steps=5)
