@@ -213,6 +213,7 @@ class Layout:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, made = self.read, self.read.graph, []
         h, last = graph.numbers(["size of a step", "number of steps"])
+        tied = [rows.add(1, 0.0, 0.0, f"{name} at both ends")[0] for name, *_ in read.tied]
         for end, (limits, point) in enumerate(
             zip(read.ends, (self.points[0, 0], self.points[-1, -1]), strict=True)
         ):
@@ -223,7 +224,9 @@ class Layout:
                 for p, P in zip(read.p, read.momenta, strict=True)
             ]
             final = [read.final] if end else []
-            outputs = rebuilt(graph, [*legendre, *final, *(x.value for x in limits)], own)
+            of_both = [values[1 - end] for _, *values in read.tied]
+            values = [*legendre, *final, *(x.value for x in limits), *of_both]
+            outputs = rebuilt(graph, values, own)
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
             fixed: dict[int, Any] = {
@@ -238,6 +241,7 @@ class Layout:
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
             at += [0] * len(final)
             at += [rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in limits]
+            at += tied
             functions = PointFunctions(graph, variables, outputs)
             maps = [self._of(x, 1) for x in unknown]
 

@@ -47,6 +47,9 @@ class OptimalControl:
         all nodes that the equations see, and of coordinates at the ends of steps.
     path : sequence of expression or (low, expression, high)
         Expressions that are not to be positive, or between two numbers, at all nodes.
+    conditions : mapping
+        Expressions at the end, and what of the start they are equal to: ``{x: x + 1, x.diff():
+        x.diff()}`` for a motion that repeats itself one further on.
     unknowns : mapping from parameter to (low, high)
         Parameters that are found, too.
 
@@ -79,6 +82,7 @@ class OptimalControl:
     duration: Any = field(kw_only=True)
     bounds: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     path: Sequence[Any] = field(default=(), kw_only=True)
+    conditions: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     unknowns: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:

@@ -51,6 +51,8 @@ class Reading:
     running, final : Value
     ends : pair of lists of Limits
         Of the start and of the end.
+    tied : list of (str, Value, Value)
+        The name, what stands at the end, and less what of the start it is equal to.
     within : list of Limits
         At nodes; of inputs and coordinates, these are in ``of_inputs`` and ``of_coordinates``.
     found : list of int
@@ -83,6 +85,7 @@ class Reading:
         self.running = self.value("cost", problem.cost)
         self.final = self.value("final_cost", problem.final_cost, ends=True)
         self.ends = tuple(self._end(what, getattr(problem, what)) for what in ("start", "end"))
+        self.tied = self._tied(problem.conditions)
         self.duration = _pair("duration", problem.duration)
         if not 0 < self.duration[0] <= self.duration[1] < np.inf:
             raise InputError(
@@ -116,6 +119,19 @@ class Reading:
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *(() if ends else symbols.u))
         read = read_expression(self.system.name, what, expression, symbols, symbols.known, allowed)
         (found,) = rebuilt(symbols.graph, [read], {}, self.graph)
+        return found
+
+    def _tied(self, given: Mapping[Any, Any]) -> list[tuple[str, Value, Value]]:
+        """Read what is at the end what something is at the start, with a minus."""
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"conditions is {type(given).__name__}, not a mapping.\n"
+                "Pass expressions at the end by those at the start: {x.diff(): x.diff()}."
+            )
+        found = []
+        for key, value in given.items():
+            last, first = (self.value("conditions", x, ends=True) for x in (key, value))
+            found.append((key if isinstance(key, str) else spelled(key), last, scaled(-1, first)))
         return found
 
     def _end(self, what: str, given: Mapping[Any, Any]) -> list[Limits]:

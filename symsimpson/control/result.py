@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symsimpson.api.compiling import compile as compile_stepper
 from symsimpson.control.layout import Layout
 from symsimpson.plotting.axes import axes
-from symsimpson.program.status import Status
-from symsimpson.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
     from symsimpson.control.ipopt import Outcome
+    from symsimpson.results.trajectory import Trajectory
 
 __all__ = ["ControlResult", "ControlStatus", "result_of"]
 
@@ -212,6 +210,9 @@ class ControlResult:
     @cached_property
     def trajectory(self) -> Trajectory:
         """The motion as a run of the scheme has it: energies, figures, states between steps."""
+        from symsimpson.program.status import Status
+        from symsimpson.results.trajectory import Trajectory
+
         layout = self.layout
         stepper = stepper_of(layout)
         values = np.array(layout.read.values)
@@ -343,6 +344,8 @@ class ControlResult:
 
 def stepper_of(layout: Layout) -> Stepper:
     """Return the stepper of a problem's system and scheme."""
+    from symsimpson.api.compiling import compile as compile_stepper  # solving compiles nothing
+
     return compile_stepper(layout.read.system, layout.scheme)
 
 

@@ -47,6 +47,7 @@ def everything(**more):
         "bounds": {u: (-30, 30), x: (-2, 2), y.diff(): (-9, None)},
         "path": [x * y - 3, (-4, x.diff() + u / 50, 8)],
         "unknowns": {k: (1.5, 2.5)},
+        "conditions": {y.diff() * m: x.diff() + x * k / 9},
     }
     return ss.OptimalControl(SYSTEM, **given | more)
 
@@ -146,6 +147,27 @@ def test_more_steps_until_the_cost_is_as_exact_as_asked():
     assert found.layout.steps > 20
     exact = cart(cost=u**2 + x**2).solve("gauss6", steps=20).cost
     assert abs(found.cost / exact - 1) < 1e-5
+
+
+def test_a_motion_that_repeats_itself():
+    """A mass on a spring that is driven, at least effort through two places, round and round."""
+    problem = ss.OptimalControl(
+        CART,
+        cost=(u + 4 * x) ** 2 + (x - sp.cos(ss.time)) ** 2,
+        duration=2 * np.pi,
+        conditions={x: x, "v_x": x.diff()},
+    )
+    found = problem.solve("gauss6", steps=24)
+    assert found.success
+    assert np.abs(found.q[-1] - found.q[0]).max() < 1e-10
+    assert np.abs(found.p[-1] - found.p[0]).max() < 1e-10
+    by_q, by_p = found.costates  # and so do these
+    assert np.abs(by_q[-1] - by_q[0]).max() < 1e-7
+    assert np.abs(by_p[-1] - by_p[0]).max() < 1e-7
+    # x = a cos t: (u + 4 x)^2 = (3 a)^2 cos^2, (a - 1)^2 cos^2; least at a = 1 / 10
+    assert np.abs(found.q[:, 0] - np.cos(found.t) / 10).max() < 1e-6
+    with pytest.raises(ss.InputError, match="conditions is list"):
+        cart(conditions=[x])
 
 
 def test_gains_hold_a_run_near_the_solution():
