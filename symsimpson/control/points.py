@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf, erfc
 
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Exact, Graph, Value
@@ -21,10 +22,10 @@ Entries = list[tuple[int, int, Value]]
 
 #: Functions of arrays, by the names that the graph has for them.
 FUNCTIONS: dict[str, Any] = {
-    **{name: getattr(np, name) for name in ("cos", "cosh", "exp", "floor", "log", "abs")},
+    **{name: getattr(np, name) for name in ("cos", "cosh", "exp", "log", "abs")},
     **{name: getattr(np, name) for name in ("sin", "sinh", "sqrt", "tan", "tanh")},
     **{f"a{name}": getattr(np, f"arc{name}") for name in ("cos", "cosh", "sin", "sinh", "tan")},
-    **{"atanh": np.arctanh, "atan2": np.arctan2, "pow": np.power, "sign": np.sign},
+    **{"atanh": np.arctanh, "atan2": np.arctan2, "pow": np.power, "erf": erf, "erfc": erfc},
 }
 CONSTANTS = {"pi": math.pi, "EulerGamma": float(np.euler_gamma), "Catalan": 0.915965594177219015}
 

@@ -319,6 +319,36 @@ class ControlResult:
             ax.legend()
         return upper.figure
 
+    def plot_sparsity(self) -> Any:
+        """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        InputError
+            If matplotlib is not installed.
+        """
+        programme, *_ = self.layout.programme
+        left, right = axes(None, (8.0, 4.0), ncols=2)
+        rows, size = programme.shape
+        named = (
+            (left, "Jacobian", programme.jacobian_places, rows),
+            (right, "Hessian, upper half", programme.hessian_places, size),
+        )
+        for ax, name, (row, column), height in named:
+            ax.plot(column, row, linestyle="", marker="s", markersize=max(0.4, 120 / size))
+            ax.set(
+                title=f"{name}: {len(row)} entries",
+                xlim=(-0.5, size - 0.5),
+                ylim=(height - 0.5, -0.5),
+                xlabel="unknown",
+                ylabel="row",
+            )
+        return left.figure
+
     def _refined(self, refine: int) -> dict[str, Floats]:
         """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
         layout = self.layout

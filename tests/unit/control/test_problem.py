@@ -267,3 +267,16 @@ def test_what_cannot_be_solved_is_said_before():
         ss.OptimalControl(free, duration=1, **REST).solve(steps=5)
     with pytest.warns(ss.ResolutionWarning, match="act only in sums"):
         cart().solve(ss.galerkin("gauss", 3, 1), steps=5)
+
+
+def test_figures():
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    found = cart(bounds={u: (-9, 9)}).solve("simpson", steps=6)
+    upper, lower = found.plot().axes
+    assert [line.get_label() for line in upper.get_lines()] == ["x"]
+    assert len(lower.get_lines()) == 3  # with two bounds
+    left, right = found.plot_sparsity().axes
+    programme, *_ = found.layout.programme
+    assert left.get_title() == f"Jacobian: {len(programme.jacobian_places[0])} entries"
+    assert right.get_ylim()[0] == found.layout.size - 0.5
+    pyplot.close("all")
