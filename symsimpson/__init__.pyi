@@ -16,7 +16,7 @@ from .bench.record import WorkPrecision as WorkPrecision
 from .bench.work_precision import work_precision as work_precision
 from .control.problem import OptimalControl as OptimalControl
 from .control.result import ControlResult as ControlResult
-from .control.result import ControlStatus as ControlStatus
+from .control.status import ControlStatus as ControlStatus
 from .ensemble.ensemble import Ensemble as Ensemble
 from .errors import ConstraintWarning as ConstraintWarning
 from .errors import ConvergenceError as ConvergenceError

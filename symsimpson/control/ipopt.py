@@ -154,8 +154,8 @@ def run_ipopt(
         np.array(found["lam_g"]).ravel(),
         np.array(found["lam_x"]).ravel(),
         str(told["return_status"]),
-        int(told["iter_count"]),
+        int(told.get("iter_count", 0)),
         seconds,
         spent,
-        {name: list(map(float, values)) for name, values in told["iterations"].items()},
+        {name: list(map(float, values)) for name, values in told.get("iterations", {}).items()},
     )

@@ -209,6 +209,10 @@ class Layout:
 
         return made
 
+    def _driven(self, value: Value) -> bool:
+        """Return whether an input stands in a value."""
+        return not self.read.graph.nodes[value[1]].symbols.isdisjoint(self.read.u)
+
     def _ends(self, rows: _Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, made = self.read, self.read.graph, []
@@ -225,7 +229,9 @@ class Layout:
             ]
             final = [read.final] if end else []
             of_both = [values[1 - end] for _, *values in read.tied]
-            values = [*legendre, *final, *(x.value for x in limits), *of_both]
+            # the velocities of the ends are unknowns of their own
+            inside = [x for x in read.within if x.low < x.high and not self._driven(x.value)]
+            values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
             outputs = rebuilt(graph, values, own)
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
@@ -240,7 +246,9 @@ class Layout:
                 unknown.append(self.h)
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
             at += [0] * len(final)
-            at += [rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in limits]
+            at += [
+                rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
+            ]
             at += tied
             functions = PointFunctions(graph, variables, outputs)
             maps = [self._of(x, 1) for x in unknown]

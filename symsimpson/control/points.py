@@ -61,6 +61,9 @@ class PointFunctions:
         ]
         self.slopes = [(r, c) for r, c, _ in self._slopes]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_compiled": {}}  # they are made again
+
     @cached_property
     def _curvatures(self) -> Entries:
         graph, found = self._graph, []

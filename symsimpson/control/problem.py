@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -161,6 +162,12 @@ class OptimalControl:
             )
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
             raise InputError(f"steps is {steps!r}.\nPass a whole number of steps, at least 1.")
+        for name, value in (("tolerance", tolerance), ("error", error)):
+            real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
+            if not real and (name, value) != ("error", None):
+                raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
+        if not isinstance(most_iterations, (int, np.integer)) or most_iterations < 0:
+            raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {
             "tol": float(tolerance),
             "max_iter": int(most_iterations),

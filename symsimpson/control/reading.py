@@ -92,7 +92,14 @@ class Reading:
                 f"duration is {problem.duration!r}.\nPass a positive number, or bounds (low, high) "
                 "of it."
             )
+        for what in ("bounds", "unknowns"):
+            if not isinstance(getattr(problem, what), Mapping):
+                raise InputError(
+                    f"{what} is {getattr(problem, what)!r}, not a mapping.\n"
+                    f"Pass pairs by symbol: {what}={{u: (-1, 1)}}."
+                )
         own = {spelled(a): i for i, a in enumerate(system.parameters)}
+        signs = [bool(a.is_positive or a.is_nonnegative) for a in system.parameters]
         self.found, self.found_bounds = [], []
         for key, given in problem.unknowns.items():
             if spelled(key) not in own:
@@ -102,6 +109,11 @@ class Reading:
                 )
             self.found.append(own[spelled(key)])
             self.found_bounds.append(_pair(f"unknowns[{spelled(key)}]", given))
+            if signs[self.found[-1]] and self.found_bounds[-1][0] < 0:
+                raise InputError(
+                    f"unknowns lets {spelled(key)} be {given!r}, and it is declared positive.\n"
+                    "Raise the low bound, or declare it with another sign."
+                )
         self._read_bounds(problem)
         self._check()
 
@@ -150,6 +162,10 @@ class Reading:
                     f"{did_you_mean(key, self._known)}\nThe system has "
                     f"{', '.join(self._known)}."
                 )
+            if not isinstance(value, (tuple, str, sp.Basic, Real)):
+                raise InputError(
+                    f"{what}[{name}] is {value!r}.\nPass a number, an expression, or (low, high)."
+                )
             if isinstance(value, tuple):
                 low, high = _pair(f"{what}[{name}]", value)
                 found.append(Limits(name, self.value(what, key, ends=True), low, high))
@@ -180,8 +196,14 @@ class Reading:
                 self.of_coordinates[self.names.index(name)] = pair
             else:
                 self.within.append(Limits(name, self.value("bounds", key), *pair))
+        if not isinstance(problem.path, (tuple, list)):
+            raise InputError(
+                f"path is {problem.path!r}, no list.\nPass [expression, (low, expression, high)]."
+            )
         for one in problem.path:
-            low, expression, high = one if isinstance(one, tuple) else (None, one, 0)
+            if isinstance(one, (tuple, list)) and len(one) != 3:
+                raise InputError(f"path has {one!r}.\nPass (low, expression, high).")
+            low, expression, high = one if isinstance(one, (tuple, list)) else (None, one, 0)
             pair = _pair(f"path {expression}", (low, high))
             self.within.append(Limits(str(expression), self.value("path", expression), *pair))
 

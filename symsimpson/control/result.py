@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -11,45 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.control.layout import Layout
+from symsimpson.control.status import STATUSES, ControlStatus
+from symsimpson.errors import InputError
 from symsimpson.plotting.axes import axes
+from symsimpson.program.values import read_count
 
 if TYPE_CHECKING:
     from symsimpson.api.stepper import Stepper
     from symsimpson.control.ipopt import Outcome
     from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["ControlResult", "ControlStatus", "result_of"]
+__all__ = ["ControlResult", "result_of"]
 
 Floats = NDArray[np.float64]
-
-
-class ControlStatus(Enum):
-    """How the search for a solution ended, with a sentence that says so."""
-
-    SOLVED = "A local optimum was found."
-    ACCEPTABLE = "An optimum was found, less exactly than was asked for."
-    INFEASIBLE = (
-        "The solver came to a point where the conditions cannot be satisfied better nearby. "
-        "Another guess, wider bounds or a longer duration may help."
-    )
-    ITERATION_LIMIT = "The solver used all its iterations. Allow more, or begin nearer."
-    RESTORATION_FAILED = (
-        "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
-        "rounding allows; else another guess may help."
-    )
-    INTERRUPTED = "The search was interrupted; the last iterate is kept."
-    NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
-
-
-STATUSES = {
-    "Solve_Succeeded": ControlStatus.SOLVED,
-    "Solved_To_Acceptable_Level": ControlStatus.ACCEPTABLE,
-    "Infeasible_Problem_Detected": ControlStatus.INFEASIBLE,
-    "Not_Enough_Degrees_Of_Freedom": ControlStatus.INFEASIBLE,
-    "Maximum_Iterations_Exceeded": ControlStatus.ITERATION_LIMIT,
-    "User_Requested_Stop": ControlStatus.INTERRUPTED,
-    "Invalid_Number_Detected": ControlStatus.NOT_FINITE,
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -225,7 +198,7 @@ class ControlResult:
             h=self.duration / layout.steps,
             steps=layout.steps,
             every=1,
-            status=Status.SUCCESS,
+            status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
             message=self.message,
             program=stepper.program,
             parameter_values=values,
@@ -246,7 +219,7 @@ class ControlResult:
         float
             How far from the end of the solution its end is, in coordinates.
         """
-        layout = self.layout
+        layout, refine = self.layout, read_count("refine", refine, least=1)
         stepper = stepper_of(layout)
         steps, h = layout.steps * refine, self.duration / layout.steps / refine
         given: dict[str, Any] = {"parameters": self.unknowns or None}
@@ -270,6 +243,11 @@ class ControlResult:
         Returns
         -------
         ndarray, shape (N, m, 2 n)
+
+        Raises
+        ------
+        InputError
+            If Q or R has another shape.
         """
         layout, run = self.layout, self.trajectory
         names = layout.read.inputs
@@ -282,6 +260,10 @@ class ControlResult:
             parameters=self.unknowns or None,
             wrt=list(layout.read.system.inputs),
         )
+        sizes = (("Q", Q, 2 * layout.n), ("R", R, len(names)))
+        for name, given, size in sizes:
+            if np.shape(given) != (size, size):
+                raise InputError(f"{name} has shape {np.shape(given)}, not ({size}, {size}).")
         Q, R = np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
         B = np.stack([linear.by_input[name].sum(axis=-1) for name in names], axis=-1)
         P, gains = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
@@ -315,7 +297,7 @@ class ControlResult:
                     lower.axhline(bound, color=line.get_color(), linestyle=":", linewidth=1)
         upper.set_ylabel("coordinates")
         lower.set(xlabel="t", ylabel="inputs")
-        for ax in (upper, lower):
+        for ax in (upper, lower)[: 1 + bool(layout.read.inputs)]:
             ax.legend()
         return upper.figure
 

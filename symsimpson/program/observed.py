@@ -124,6 +124,13 @@ def read_reductions(
         )
     found = []
     for name, pair in given.items():
+        if actors and (
+            pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair[0] in OF_VARIATIONS)
+        ):
+            raise InputError(
+                f"reduce[{name!r}] tells how variations grow, which is not measured through events."
+                "\nLeave it out, or the events."
+            )
         kind = pair[0] if isinstance(pair, tuple) and len(pair) == 2 and not pair[1] else pair
         if isinstance(kind, str) and kind in OF_VARIATIONS:
             found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
@@ -218,7 +225,8 @@ def watchers(
                 f"low = value_{k} if value_{k} < {before} else {before}",
                 "most = falls if falls > rises else rises",
                 "dips = low > small and falls > 0.0 and rises > 0.0 and low < most",
-                f"met_{k} = 1.0 if dips or (side != side and now_{k} < 0.0) else met_{k}",
+                f"lost = value_{k} != value_{k} or (side != side and now_{k} < 0.0)",
+                f"met_{k} = 1.0 if dips or lost else met_{k}",
             ]
             kept += [f"{earlier} = {before}", f"{before} = value_{k}"]
     lines.append(f"met = {' + '.join(f'met_{k}' for k in range(len(watched)))}")

@@ -42,10 +42,7 @@ AHEAD = 1e-6
 
 
 class ActingRun(Run):
-    """A run that stops where an event is, lets it act, and goes on from the next time of the grid.
-
-    The compiled loop takes steps until one in which an expression changes its sign; that step is
-    taken back, and taken anew in parts.
+    """A run in which events act: a step in which one is, is taken back, and anew in parts.
 
     Attributes
     ----------
@@ -87,7 +84,8 @@ class ActingRun(Run):
         if spec.tangents is not None:
             from symsimpson.run.saltation import Saltation  # few runs need it
 
-            self._saltation = Saltation(program, acting, spec.parameters, float(spec.h), inputs)
+            h, t0 = float(spec.h), float(spec.t0)
+            self._saltation = Saltation(program, acting, spec.parameters, h, t0, inputs)
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
@@ -112,15 +110,7 @@ class ActingRun(Run):
                 )
             self.side[k] = 1
         if self._actor.touching(values, self._small).any():
-            if self._saltation is not None:
-                self._saltation.begin(self._variations)
-            found = self._act(t, 0, state, [], {})
-            if found is not None:
-                self._go_on(found)
-                if self._saltation is not None:
-                    self._saltation.put(self._variations)
-                self.store(0)
-            self._column[self._status] = self._code
+            self._act_here(t, 0, state, [])
         self._remember()
         super().look()
 
@@ -257,6 +247,8 @@ class ActingRun(Run):
                 )
             rest = h - done
             if abs(rest) <= NOTHING * abs(h):
+                if self._saltation is not None:
+                    self._saltation.settle(t0 + done, state, step)
                 return state
             end, status = self._parts(state, t0 + done, rest, step, done / h)
             if status is not Status.SUCCESS:
@@ -264,6 +256,8 @@ class ActingRun(Run):
             found = self._located(step, t0, done, rest, state, end)
             if found is None:
                 values = self._actor.values(t0 + h, end)
+                if np.isnan(values[self._actor.impacts]).any():
+                    return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
                 self.side[:] = self._sides(values, self.side)
                 if self._saltation is not None:
                     self._saltation.flow(state, t0 + done, rest, step, done / h, None)
@@ -301,7 +295,9 @@ class ActingRun(Run):
                     ends[k] = lowest, low
         sides = self.side.tolist()
         roots = {
-            k: root(row, k, until, (first[k], low), sides[k]) for k, (until, low) in ends.items()
+            k: x
+            for k, (until, low) in ends.items()
+            if (x := root(row, k, until, (first[k], low), sides[k])) == x  # a jump is no zero
         }
         if not roots:
             return None
@@ -321,7 +317,7 @@ class ActingRun(Run):
         for k, before, behind, impulse in done:
             state = behind
             if self._saltation is not None:
-                self._saltation.act(t, before, k)
+                self._saltation.act(t, before, k, step)
             direction = -1 if self._actor.is_impact(k) else int(self.side[k])
             together = several and self._actor.is_impact(k)
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
@@ -364,15 +360,12 @@ class ActingRun(Run):
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""
-        for k, event in enumerate(self._acting.events):
-            acted = [one for one in self.records if one.event == k]
-            if event.terminal and len(acted) >= int(event.terminal):
-                last = acted[-1]
-                self.ended_by, self._code = event.key, ARRIVED
-                self.end_within = last.t, last.q_after, last.p_after
-                self.reason = f"{event.key!r} ended the run at t={last.t:g}."
-                return True
-        return False
+        last = self._acting.last_of(self.records)
+        if last is not None:
+            self.ended_by, self._code = self._acting.names[last.event], ARRIVED
+            self.end_within = last.t, last.q_after, last.p_after
+            self.reason = f"{self.ended_by!r} ended the run at t={last.t:g}."
+        return last is not None
 
     def _finish(self) -> None:
         """Let events act whose zero is the last state."""
@@ -381,16 +374,21 @@ class ActingRun(Run):
         events = np.flatnonzero(here & self._acts(self.side, -self.side)).tolist()
         if not events:
             return
-        self._saltation, carried = None, self._saltation
-        found = self._act(t, self.step, state, events, {})
-        self._saltation = carried
-        if found is None and self.ended_by:
-            assert self.end_within is not None
+        self._act_here(t, self.step, state, events)
+
+    def _act_here(self, t: float, step: int, state: Any, events: list[int]) -> None:
+        """Let events act on the state where the run is, which is one of the grid."""
+        if self._saltation is not None:
+            self._saltation.begin(self._variations)
+        found = self._act(t, step, state, events, {})
+        if found is None and self.end_within is not None:
             found = self.end_within[1:]
         if found is not None:
             self._go_on(found)
-            if self._saltation is not None:  # on which side of the end it is depends on the state
-                self._variations[:] = np.nan
+            if self._saltation is not None:
+                if self.ended_by is None:
+                    self._saltation.settle(t, found, step)
+                self._saltation.put(self._variations)
             if self.every and self._progress.item(0) % self.every == 0:
                 self.store(self._progress.item(0) // self.every)
         self._column[self._status] = self._code

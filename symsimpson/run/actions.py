@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
-from symsimpson.results.events import chandrupatla
+from symsimpson.results.events import JUMP, chandrupatla
 from symsimpson.stepping.acting import Acting, Impact
 from symsimpson.stepping.run import Run
 
@@ -146,7 +146,7 @@ class Actor:
         ends: tuple[float, float],
         side: float = 0.0,
     ) -> float:
-        """Return where from 0 to a span an expression is zero, to rounding.
+        """Return where from 0 to a span an expression is zero, to rounding; NaN where it jumps.
 
         ``ends`` are its values there; it begins on a side of zero. Newton's method with the rate of
         a gap takes few iterations; Chandrupatla's where there is none, or that leaves the bracket.
@@ -175,7 +175,9 @@ class Actor:
             return np.array([row(low + float(x[0]))[k]])
 
         given = np.array([high - low]), np.array([first]), np.array([last])
-        return low + float(chandrupatla(shifted, *given)[0])
+        x = low + float(chandrupatla(shifted, *given)[0])
+        jumped = abs(float(row(x)[k])) > JUMP * (abs(ends[0]) + abs(ends[1]))
+        return float("nan") if jumped else x
 
     def acted(
         self, t: float, state: State, events: Sequence[int], small: Floats
@@ -303,25 +305,13 @@ def _lowest(first: float, last: float, a: float, b: float) -> float:
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:
-    """Return the restitution as a function of the speed of approach.
-
-    Raises
-    ------
-    InputError
-        If it contains something else than that and parameters.
-    """
+    """Return the restitution as a function of the speed of approach."""
     if not hasattr(given, "free_symbols") or given.is_number:
         number = float(given)
         return lambda _: number
     known = dict(zip(program.parameters, map(float, values), strict=True))
     own = {symbol: known[str(symbol)] for symbol in given.free_symbols if str(symbol) in known}
     left = given.subs(own)
-    names = {str(symbol) for symbol in left.free_symbols}
-    if not names <= {"approach"}:
-        raise InputError(
-            f"the restitution {given} contains {', '.join(sorted(names - {'approach'}))}.\n"
-            "It is made of parameters and of the speed of approach, symsimpson.approach."
-        )
     (speed,) = left.free_symbols or (None,)
 
     def restitution(approach: float) -> float:

@@ -264,6 +264,11 @@ def trajectory_of(
         t, tau, q, p, iterations = with_end(*states, bool(every))
         if len(t) > before:
             recorded = np.vstack([recorded, run.left()])
+        elif every:  # it is at the last state, as that was before
+            q, p, recorded = (
+                np.vstack([x[:-1], end_of])
+                for x, end_of in ((q, end[0]), (p, end[1]), (recorded, run.left()))
+            )
     message = run.reason or status.message
     if status is not Status.SUCCESS:
         of = f" of {count}" if spec.t_end is None else ""

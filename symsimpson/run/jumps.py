@@ -132,7 +132,7 @@ class Jumps:
     def _restitution(self, event: int, approach: Any, z: Sequence[Any]) -> Any:
         given = self._acting.events[event].action.restitution  # type: ignore[union-attr]
         if not hasattr(given, "free_symbols"):
-            return mp.mpf(given)
+            return mp.mpf(float(given))
         known = dict(zip(self._names, z[1 + 2 * self._n :], strict=True)) | {"approach": approach}
         symbols = sorted(given.free_symbols, key=str)
         from sympy import lambdify  # slow to import, and there by now

@@ -32,6 +32,10 @@ Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 #: What is zero with a rate below this part of that over the part of the step is grazed.
 GRAZED = 1e-3
+#: The part of a step over which the vector field is a mean of two derivatives by the length.
+SHORT = 1e-4
+#: Parts of a step that are shorter than this part of it have no length.
+NOTHING = 1e-12
 
 
 class Saltation:
@@ -43,7 +47,7 @@ class Saltation:
         Whose module differentiates by what ``sensitivities`` are asked for.
     acting : Acting
     parameters : ndarray, shape (m,)
-    h : float
+    h, t0 : float
     inputs : ndarray, shape (1, N, s, u)
 
     Attributes
@@ -60,7 +64,13 @@ class Saltation:
     """
 
     def __init__(
-        self, program: Program, acting: Acting, parameters: Floats, h: float, inputs: Floats
+        self,
+        program: Program,
+        acting: Acting,
+        parameters: Floats,
+        h: float,
+        t0: float,
+        inputs: Floats,
     ) -> None:
         if program.declared is None:
             raise InputError(
@@ -79,11 +89,14 @@ class Saltation:
         self._h, self._inputs, self._own = h, inputs, own
         self._jumps = Jumps(program, acting, parameters)
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
+        self._t0 = t0
+        #: The event whose time it is that has come.
+        self._timed: int | None = None
 
     def begin(self, rows: Floats) -> None:
         """Begin a step with variations, one behind the other, whose time does not vary."""
         self.columns = rows.reshape(-1, 2 * self._program.n).T.copy()
-        self.moved = np.zeros(self.columns.shape[1])
+        self.moved, self._timed = np.zeros(self.columns.shape[1]), None
 
     def put(self, rows: Floats) -> None:
         """Put the variations there, one behind the other."""
@@ -93,7 +106,9 @@ class Saltation:
         self, state: State, t: float, size: float, step: int, share: float, event: int | None
     ) -> None:
         """Carry them through a part of a step, up to an event or to the end of the step."""
-        if size == 0.0:
+        if abs(size) <= NOTHING * abs(self._h):
+            if event is not None:
+                self._retime(t, state, event, step)
             return
         columns, by_length, by_time, end = self._carried(state, t, size, step, share)
         columns = columns + np.outer(by_time, self.moved)
@@ -104,10 +119,33 @@ class Saltation:
                 begun = self._jumps.value(event, self._jumps.point(t, *state))
                 longer = self._later(event, t + size, end, columns, by_length, begun / size)
         self.columns = columns + np.outer(by_length, longer)
-        self.moved = self.moved + longer
+        self.moved, self._timed = self.moved + longer, event
 
-    def act(self, t: float, state: State, event: int) -> None:
-        """Let an event act on them."""
+    def settle(self, t: float, state: State, step: int) -> None:
+        """Carry them back to the time itself, behind events that are there and move with them."""
+        if self.moved.any():
+            self.columns = self.columns - np.outer(self._field(t, state, step), self.moved)
+            self.moved = 0 * self.moved
+
+    def _retime(self, t: float, state: State, event: int, step: int) -> None:
+        """Let the time that has come be that of another event, which is there, too."""
+        self.settle(t, state, step)
+        field = self._field(t, state, step)
+        with workdps(DIGITS):
+            later = self._later(event, t, state, self.columns, field, 0.0)
+        self.columns = self.columns + np.outer(field, later)
+        self.moved, self._timed = later, event
+
+    def _field(self, t: float, state: State, step: int) -> Floats:
+        """Return the derivative by the length of parts of no length: the vector field."""
+        size, share = SHORT * self._h, (t - self._t0) / self._h - step
+        ways = (self._carried(state, t, s * size, step, share)[1] for s in (1.0, -1.0))
+        return np.asarray(sum(ways) / 2)
+
+    def act(self, t: float, state: State, event: int, step: int) -> None:
+        """Let an event act on them, at a time of its own."""
+        if event != self._timed:
+            self._retime(t, state, event, step)
         with workdps(DIGITS):
             at = self._jumps.point(t, *state)
             ways = self._jumps.ways(self.moved, self.columns, self._varied)
@@ -122,6 +160,7 @@ class Saltation:
         ``mean`` is the rate at which the expression came to be zero, over the part of the step.
         """
         at = self._jumps.point(t, *end)
+        unknown = np.full(self.moved.shape, np.nan)
         value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
         ways = self._jumps.ways(self.moved, columns, self._varied)
         (own,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
@@ -133,6 +172,8 @@ class Saltation:
                 "behind it.\nThey are those of the run, and tell little of runs nearby.",
                 ResolutionWarning,
             )
+        if rate == 0:
+            return unknown
         return np.array([float(-slope(value, at, way)[0] / rate) for way in ways])
 
     @property

@@ -236,6 +236,14 @@ class Acting:
         """Names of the records."""
         return tuple(event.key for event in self.events)
 
+    def last_of(self, records: Sequence[Any]) -> Any:
+        """Return the record with which an event ends a run, if there is one."""
+        for k, event in enumerate(self.events):
+            acted = [one for one in records if one.event == k]
+            if event.terminal and len(acted) >= int(event.terminal):
+                return acted[-1]
+        return None
+
     def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
         """Return what looks for the events, with rows from the first free one on."""
         signs, gaps = [one.sign for one in self.events], [rate is not None for rate in self.rate]
@@ -291,13 +299,15 @@ def read_events(program: Program, given: Any) -> Acting:
                 "Pass events=[symsimpson.Event(expression, action=...)]."
             )
     _check_names(program, events)
+    for one in events:
+        _check_restitution(program, one)
     watched = [read_expression(program, one.expression) for one in events]
 
     def place(expression: Any) -> int:
         watched.append(read_expression(program, expression))
         return len(watched) - 1
 
-    when = tuple(None if one.when is None else place(one.when) for one in events)
+    when = tuple(None if one.when is None else place(_positive(one.when)) for one in events)
     gaps = [
         _of_gap(program, one, place) if isinstance(one.action, Impact) else (None, None)
         for one in events
@@ -319,6 +329,42 @@ def _check_names(program: Program, events: Sequence[Event]) -> None:
                 f"{name!r} is a coordinate; run.events({name!r}) could not tell them apart.\n"
                 "Give the event another name."
             )
+
+
+def _positive(condition: Any) -> Any:
+    """Return what is positive where a condition holds, an expression or an inequality.
+
+    Raises
+    ------
+    InputError
+        If it is an equation.
+    """
+    if not hasattr(condition, "rel_op"):
+        return condition
+    if condition.rel_op not in ("<", "<=", ">", ">="):
+        raise InputError(
+            f"the condition when={condition} holds nowhere but in points.\n"
+            "Give an expression that is to be positive, or an inequality."
+        )
+    sign = 1 if condition.rel_op in (">", ">=") else -1
+    return sign * (condition.lhs - condition.rhs)
+
+
+def _check_restitution(program: Program, event: Event) -> None:
+    """Refuse a restitution of something else than parameters and the speed of approach.
+
+    Raises
+    ------
+    InputError
+    """
+    given = getattr(event.action, "restitution", 1.0)
+    names = {str(symbol) for symbol in getattr(given, "free_symbols", ())}
+    strange = sorted(names - {"approach", *program.parameters})
+    if strange:
+        raise InputError(
+            f"the restitution {given} contains {', '.join(strange)}.\n"
+            "It is made of parameters and of the speed of approach, symsimpson.approach."
+        )
 
 
 def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:

@@ -1,5 +1,6 @@
 """Problems of optimal control: derivatives of their programmes, outcomes, what is refused."""
 
+import pickle
 import signal
 
 import numpy as np
@@ -145,6 +146,10 @@ def test_more_steps_until_the_cost_is_as_exact_as_asked():
     found = cart(cost=u**2 + x**2).solve("midpoint", steps=10, error=1e-5)
     assert found.error < 1e-5
     assert found.layout.steps > 20
+    again = pickle.loads(pickle.dumps(found))
+    assert again.costates[0].tolist() == found.costates[0].tolist()
+    with pytest.warns(ss.ResolutionWarning, match="with 192 steps the relative error"):
+        cart(cost=u**2 + x**2).solve("midpoint", steps=3, error=1e-9)
     exact = cart(cost=u**2 + x**2).solve("gauss6", steps=20).cost
     assert abs(found.cost / exact - 1) < 1e-5
 
@@ -174,6 +179,8 @@ def test_gains_hold_a_run_near_the_solution():
     found = cart().solve("simpson", steps=40)
     gains = found.lqr(np.eye(2), 0.01 * np.eye(1))
     assert gains.shape == (40, 1, 2)
+    with pytest.raises(ss.InputError, match="Q has shape"):
+        found.lqr(np.eye(3), np.eye(1))
     stepper, h = ss.compile(CART), found.duration / 40
     ends = []
     for own in (gains, 0 * gains):
@@ -194,7 +201,7 @@ def test_guesses():
     assert abs(problem.solve("simpson", steps=10, guess=given).cost - first.cost) < 1e-8
     for guess, told in (
         ({"z": 1.0}, "guess names 'z'"),
-        ({x: np.zeros((2, 2))}, "has shape"),
+        ({x: np.zeros((2, 2))}, "of shape"),
         ({x: lambda t: t[:1]}, "gives shape"),
         ({x: np.nan}, "holds NaN"),
         (3.0, "guess is float"),
@@ -209,6 +216,12 @@ def test_outcomes_that_are_no_solution_keep_what_there_is():
     assert not weak.success
     assert "off by" in weak.message
     assert weak.violation > 1e-3
+    assert not weak.trajectory.success
+    fast = cart(start={x: 0, x.diff(): 5}, end={x: 1}, bounds={x.diff(): (-1, 1)})
+    assert not fast.solve("lobatto6", steps=10).success
+    lost = cart(cost=u**2 + 1 / x).solve(steps=4)
+    assert lost.status is ss.ControlStatus.NOT_FINITE
+    assert lost.q.shape == (5, 1)
     short = cart(cost=u**4 + x**2).solve(steps=10, most_iterations=1)
     assert short.status is ss.ControlStatus.ITERATION_LIMIT
     assert short.q.shape == (11, 1)
@@ -245,6 +258,11 @@ def test_ctrl_c_returns_the_iterate(monkeypatch):
         ({"bounds": {x: (1, 0)}}, "low is not below high"),
         ({"bounds": {u: "wide"}}, "Pass a number, or a pair"),
         ({"unknowns": {"M": (0, 1)}}, "unknowns names 'M'"),
+        ({"unknowns": ["M"]}, "unknowns is .*not a mapping"),
+        ({"bounds": None}, "bounds is None, not a mapping"),
+        ({"path": x - 2}, "path is .* no list"),
+        ({"path": [(x, 2)]}, "Pass .low, expression, high"),
+        ({"start": {x: [0, 1]}}, "Pass a number, an expression, or"),
         ({"end": {x: 1, x.diff(): 0, x**2: 1}}, "3 conditions on 2 numbers"),
     ],
 )
@@ -256,14 +274,22 @@ def test_what_no_problem_can_be(more, told):
 def test_what_cannot_be_solved_is_said_before():
     with pytest.raises(ss.InputError, match="have no control points"):
         cart().solve("kahan_li8")
-    with pytest.raises(ss.InputError, match="steps is 0"):
-        cart().solve(steps=0)
+    for name, value in (
+        ("steps", 0),
+        ("tolerance", -1),
+        ("error", np.nan),
+        ("most_iterations", -1),
+    ):
+        with pytest.raises(ss.InputError, match=f"{name} is {value}"):
+            cart().solve(**{name: value})
+    with pytest.raises(ss.InputError, match="it is declared positive"):
+        everything(unknowns={m: (-3, 3)})
     with pytest.raises(ss.ModelError, match="z"):
         cart(cost=sp.Symbol("z") ** 2)
     with pytest.raises(ss.InputError, match="is no system that can be controlled"):
         ss.OptimalControl("cart", cost=1, duration=1)
     free = ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=x**2)
-    with pytest.raises(ss.InputError, match="more conditions than inputs can satisfy"):
+    with pytest.raises(ss.InputError, match="conditions than inputs can satisfy"):
         ss.OptimalControl(free, duration=1, **REST).solve(steps=5)
     with pytest.warns(ss.ResolutionWarning, match="act only in sums"):
         cart().solve(ss.galerkin("gauss", 3, 1), steps=5)

@@ -462,3 +462,46 @@ def test_chosen_states_and_sections_of_long_runs(monkeypatch):
     tops = ss.compile(BALL).poincare(z.diff(), [1.0], direction=-1, **given)
     assert np.abs(np.diff(tops.t) - 2 * FALL).max() < 1e-13
     assert np.abs(tops.q - 1).max() < 1e-13
+
+
+def test_conditions_may_be_inequalities():
+    assert len(drop(floor(when=ss.time < 1), t_end=1.0).events("floor")) == 1
+    assert len(drop(floor(when=ss.time > 1), t_end=1.0).events("floor")) == 0
+    assert len(drop(floor(when=z.diff() <= 100)).events("floor")) == 3
+    with pytest.raises(ss.InputError, match="holds nowhere but in points"):
+        drop(floor(when=sp.Eq(z, 0)))
+
+
+def test_jumps_are_no_zeros():
+    """As for zeros of a run: neither that of a rest, nor a pole."""
+    free = ss.compile(
+        ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0)
+    )
+    for text in ("Mod(x, 2*pi) - pi", "tan(x)", "1/(x - pi)"):
+        end = ss.Event(text, name="jump", direction=-1, terminal=True)
+        run = free.integrate([0.3], v0=[1.0], h=0.1, steps=80, events=[end])
+        assert run.ended_by is None, text
+        assert len(run.events(text, direction=-1)) == 0
+
+
+def test_a_gap_without_a_value_beyond_its_wall_ends_the_run():
+    run = drop(ss.Event(sp.sqrt(z), name="w", action=ss.Impact(0.8)), on_failure="return")
+    assert run.status is ss.Status.NOT_FINITE
+    assert "A gap has no value beyond its wall" in run.message
+    assert run.steps == 45
+
+
+def test_a_terminal_event_at_the_start_acts():
+    end = floor(0.8, terminal=True)
+    run = ss.compile(BALL).integrate([0.0], v0=[-1.0], h=0.01, t_end=1, events=[end])
+    assert run.ended_by == "floor"
+    assert run.p[-1, 0] == pytest.approx(0.8)
+
+
+def test_mistakes_in_events_of_ensembles_are_told_before():
+    many = ss.compile(BALL).ensemble
+    given = {"v0": [0.0], "h": 0.01, "steps": 20}
+    with pytest.raises(ss.InputError, match="the restitution e contains e"):
+        many([[1.0], [2.0]], events=[floor(sp.Symbol("e"))], **given)
+    with pytest.raises(ss.InputError, match="how variations grow, which is not measured through"):
+        many([[1.0], [2.0]], events=[floor()], reduce={"l": "lyapunov"}, **given)

@@ -176,3 +176,40 @@ def test_what_is_refused_and_what_is_warned_of():
     held = {"u": np.linspace(0, 1, 60)}
     run = driven.integrate([1.0], v0=[0.0], events=[floor], inputs=held, sensitivities="u", **given)
     assert np.isfinite(run.sensitivity["u"]).all()
+
+
+def test_two_events_at_one_time_each_have_their_own():
+    """Two balls that know nothing of each other, and one in a corner; in any order."""
+    two = ss.MechanicalSystem(
+        "two", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=9 * (x + y)
+    )
+    floors = [ss.Event(a, name=str(a), action=ss.Impact(0.8)) for a in (x, y)]
+    one = ss.compile(
+        ss.MechanicalSystem("one", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=9 * x)
+    ).integrate([1.0], p0=[0.0], h=0.01, steps=100, events=floors[:1], tangents=2)
+    for events in (floors, floors[::-1]):
+        run = ss.compile(two).integrate(
+            [1.0, 1.0], p0=[0.0, 0.0], h=0.01, steps=100, events=events, tangents=4
+        )
+        right = np.kron(one.tangent[-1], np.eye(2))
+        assert np.abs(run.tangent[-1] - right).max() < 1e-9
+
+
+def test_an_event_on_a_time_of_the_grid_moves_all_the_same():
+    """Steps of free motion are exact: there is no kink."""
+    free = ss.compile(
+        ss.MechanicalSystem("free", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0)
+    )
+    wall = ss.Event(x, name="wall", action=ss.Impact())
+    given = {"p0": [-1.0], "h": 0.125, "tangents": 2}
+    run = free.integrate([0.5], steps=8, events=[wall], **given)
+    assert np.abs(run.tangent[-1] - [[-1, -1], [0, -1]]).max() < 1e-9
+    last = free.integrate([0.5], steps=4, events=[wall], **given)
+    assert np.abs(last.tangent[-1] - [[-1, -0.5], [0, -1]]).max() < 1e-9
+    end = free.integrate([0.5], steps=8, events=[ss.Event(x, name="e", terminal=True)], **given)
+    assert np.abs(end.tangent[-1] - [[0, 0], [0, 1]]).max() < 1e-9
+    begun = ss.compile(BALL).integrate(
+        [0.0], p0=[-1.0], h=0.05, steps=1, tangents=2, events=[ss.Event(z, action=ss.Impact(0.8))]
+    )
+    right = [[-0.8 + 1.8 * 9.81 * 0.05, -0.8 * 0.05], [1.8 * 9.81, -0.8]]
+    assert np.abs(begun.tangent[-1] - right).max() < 1e-7

@@ -1,0 +1,37 @@
+"""Outcomes of the search for a motion of least cost."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+__all__ = ["STATUSES", "ControlStatus"]
+
+
+class ControlStatus(Enum):
+    """How the search for a solution ended, with a sentence that says so."""
+
+    SOLVED = "A local optimum was found."
+    ACCEPTABLE = "An optimum was found, less exactly than was asked for."
+    INFEASIBLE = (
+        "The solver came to a point where the conditions cannot be satisfied better nearby. "
+        "Another guess, wider bounds or a longer duration may help."
+    )
+    ITERATION_LIMIT = "The solver used all its iterations. Allow more, or begin nearer."
+    RESTORATION_FAILED = (
+        "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
+        "rounding allows; else another guess may help."
+    )
+    INTERRUPTED = "The search was interrupted; the last iterate is kept."
+    NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
+
+
+#: What they are in the words of Ipopt.
+STATUSES = {
+    "Solve_Succeeded": ControlStatus.SOLVED,
+    "Solved_To_Acceptable_Level": ControlStatus.ACCEPTABLE,
+    "Infeasible_Problem_Detected": ControlStatus.INFEASIBLE,
+    "Not_Enough_Degrees_Of_Freedom": ControlStatus.INFEASIBLE,
+    "Maximum_Iterations_Exceeded": ControlStatus.ITERATION_LIMIT,
+    "User_Requested_Stop": ControlStatus.INTERRUPTED,
+    "Invalid_Number_Detected": ControlStatus.NOT_FINITE,
+}
