@@ -69,11 +69,11 @@ from .schemes.scheme import MIDPOINT as MIDPOINT
 from .schemes.scheme import SIMPSON as SIMPSON
 from .schemes.scheme import Scheme as Scheme
 from .schemes.scheme import galerkin as galerkin
-from .stepping.acting import Change as Change
-from .stepping.acting import Event as Event
-from .stepping.acting import Impact as Impact
-from .stepping.acting import Switch as Switch
 from .stepping.driving import samples as samples
+from .stepping.event import Change as Change
+from .stepping.event import Event as Event
+from .stepping.event import Impact as Impact
+from .stepping.event import Switch as Switch
 from .support.derivation import Report as Report
 
 __version__: str

@@ -34,7 +34,7 @@ from symsimpson.support.progress import waiting
 
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
-    from symsimpson.stepping.acting import Event
+    from symsimpson.stepping.event import Event
 
 __all__ = ["compile", "generate", "load", "resume"]
 

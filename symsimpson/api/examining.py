@@ -20,7 +20,7 @@ from symsimpson.support.derivation import Report
 if TYPE_CHECKING:
     from symsimpson.analysis.certificate import Certificate
     from symsimpson.results.events import Events
-    from symsimpson.stepping.acting import Event
+    from symsimpson.stepping.event import Event
 
 __all__ = ["Examining"]
 

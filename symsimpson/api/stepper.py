@@ -18,7 +18,7 @@ from symsimpson.support.calling import explaining
 if TYPE_CHECKING:
     from symsimpson.ensemble.ensemble import Ensemble
     from symsimpson.results.sampled import Sampled, Saved
-    from symsimpson.stepping.acting import Event
+    from symsimpson.stepping.event import Event
 
 __all__ = ["Stepper"]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from symsimpson.run.loop import ControlLoop
-    from symsimpson.stepping.acting import Event
+    from symsimpson.stepping.event import Event
 
 __all__ = ["Stepping"]
 

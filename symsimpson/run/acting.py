@@ -17,7 +17,8 @@ from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.acted import Record
 from symsimpson.run.actions import Actor, limit_of
-from symsimpson.stepping.acting import Acting, Impact
+from symsimpson.stepping.acting import Acting
+from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP, chandrupatla
-from symsimpson.stepping.acting import Acting, Impact
+from symsimpson.stepping.acting import Acting
+from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run import Run
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
-from symsimpson.stepping.acting import Acting, Impact
+from symsimpson.stepping.acting import Acting
+from symsimpson.stepping.event import Impact
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program

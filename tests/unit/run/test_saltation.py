@@ -181,7 +181,10 @@ def test_what_is_refused_and_what_is_warned_of():
 def test_two_events_at_one_time_each_have_their_own():
     """Two balls that know nothing of each other, and one in a corner; in any order."""
     two = ss.MechanicalSystem(
-        "two", coordinates=(x, y), kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2, potential=9 * (x + y)
+        "two",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9 * (x + y),
     )
     floors = [ss.Event(a, name=str(a), action=ss.Impact(0.8)) for a in (x, y)]
     one = ss.compile(
