@@ -52,9 +52,10 @@ class Acting:
     def last_of(self, records: Sequence[Any]) -> Any:
         """Return the record with which an event ends a run, if there is one."""
         for k, event in enumerate(self.events):
-            acted = [one for one in records if one.event == k]
-            if event.terminal and len(acted) >= int(event.terminal):
-                return acted[-1]
+            if event.terminal:  # there may be many records
+                acted = [one for one in records if one.event == k]
+                if len(acted) >= int(event.terminal):
+                    return acted[-1]
         return None
 
     def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
