@@ -24,7 +24,6 @@ class Outcome:
 
     x: Floats
     multipliers: Floats
-    of_bounds: Floats
     said: str
     iterations: int
     seconds: float
@@ -152,7 +151,6 @@ def run_ipopt(
     return Outcome(
         np.array(found["x"]).ravel(),
         np.array(found["lam_g"]).ravel(),
-        np.array(found["lam_x"]).ravel(),
         str(told["return_status"]),
         int(told.get("iter_count", 0)),
         seconds,

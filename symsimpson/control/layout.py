@@ -31,6 +31,8 @@ class Layout:
     ----------
     A, B, b, c : ndarray
         Tables of the scheme: values and slopes of its polynomials at nodes, weights, places.
+    places : ndarray
+        Of the control points in a step.
     points : ndarray of int, shape (N, d + 1, n)
         Unknowns: control points, the first and the last shared with the steps beside.
     momenta : ndarray of int, shape (N + 1, n)
@@ -53,9 +55,9 @@ class Layout:
     def __init__(self, read: Reading, scheme: Scheme, steps: int) -> None:
         self.read, self.scheme, self.steps = read, scheme, steps
         self.A, self.B = (np.array(x, dtype=np.float64) for x in (scheme.A, scheme.B))
-        self.b, self.c = (
+        self.b, self.c, self.places = (
             np.array(x, dtype=np.float64)
-            for x in (scheme.quadrature.weights, scheme.quadrature.nodes)
+            for x in (scheme.quadrature.weights, scheme.quadrature.nodes, scheme.points)
         )
         n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
         self.n, self.degree, self.nodes = n, d, s
@@ -121,16 +123,34 @@ class Layout:
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
         """The programme, and the bounds of its rows; ``names`` are theirs."""
-        rows = _Rows(self)
+        rows = _Rows()
         blocks = [self._path(rows), *self._ends(rows)]
         linear = sparse.coo_matrix(
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
         self.names = rows.names
         self.step_rows = rows.steps
-        programme = Programme([made(rows.count) for made in blocks], linear)
+        made = [self._block(rows.count, *block) for block in blocks]
+        programme = Programme(made, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
         return programme, low, high
+
+    @staticmethod
+    def _block(total: int, functions: PointFunctions, maps: Any, fixed: Any, parts: Any) -> Block:
+        """Return a block whose functions have these parts (row, point, number) in all rows."""
+        count = maps[0].shape[0]
+        matrices = [
+            sparse.csr_matrix((x, (at, point)), shape=(total, count)) for at, point, x in parts
+        ]
+        for matrix in matrices:
+            matrix.eliminate_zeros()
+        return Block(functions, maps, matrices, fixed)
+
+    def _fixed(self, h: int) -> dict[int, Any]:
+        """Return what is given at all points: parameters, and the size of steps."""
+        read = self.read
+        own = {x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found}
+        return own if self.h is not None else {**own, h: read.duration[0] / self.steps}
 
     def _of(self, columns: Any, count: int) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
@@ -168,13 +188,8 @@ class Layout:
                 maps.append(matrix)
         maps += [self._of(self.inputs[k, i, a], count) for a in range(len(read.u))]
         maps += [self._of(x, count) for x in self.parameters]
-        fixed: dict[int, Any] = {
-            x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found
-        }
-        fixed[place] = k + self.c[i]
-        if self.h is None:
-            fixed[h] = read.duration[0] / N
-        else:
+        fixed = {**self._fixed(h), place: k + self.c[i]}
+        if self.h is not None:
             variables.append(h)
             maps.append(self._of(self.h, count))
         steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
@@ -197,17 +212,7 @@ class Layout:
             some = np.flatnonzero(~self._alone[i])
             at = rows.add(len(some), low, high, read.names[a])
             parts.append((at, some, np.ones(len(some))))
-        functions = PointFunctions(graph, variables, outputs)
-
-        def made(total: int) -> Block:
-            matrices = [
-                sparse.csr_matrix((x, (at, point)), shape=(total, count)) for at, point, x in parts
-            ]
-            for matrix in matrices:
-                matrix.eliminate_zeros()
-            return Block(functions, maps, matrices, fixed)
-
-        return made
+        return PointFunctions(graph, variables, outputs), maps, fixed, parts
 
     def _driven(self, value: Value) -> bool:
         """Return whether an input stands in a value."""
@@ -235,13 +240,8 @@ class Layout:
             outputs = rebuilt(graph, values, own)
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
-            fixed: dict[int, Any] = {
-                x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found
-            }
-            fixed[last] = float(end * self.steps)
-            if self.h is None:
-                fixed[h] = read.duration[0] / self.steps
-            else:
+            fixed = {**self._fixed(h), last: float(end * self.steps)}
+            if self.h is not None:
                 variables.append(h)
                 unknown.append(self.h)
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
@@ -250,25 +250,17 @@ class Layout:
                 rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
             ]
             at += tied
-            functions = PointFunctions(graph, variables, outputs)
             maps = [self._of(x, 1) for x in unknown]
-
-            def of(total: int, at: Any = at, given: Any = (functions, maps, fixed)) -> Block:
-                functions, maps, fixed = given
-                matrices = [
-                    sparse.csr_matrix(([1.0], ([row], [0])), shape=(total, 1)) for row in at
-                ]
-                return Block(functions, maps, matrices, fixed)
-
-            made.append(of)
+            parts = [([row], [0], [1.0]) for row in at]
+            made.append((PointFunctions(graph, variables, outputs), maps, fixed, parts))
         return made
 
 
 class _Rows:
     """Rows as they come; the first is that of the cost."""
 
-    def __init__(self, layout: Layout) -> None:
-        self.layout, self.count = layout, 1
+    def __init__(self) -> None:
+        self.count = 1
         self.low: list[Floats] = []
         self.high: list[Floats] = []
         self.names: list[str] = []

@@ -52,10 +52,9 @@ class PointFunctions:
         self._graph, self._outputs, self.variables = graph, list(outputs), list(variables)
         self._compiled: dict[str, tuple[Callable[..., None], list[int]]] = {}
         self.weights = list(graph.numbers(f"weight_{r}" for r in range(len(outputs))))
-        own: list[Value] = list(outputs)
         self._slopes: Entries = [
             (r, c, slope)
-            for r, value in enumerate(own)
+            for r, value in enumerate(self._outputs)
             for c, slope in enumerate(gradient(graph, value, self.variables))
             if slope[0]
         ]

@@ -93,11 +93,7 @@ class Reading:
                 "of it."
             )
         for what in ("bounds", "unknowns"):
-            if not isinstance(getattr(problem, what), Mapping):
-                raise InputError(
-                    f"{what} is {getattr(problem, what)!r}, not a mapping.\n"
-                    f"Pass pairs by symbol: {what}={{u: (-1, 1)}}."
-                )
+            _check_mapping(what, getattr(problem, what), "pairs by symbol: {u: (-1, 1)}")
         own = {spelled(a): i for i, a in enumerate(system.parameters)}
         signs = [bool(a.is_positive or a.is_nonnegative) for a in system.parameters]
         self.found, self.found_bounds = [], []
@@ -135,11 +131,8 @@ class Reading:
 
     def _tied(self, given: Mapping[Any, Any]) -> list[tuple[str, Value, Value]]:
         """Read what is at the end what something is at the start, with a minus."""
-        if not isinstance(given, Mapping):
-            raise InputError(
-                f"conditions is {type(given).__name__}, not a mapping.\n"
-                "Pass expressions at the end by those at the start: {x.diff(): x.diff()}."
-            )
+        how = "expressions at the end by those at the start: {x.diff(): x.diff()}"
+        _check_mapping("conditions", given, how)
         found = []
         for key, value in given.items():
             last, first = (self.value("conditions", x, ends=True) for x in (key, value))
@@ -148,11 +141,7 @@ class Reading:
 
     def _end(self, what: str, given: Mapping[Any, Any]) -> list[Limits]:
         """Read what holds at an end."""
-        if not isinstance(given, Mapping):
-            raise InputError(
-                f"{what} is {type(given).__name__}, not a mapping.\n"
-                "Pass values by symbol: {x: 0, x.diff(): 0}."
-            )
+        _check_mapping(what, given, "values by symbol: {x: 0, x.diff(): 0}")
         found = []
         for key, value in given.items():
             name = key if isinstance(key, str) else spelled(key)
@@ -179,7 +168,7 @@ class Reading:
         return found
 
     def _number(self, value: Value) -> float:
-
+        """Return a value in which no symbol stands."""
         c, n = value
         return float(c * evaluated(self.graph, [n], {}, mpmath.fp)[n]) if c else 0.0
 
@@ -226,6 +215,18 @@ class Reading:
                             f"{where} has {one.name} = {one.low:g}, outside of its bounds "
                             f"({low:g}, {high:g}).\nWiden them, or begin within."
                         )
+
+
+def _check_mapping(what: str, given: Any, how: str) -> None:
+    """Refuse what is no mapping.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(given, Mapping):
+        shown = None if given is None else type(given).__name__
+        raise InputError(f"{what} is {shown}, not a mapping.\nPass {how}.")
 
 
 def _pair(what: str, given: Any) -> tuple[float, float]:

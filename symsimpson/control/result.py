@@ -129,11 +129,10 @@ class ControlResult:
     def functions(self) -> dict[str, Any]:
         """Coordinates and inputs as functions of the time, as a guess has them."""
         layout = self.layout
-        points = np.array([float(c) for c in layout.scheme.points])
 
         def coordinate(a: int) -> Any:
             def value(t: Floats) -> Floats:
-                basis, k = self._basis(t, points)
+                basis, k = self._basis(t, layout.places)
                 return np.asarray((basis * self.x[layout.points[:, :, a]][k]).sum(axis=-1))
 
             return value
@@ -148,11 +147,7 @@ class ControlResult:
         layout = self.layout
         h = self.duration / layout.steps
         k = np.clip(np.floor(t / h).astype(np.int64), 0, layout.steps - 1)
-        c = np.clip(t / h - k, 0.0, 1.0)[..., None]
-        basis = [
-            np.prod([(c - y) / (x - y) for y in places if y != x], axis=0) + 0 * c for x in places
-        ]
-        return np.concatenate(basis, axis=-1), k
+        return lagrange(places, np.clip(t / h - k, 0.0, 1.0)), k
 
     @cached_property
     def costates(self) -> tuple[Floats, Floats]:
@@ -335,14 +330,7 @@ class ControlResult:
         """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
         layout = self.layout
         places = (np.arange(refine)[:, None] + layout.c) / refine
-        basis = np.stack(
-            [
-                np.prod([(places - y) / (x - y) for y in layout.c if y != x], axis=0) + 0 * places
-                for x in layout.c
-            ],
-            axis=-1,
-        )
-        values = np.einsum("rsi,kim->krsm", basis, self.input_values)
+        values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), self.input_values)
         shape = layout.steps * refine, layout.nodes
         return {name: values[..., j].reshape(shape) for j, name in enumerate(layout.read.inputs)}
 
@@ -352,6 +340,12 @@ class ControlResult:
             f"ControlResult({layout.read.system.name}, {layout.scheme.name}: {layout.steps} "
             f"steps, cost {self.cost:.9g}, {self.status.name} after {self.iterations} iterations)"
         )
+
+
+def lagrange(places: Floats, at: Floats) -> Floats:
+    """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
+    found = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
+    return np.stack([value + 0 * at for value in found], axis=-1)
 
 
 def stepper_of(layout: Layout) -> Stepper:

@@ -146,8 +146,7 @@ def begin(layout: Layout, guess: Any) -> Floats:
     x = np.zeros(layout.size)
     h = whole / N
     starts = h * np.arange(N)
-    points = np.array([float(c) for c in layout.scheme.points])
-    times = starts[:, None] + h * points
+    times = starts[:, None] + h * layout.places
     ends = [_given(limits, read) for limits in read.ends]
     for a, name in enumerate(read.names):
         first = ends[0].get(name, ends[1].get(name, 0.0))

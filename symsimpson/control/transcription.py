@@ -84,8 +84,8 @@ class Block:
 
     def slope_places(self) -> tuple[Ints, Ints, Ints, Floats]:
         """Return which slope has which part in which entry (row, unknown) of the Jacobian."""
-        pairs = ((self.rows[r].tocsc(), self.maps[c].tocsr()) for r, c in self.functions.slopes)
-        return _placed([(a, b) for a, b in pairs], self.count)
+        pairs = [(self.rows[r].tocsc(), self.maps[c].tocsr()) for r, c in self.functions.slopes]
+        return _placed(pairs, self.count)
 
     def curvature_places(self) -> tuple[Ints, Ints, Ints, Floats]:
         """Return the same for the Hessian: both halves of it, of which one is kept."""

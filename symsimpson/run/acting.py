@@ -85,8 +85,7 @@ class ActingRun(Run):
         if spec.tangents is not None:
             from symsimpson.run.saltation import Saltation  # few runs need it
 
-            h, t0 = float(spec.h), float(spec.t0)
-            self._saltation = Saltation(program, acting, spec.parameters, h, t0, inputs)
+            self._saltation = Saltation(program, acting, spec.parameters, float(spec.h), inputs)
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
@@ -261,11 +260,11 @@ class ActingRun(Run):
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
                 self.side[:] = self._sides(values, self.side)
                 if self._saltation is not None:
-                    self._saltation.flow(state, t0 + done, rest, step, done / h, None)
+                    self._saltation.flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = found
             if self._saltation is not None:
-                self._saltation.flow(state, t0 + done, part, step, done / h, events[0])
+                self._saltation.flow(state, t0 + done, part, step, events[0])
             state, done = behind, done + part
             state = self._act(t0 + done, step, state, events, times)
             if state is None:

@@ -7,7 +7,7 @@ the step, not by the vector field, which differs from that by the error of the s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.program.recorders import tangents
 from symsimpson.run.jumps import DIGITS, Jumps, slope
-from symsimpson.stepping.driving import at_places, places
+from symsimpson.stepping.driving import since
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.variations import varied_program
 from symsimpson.support.calling import warn
@@ -47,7 +47,7 @@ class Saltation:
         Whose module differentiates by what ``sensitivities`` are asked for.
     acting : Acting
     parameters : ndarray, shape (m,)
-    h, t0 : float
+    h : float
     inputs : ndarray, shape (1, N, s, u)
 
     Attributes
@@ -64,13 +64,7 @@ class Saltation:
     """
 
     def __init__(
-        self,
-        program: Program,
-        acting: Acting,
-        parameters: Floats,
-        h: float,
-        t0: float,
-        inputs: Floats,
+        self, program: Program, acting: Acting, parameters: Floats, h: float, inputs: Floats
     ) -> None:
         if program.declared is None:
             raise InputError(
@@ -89,7 +83,6 @@ class Saltation:
         self._h, self._inputs, self._own = h, inputs, own
         self._jumps = Jumps(program, acting, parameters)
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
-        self._t0 = t0
         #: The event whose time it is that has come.
         self._timed: int | None = None
 
@@ -102,15 +95,13 @@ class Saltation:
         """Put the variations there, one behind the other."""
         rows[:] = self.columns.T.ravel()
 
-    def flow(
-        self, state: State, t: float, size: float, step: int, share: float, event: int | None
-    ) -> None:
+    def flow(self, state: State, t: float, size: float, step: int, event: int | None) -> None:
         """Carry them through a part of a step, up to an event or to the end of the step."""
         if abs(size) <= NOTHING * abs(self._h):
             if event is not None:
                 self._retime(t, state, event, step)
             return
-        columns, by_length, by_time, end = self._carried(state, t, size, step, share)
+        columns, by_length, by_time, end = self._carried(state, t, size, step)
         columns = columns + np.outer(by_time, self.moved)
         if event is None:
             longer = -self.moved
@@ -138,8 +129,8 @@ class Saltation:
 
     def _field(self, t: float, state: State, step: int) -> Floats:
         """Return the derivative by the length of parts of no length: the vector field."""
-        size, share = SHORT * self._h, (t - self._t0) / self._h - step
-        ways = (self._carried(state, t, s * size, step, share)[1] for s in (1.0, -1.0))
+        sizes = SHORT * self._h, -SHORT * self._h
+        ways = (self._carried(state, t, size, step)[1] for size in sizes)
         return np.asarray(sum(ways) / 2)
 
     def act(self, t: float, state: State, event: int, step: int) -> None:
@@ -148,7 +139,7 @@ class Saltation:
             self._retime(t, state, event, step)
         with workdps(DIGITS):
             at = self._jumps.point(t, *state)
-            ways = self._jumps.ways(self.moved, self.columns, self._varied)
+            ways = self._jumps.ways(self.moved, self.columns, self._own)
             found = [slope(lambda z: self._jumps.act(event, z), at, way) for way in ways]
         self.columns = np.array(found, dtype=np.float64).T.reshape(self.columns.shape)
 
@@ -160,9 +151,8 @@ class Saltation:
         ``mean`` is the rate at which the expression came to be zero, over the part of the step.
         """
         at = self._jumps.point(t, *end)
-        unknown = np.full(self.moved.shape, np.nan)
         value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
-        ways = self._jumps.ways(self.moved, columns, self._varied)
+        ways = self._jumps.ways(self.moved, columns, self._own)
         (own,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
         (rate,) = slope(value, at, own)
         if abs(rate) <= GRAZED * abs(mean):
@@ -173,24 +163,18 @@ class Saltation:
                 ResolutionWarning,
             )
         if rate == 0:
-            return unknown
+            return np.full(self.moved.shape, np.nan)
         return np.array([float(-slope(value, at, way)[0] / rate) for way in ways])
 
-    @property
-    def _varied(self) -> Sequence[str]:
-        """Names that the last of the variations are by."""
-        return self._own
-
     def _carried(
-        self, state: State, t: float, size: float, step: int, share: float
+        self, state: State, t: float, size: float, step: int
     ) -> tuple[Floats, Floats, Floats, State]:
         """Return variations behind a part of a step, derivatives by its length and its time."""
         program, count = self._program, self.columns.shape[1]
         n, more = program.n, len(self._by)
-        at = share + size / self._h * places(program)
-        rests = at_places(program, self._inputs, np.array([step]), at[None])
+        held = since(self._inputs, min(step, self._inputs.shape[1] - 1))[:, :1]
         own = (tangents(program.header, count + more),)
-        run = Run(program, self._parameters, size, t, 0, 1, inputs=rests, recorders=own)
+        run = Run(program, self._parameters, size, t, 0, 1, inputs=held, recorders=own)
         run.begin(*state, velocity=False)
         run.rows("TANGENTS", 1)[:] = count + more
         begun = np.concatenate([self.columns, np.zeros((2 * n, more))], axis=1)
