@@ -142,6 +142,21 @@ def test_costates_are_derivatives_of_the_least_cost():
     assert abs((least(0.2, 0.1 + d).cost - least(0.2, 0.1 - d).cost) / (2 * d) - by_p[0, 0]) < 1e-6
 
 
+def test_costates_end_with_the_slope_of_the_final_cost():
+    problem = ss.OptimalControl(
+        CART,
+        cost=u**2 + x**2,
+        final_cost=2 * x**2 + x.diff() ** 2,
+        start={x: 1, x.diff(): 0.5},
+        duration=2,
+    )
+    found = problem.solve("gauss6", steps=30)
+    by_q, by_p = found.costates
+    assert abs(by_q[-1, 0] - 4 * found.q[-1, 0]) < 1e-8
+    assert abs(by_p[-1, 0] - 2 * found.p[-1, 0]) < 1e-8
+    assert abs(by_q[-1, 0]) > 1e-2
+
+
 def test_more_steps_until_the_cost_is_as_exact_as_asked():
     found = cart(cost=u**2 + x**2).solve("midpoint", steps=10, error=1e-5)
     assert found.error < 1e-5
