@@ -4,8 +4,14 @@ The environment is no matter of the tests: what it says of progress bars and of 
 stepper does not need is not compiled.
 """
 
+# ruff: noqa: E402
 import os
 import signal
+import sys
+
+# what one process has read of Python, others need not translate again
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from support.cases import drawn, seed_of_the_run

@@ -7,13 +7,40 @@ from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
 
-__all__ = ["definitions", "redefined", "syntax"]
+__all__ = ["definitions", "outline", "redefined", "syntax"]
 
 
 @lru_cache(maxsize=1)  # trees are large, and asked for by one reader after the other
 def syntax(text: str) -> ast.Module:
     """Return the syntax tree of a text, which is not to be changed."""
     return ast.parse(text)
+
+
+@lru_cache(maxsize=8)  # small trees
+def outline(text: str) -> ast.Module:
+    """Return the syntax tree of a text without the bodies of its functions, in a tenth of the time.
+
+    Lines keep their numbers. A body is what is indented behind a function's arguments: a string
+    in it must not go on at the left margin.
+    """
+    kept: list[str] = []
+    last = depth = 0  # the last line of a body; how many brackets of arguments are open
+    inside = False
+    for line in text.splitlines():
+        if inside and not depth and (not line or line[0].isspace()):
+            if line.strip():
+                last = len(kept)
+            kept.append("")
+            continue
+        if inside and not depth and last:
+            kept[last], last = "    ...", 0
+        inside = inside and depth > 0 or line.startswith("def ")
+        if inside:
+            depth += line.count("(") - line.count(")")
+        kept.append(line)
+    if last:
+        kept[last] = "    ..."
+    return ast.parse("\n".join(kept))
 
 
 @lru_cache(maxsize=64)  # each ensemble and each search for events asks again
@@ -28,7 +55,7 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
         If the text is no Python.
     """
     found = {}
-    for node in syntax(text).body:
+    for node in outline(text).body:
         match node:
             case ast.FunctionDef(name=name, decorator_list=marks):
                 first = min([node.lineno, *(mark.lineno for mark in marks)])

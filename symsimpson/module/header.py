@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.blocks import ADJACENT, BLOCKS, TOLD
-from symsimpson.module.definitions import definitions, redefined, syntax
+from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.module.interface import INTERFACE, PIVOTED
 
 __all__ = ["SIGNED", "Header", "digest", "read_header", "with_facts"]
@@ -181,7 +181,7 @@ def read_header(text: str, where: str) -> Header:
     constants: dict[str, Any] = {}
     functions: list[str] = []
     try:
-        body = syntax(text).body
+        body = outline(text).body
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise StaleKernelError(
             f"{where}: this is no Python, so no module that symsimpson generated.\n"

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from itertools import zip_longest
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.binding import MATH
-from symsimpson.module.definitions import syntax
+from symsimpson.module.definitions import outline, syntax
 from symsimpson.module.interface import OPTIONS, SIGNATURE
 
 __all__ = ["check_structure"]
@@ -89,7 +90,7 @@ def check_structure(text: str, where: str) -> None:
     """
     try:
         tree = syntax(text)
-        found = next(_strange(tree), None)
+        found = next(_strange(tree), None) or next(_hidden(tree, outline(text)), None)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise StaleKernelError(
             f"{where}: this is no module that symsimpson generated: {type(error).__name__}.\n"
@@ -101,6 +102,18 @@ def check_structure(text: str, where: str) -> None:
             f"{where}, line {getattr(node, 'lineno', 1)}: {what}, which no generated module has.\n"
             "It was not executed. Find out where the file comes from, and generate it anew."
         )
+
+
+def _hidden(tree: ast.Module, read: ast.Module) -> Iterator[tuple[ast.AST, str]]:
+    """Find the first statement that reads otherwise where functions are left out."""
+
+    def told(node: ast.stmt | None) -> object:
+        if isinstance(node, ast.FunctionDef):
+            return node.name, node.lineno
+        return node and ast.dump(node)
+
+    pairs = zip_longest(tree.body, read.body)
+    return ((a or tree, "text at the left margin") for a, b in pairs if told(a) != told(b))
 
 
 def _strange(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:

@@ -13,7 +13,7 @@ from numba import njit
 
 from symsimpson.driver.solving import DRIVER_OPTIONS
 from symsimpson.driver.steps import SIGNATURES
-from symsimpson.module.definitions import redefined, syntax
+from symsimpson.module.definitions import outline, redefined
 from symsimpson.module.interface import constants
 from symsimpson.program.cache import compiled
 from symsimpson.program.machine import vector_bits
@@ -73,7 +73,7 @@ def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True
 def _without_own_imports(text: str) -> str:
     """Leave out imports of names that stand in the same text."""
     lines = text.splitlines(keepends=True)
-    for node in reversed(syntax(text).body):
+    for node in reversed(outline(text).body):
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("symsimpson"):
             del lines[node.lineno - 1 : node.end_lineno]
     return "".join(lines)

@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import math
+import re
 import threading
 from functools import cache
 from unittest.mock import MagicMock
@@ -11,6 +12,7 @@ import numpy as np
 from numba.core import event
 
 from symsimpson.module.binding import MATH, bind
+from symsimpson.module.definitions import definitions, outline, redefined
 from symsimpson.program.compiled import Kernels
 from symsimpson.program.driver import driver_text
 from symsimpson.program.numbers import Numbers
@@ -87,20 +89,37 @@ class _Lists(ast.NodeTransformer):
 
 
 @cache
-def _bound(text, arithmetic):
-    """Return a module whose workspace is a list of columns."""
+def _bound(text, name, arithmetic):
+    """Return a function of a module whose workspace is a list of columns."""
     with _parsing:
-        return _bind(text, TOTAL if arithmetic == "total" else QUICK)
+        return getattr(_bind(text, name, TOTAL if arithmetic == "total" else QUICK), name)
 
 
-def _bind(text, arithmetic):
-    tree = ast.parse(text)
+def _bind(text, name, arithmetic):
+    needed = ast.parse(_needed(text, name))
     places = {
         node.targets[0].id: node.value.value
-        for node in tree.body
+        for node in outline(text).body
         if isinstance(node, ast.Assign) and type(getattr(node.value, "value", None)) is int
     }
-    return bind(_Lists(places).visit(tree), arithmetic)
+    return bind(_Lists(places).visit(needed), arithmetic)
+
+
+def _needed(text, name):
+    """Return the constants of a module, and of its functions those that one calls: one of ten."""
+    lines, spans = text.splitlines(), definitions(text)
+    functions = {
+        node.name: "\n".join(lines[slice(*spans[node.name])])
+        for node in outline(text).body
+        if isinstance(node, ast.FunctionDef)
+    }
+    found, waiting = set(), {name}
+    while waiting:
+        one = waiting.pop()
+        found.add(one)
+        waiting |= functions.keys() & set(re.findall(r"\w+", functions[one])) - found
+    leave = {other: "" for other in functions if other not in found}
+    return redefined(text, leave)
 
 
 def call(address, h, t, W):
@@ -108,11 +127,11 @@ def call(address, h, t, W):
     text, name = _kernels[address]
     columns = W.T.tolist()
     try:
-        getattr(_bound(text, "quick"), name)(float(h), float(t), columns)
+        _bound(text, name, "quick")(float(h), float(t), columns)
         W.T[:] = columns
     except (ArithmeticError, ValueError, TypeError):  # somewhere there is no real value
         columns = W.T.tolist()
-        getattr(_bound(text, "total"), name)(float(h), float(t), columns)
+        _bound(text, name, "total")(float(h), float(t), columns)
         W.T[:] = columns
 
 

@@ -129,6 +129,22 @@ def test_nothing_else_is_executed(line, place, tmp_path, monkeypatch):
     assert not (tmp_path / "CANARY").exists()
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        'def X():\n    """\nROWS = 1000\n    """\n',
+        "def X(a=(\n1,\n)):\n    return max(\n1,\n    2)\n",
+        'def X():\n    """\ndef Y():\n    """\nROWS = 1000\n',
+    ],
+)
+def test_bodies_at_the_left_margin_are_refused(lines, tmp_path):
+    """Constants are read where functions have no bodies: none may stand in a body."""
+    path = tmp_path / "hostile.py"
+    path.write_text(signed(TEXT + lines))
+    with pytest.raises(ss.StaleKernelError, match=r"left margin|no module that symsimpson"):
+        ss.load(path)
+
+
 def test_the_canary_would_sing(tmp_path):
     """The negative control: the same lines do touch it where they are executed."""
     subprocess.run([sys.executable, "-c", TOUCH], cwd=tmp_path, check=True)
