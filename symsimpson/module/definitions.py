@@ -34,7 +34,7 @@ def outline(text: str) -> ast.Module:
             continue
         if inside and not depth and last:
             kept[last], last = "    ...", 0
-        inside = inside and depth > 0 or line.startswith("def ")
+        inside = (inside and depth > 0) or line.startswith("def ")
         if inside:
             depth += line.count("(") - line.count(")")
         kept.append(line)

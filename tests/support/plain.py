@@ -113,7 +113,8 @@ def _needed(text, name):
         for node in outline(text).body
         if isinstance(node, ast.FunctionDef)
     }
-    found, waiting = set(), {name}
+    tables = {x.id for node in outline(text).body for x in ast.walk(node) if type(x) is ast.Name}
+    found, waiting = set(), {name, *functions.keys() & tables}
     while waiting:
         one = waiting.pop()
         found.add(one)
