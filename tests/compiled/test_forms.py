@@ -34,7 +34,7 @@ def run_of(form, **how):
     return stepper.integrate(**system.reference_state, h=0.02, **duration, **more, **how)
 
 
-@pytest.mark.parametrize("form", sweep(FORMS, 5))
+@pytest.mark.parametrize("form", sweep(FORMS, 3))
 def test_a_form_has_the_numbers_of_plain_python(form):
     found = run_of(form)
     with pytest.MonkeyPatch.context() as patch, plain(patch):

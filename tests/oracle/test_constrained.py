@@ -170,6 +170,7 @@ def pendulum():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", MISTAKES)
 def test_every_mistake_is_seen(wrong):
     """The scheme written down anew is the product's; with a mistake order or form is lost."""

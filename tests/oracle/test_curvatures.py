@@ -170,7 +170,7 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("system", "scheme", "wrt"), sweep(CASES, 2))
+@pytest.mark.parametrize(("system", "scheme", "wrt"), sweep(CASES))
 def test_they_are_what_the_declaration_says(system, scheme, wrt):
     one = system()
     with mp.workdps(DIGITS):

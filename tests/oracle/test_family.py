@@ -127,7 +127,7 @@ def test_as_many_nodes_as_degrees_are_runge_kutta_methods(kind, stages):
         assert max(abs(x - y) for x, y in zip(found, oracle, strict=True)) < 1e-30
 
 
-@pytest.mark.parametrize(("momentum", "seen"), [(0.0, False), (0.02, True)])
+@pytest.mark.parametrize(("momentum", "seen"), sweep([(0.0, False), (0.02, True)]))
 def test_stages_look_at_the_velocities_of_cyclic_coordinates(momentum, seen):
     """Of the top as a plane pendulum they are none: what is told of them is not of theta."""
     module = bind_float(source(TOP, "gauss6"))
@@ -142,7 +142,7 @@ def test_stages_look_at_the_velocities_of_cyclic_coordinates(momentum, seen):
 
 
 @pytest.mark.parametrize("scheme", sweep(["gauss6", "gauss12", "lobatto_3_3", "lobatto_5_5"]))
-@pytest.mark.parametrize("system", [PENDULUM, TOP], ids=["pendulum", "top"])
+@pytest.mark.parametrize("system", sweep([PENDULUM, TOP]), ids=["pendulum", "top"])
 def test_stages_solve_the_equations(system, scheme):
     """The kernels over stages, run in 40 digits, come to what Newton's method comes to."""
     h = "0.01"
@@ -208,7 +208,9 @@ def test_compiled_stages_against_many_digits(name, scheme):
 
 
 @pytest.mark.parametrize("scheme", sweep(BY_STAGES))
-@pytest.mark.parametrize(("system", "h"), [(PENDULUM, 0.05), (TOP, 0.05)], ids=["pendulum", "top"])
+@pytest.mark.parametrize(
+    ("system", "h"), sweep([(PENDULUM, 0.05), (TOP, 0.05)]), ids=["pendulum", "top"]
+)
 def test_stages_are_reversible(system, h, scheme):
     stepper = ss.compile(system, scheme)
     there = stepper.integrate(**system.reference_state, h=h, steps=100)

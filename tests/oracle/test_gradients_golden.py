@@ -37,6 +37,7 @@ def test_gradients_in_double_precision(case):
     assert relative(found.astype(object), truth) < 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", sweep(WITH_GRADIENT, 1), ids=lambda case: case["name"])
 def test_gradients_in_many_digits(case):
     with mp.workdps(45):

@@ -57,7 +57,7 @@ def test_golden_impacts(name):
         assert np.abs(found[-1] - right).max() < near * max(1, np.abs(right).max())
 
 
-@pytest.mark.parametrize("name", [name for name, case in IMPACTS.items() if "tangent" in case])
+@pytest.mark.parametrize("name", sweep(x for x, case in IMPACTS.items() if "tangent" in case))
 def test_golden_tangents_through_an_impact(name):
     """By the length of the parts of the step: the vector field is off by the scheme's error."""
     case = IMPACTS[name]
@@ -66,6 +66,7 @@ def test_golden_tangents_through_an_impact(name):
     assert np.abs(found - right).max() < 1e-11 * np.abs(right).max()
 
 
+@pytest.mark.slow
 def test_a_billiard_in_an_ellipse_keeps_its_caustic():
     """Energy, and the product of the angular momenta about the foci: straight steps are exact."""
     case = IMPACTS["elliptic_billiard"]

@@ -6,6 +6,7 @@ import pytest
 import symsimpson as ss
 
 
+@pytest.mark.slow
 def test_three_bodies_return_to_where_they_were():
     eight = ss.systems.figure_eight()
     run = ss.compile(eight, "gauss12").integrate(

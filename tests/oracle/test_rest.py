@@ -12,7 +12,7 @@ import symsimpson as ss
 (X,) = ss.coordinates("x")
 
 
-@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "midpoint", "radau5", "gauss16"], 2))
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss8", "midpoint", "radau5", "gauss16"]))
 def test_rest_between_two_walls(scheme):
     """At x = 0 forces of the size 1 cancel: increments are smaller than their rounding."""
     walls = ss.MechanicalSystem(

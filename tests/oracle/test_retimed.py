@@ -120,7 +120,11 @@ def composed_run(case, number, **options):
     )
 
 
-@pytest.mark.parametrize("case", COMPOSED, ids=lambda case: case["name"])
+@pytest.mark.parametrize(
+    "case",
+    sweep(sorted(COMPOSED, key=lambda case: "suzuki" in case["name"])),
+    ids=lambda case: case["name"],
+)
 @pytest.mark.parametrize("digits", [pytest.param(15, marks=pytest.mark.slow), 45])
 def test_kicks_and_drifts(case, digits):
     number, most = (float, 1e-13) if digits == 15 else (mp.mpf, 1e-32)

@@ -85,6 +85,7 @@ def test_golden_runs_in_many_digits(name):
     assert max(errors.values()) < 1e-30, errors
 
 
+@pytest.mark.slow
 def test_a_step_back_undoes_a_step():
     """Also with forces, rows that move with the time, and one constraint of positions."""
     for name in ("affine_forced_simpson", "turntable_simpson"):
@@ -119,6 +120,7 @@ def test_a_sleigh_turns_as_tanh():
     assert 5.8 < np.log2(errors[0] / errors[1]) < 6.2
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_turntable_goes_round_on_a_circle():
     """About a centre that follows from its start, at 2/7 of the rate of the table."""
     ball = ss.systems.ball_on_turntable()

@@ -46,6 +46,7 @@ def test_derivatives_by_the_state(name, scheme):
     assert np.abs(found - of_end).max() < 1e-12 * np.abs(of_end).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 1))
 def test_derivatives_by_parameters(name, scheme):
     stepper, values, z = case(name, scheme)

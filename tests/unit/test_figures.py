@@ -50,6 +50,7 @@ FIGURES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_has_not_risen(name):
     told, count = FIGURES[name]

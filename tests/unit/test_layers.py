@@ -111,10 +111,12 @@ def all_imports():
     return imported
 
 
+@pytest.mark.slow
 def test_there_is_no_circle_of_imports_of_any_kind():
     graphlib.TopologicalSorter(all_imports()).prepare()  # raises where there is one
 
 
+@pytest.mark.slow
 def test_a_circle_would_be_found():
     below = all_imports() | {"symsimpson.errors": {"symsimpson.api.compiling"}}
     with pytest.raises(graphlib.CycleError):
@@ -127,6 +129,7 @@ def test_modules_stay_small():
     assert sorted(sizes.values())[len(sizes) // 2] <= 140
 
 
+@pytest.mark.slow
 def test_no_scheme_is_singled_out():
     """A scheme is data: its name is compared in the one place that names schemes."""
     for path in PACKAGE.rglob("*.py"):

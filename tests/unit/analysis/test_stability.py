@@ -188,6 +188,7 @@ def test_many_turns_away(stepper, turns):
     assert far.energy < 30 * far.resolution
 
 
+@pytest.mark.slow
 def test_fast_rotation():
     """Ten thousand radians a second: a turn takes no more than some steps, energy stays."""
     stepper = ss.compile(ss.systems.pendulum())

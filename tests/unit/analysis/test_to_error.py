@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.analysis import to_error
@@ -38,7 +39,7 @@ def test_a_choice_is_made_once_for_the_same_question(choices, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "other", [{"error": 1e-5}, {"t_end": 6.0}, {"parameters": {"l": 0.5}}, {"on": "energy"}]
+    "other", sweep([{"error": 1e-5}, {"t_end": 6.0}, {"parameters": {"l": 0.5}}, {"on": "energy"}])
 )
 def test_another_question_is_another_choice(choices, other):
     ss.integrate(PENDULUM, [1.0], **ASKED)

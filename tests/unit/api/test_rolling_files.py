@@ -10,10 +10,10 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.systems import ROLLING
 
-SMALL = ["snakeboard", "ball_on_turntable", "chaplygin_sleigh", "rolling_disc"]
+SMALL = ["ball_on_turntable", "snakeboard", "chaplygin_sleigh", "rolling_disc"]
 
 
-@pytest.mark.parametrize("name", sweep([*SMALL, *(x for x in ROLLING if x not in SMALL)], 2))
+@pytest.mark.parametrize("name", sweep([*SMALL, *(x for x in ROLLING if x not in SMALL)]))
 def test_modules_files_and_checkpoints_are_read_again(name, tmp_path):
     system = ROLLING[name]()
     given = {**system.reference_state, "h": 0.01}

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from support.cases import sweep
 
 import symsimpson as ss
 from symsimpson.codegen.counting import Cost, cost
@@ -14,7 +15,7 @@ def kernel_of(text, name):
     return body[: body.index("\n\n\n")]
 
 
-@pytest.mark.parametrize("make", [ss.systems.kepler, ss.systems.lagrange_top])
+@pytest.mark.parametrize("make", sweep([ss.systems.kepler, ss.systems.lagrange_top]))
 @pytest.mark.parametrize("exploit", [(), "all"])
 def test_straight_lines_are_counted_as_their_sections_say(make, exploit):
     """But for changes of sign, which only the sections count."""

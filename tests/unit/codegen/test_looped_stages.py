@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 from support.forms import limited
 
 import symsimpson as ss
@@ -49,7 +50,7 @@ def runs(stepper, monkeypatch, **given):
         yield stepper.integrate([0.3, -0.5, 0.2], v0=[0.7, 0.1, -0.4], h=H, steps=3, **given)
 
 
-@pytest.mark.parametrize(("about", "more", "given"), list(variants()))
+@pytest.mark.parametrize(("about", "more", "given"), sweep(variants()))
 def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypatch):
     stepper = ss.compile(model(**more), "gauss10", precision=40)
     assert "enter_node(" in stepper.source

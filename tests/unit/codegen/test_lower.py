@@ -46,7 +46,7 @@ def test_values_that_share_much_move_in_as_many_visits_as_there_are(monkeypatch)
     assert len(made) == 600
 
 
-@pytest.mark.parametrize("n", [2, 3, 6])
+@pytest.mark.parametrize("n", sweep([3, 6, 2]))
 def test_dampers_between_all_masses_are_compiled_at_once(n):
     """Of x' = A x the end is exp(t A) x(0); lines that are shared are followed once."""
     q = ss.coordinates(" ".join(f"x{i}" for i in range(n)))
@@ -90,7 +90,7 @@ def test_a_sine_that_something_is_divided_by_keeps_its_digits():
     assert "sincos(angle" in source(system, ss.SIMPSON)
 
 
-@pytest.mark.parametrize("function", [sp.sin, sp.cos, sp.tan])
+@pytest.mark.parametrize("function", sweep([sp.cos, sp.sin, sp.tan]))
 def test_signs_taken_out_of_angles_are_not_lost(function):
     """An angle may change its sign once what is inside it has a name."""
     x, y = ss.coordinates("x y")

@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 
 import symsimpson as ss
 
@@ -53,7 +54,7 @@ def everything(**more):
     return ss.OptimalControl(SYSTEM, **given | more)
 
 
-@pytest.mark.parametrize("scheme", ["simpson", "gauss4", "radau5"])
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4", "radau5"]))
 def test_derivatives_are_exact(scheme):
     """Of all rows by all unknowns, against differences of high order; patterns miss nothing."""
     from symsimpson.control.layout import Layout

@@ -62,6 +62,7 @@ def test_inputs_at_nodes_move_the_end_as_they_say(cart):
         assert (ends[0] - ends[1]) / 2e-4 == pytest.approx(found[:, node], abs=1e-10)
 
 
+@pytest.mark.slow
 def test_a_run_is_the_product_of_its_steps():
     stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
     found = stepper.linearise([0.8, 1.0], p0=[0.05, 0], h=0.05, steps=4)
@@ -79,6 +80,7 @@ def test_constraints_and_their_projection_are_in_it():
     assert np.abs(D - found.by_state[1]).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_it_has_many_digits():
     stepper = ss.compile(CART, "simpson", precision=40)
     found = stepper.linearise(**START, steps=2, wrt="u", inputs={"u": 0.25})
@@ -116,8 +118,7 @@ SHAKEN = ss.MechanicalSystem(
             (ss.systems.cartesian_pendulum(), "simpson"),
             (ss.systems.damped_pendulum(), "gauss4"),
             (SHAKEN, "midpoint"),
-        ],
-        2,
+        ]
     ),
 )
 def test_steps_are_differentiated_by_their_size_and_their_time(system, scheme):

@@ -222,6 +222,7 @@ def test_members_that_only_robust_kernels_take_are_reduced_too():
     assert (last.q[1] == found.q[1, -1]).all()
 
 
+@pytest.mark.slow
 def test_a_start_at_a_singular_point_has_its_status():
     stepper = ss.compile(ss.systems.spherical_pendulum())
     q0 = np.tile([1.0, 0.5], (9, 1))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 
 import symsimpson as ss
 
@@ -32,7 +33,7 @@ def stepper(request):
     return ss.compile(KEPLER.retimed("encounters"), request.param)
 
 
-@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize("how", sweep(HOW))
 def test_members_are_single_runs(stepper, how):
     many = stepper.ensemble(Q0, v0=V0, h=0.1, **how)
     assert (many.status == ss.Status.SUCCESS).all()

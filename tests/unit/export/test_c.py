@@ -174,6 +174,7 @@ def test_other_kernels_where_stages_fail(tmp_path):
     assert np.abs(q - run.q).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_words_of_c_and_whatever_symbols_hold(tmp_path):
     names = ["math_errhandling", "register", "*/ #error", "y1", "INFINITY"]
     q = [sp.Function(name)(ss.time) for name in names]
@@ -231,6 +232,7 @@ def test_what_has_no_counterpart_is_refused(tmp_path):
         ss.compile(ss.systems.pendulum()).export_c(tmp_path / "no" / "a")
 
 
+@pytest.mark.slow
 def test_prefixes_that_functions_of_the_file_have(tmp_path):
     system = ss.systems.double_pendulum()
     made = InC(ss.compile(system), tmp_path, "keep")  # keep_step is one of the module's own

@@ -5,6 +5,7 @@ import pytest
 import sympy as sp
 import sympy.physics.mechanics as me
 from support import kane as posed
+from support.cases import sweep
 
 import symsimpson as ss
 
@@ -23,10 +24,12 @@ SYSTEMS = {
     "masses_on_springs": (["loads"], [], []),
     "bicycle": (["rolling"], ["1"], ["2", "3"]),
 }
-SLOW = {"bicycle": pytest.mark.slow}
+LARGE = ("bicycle", "disc_with_its_place", "flying_body", "four_bars")
 
 
-@pytest.mark.parametrize("name", [pytest.param(x, marks=SLOW.get(x, ())) for x in SYSTEMS])
+@pytest.mark.parametrize(
+    "name", sweep(sorted(SYSTEMS, key=LARGE.__contains__), len(SYSTEMS) - len(LARGE))
+)
 def test_accelerations_are_those_of_kane(name):
     kane = getattr(posed, name)()
     forces, held, rolling = SYSTEMS[name]

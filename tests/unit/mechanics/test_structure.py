@@ -153,6 +153,7 @@ def test_zeros_are_counted():
 ALMOST = [1e-9, sp.Rational(1, 10**9)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", sweep(range(0, 200, 20)))
 def test_almost_structure_is_no_structure(start):
     """Each planted finding is broken by a term of 1e-9, and what is made of it is general."""

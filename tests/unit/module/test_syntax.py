@@ -99,12 +99,12 @@ def signed(text):
     return text.replace(banner[1], digest(text[banner.end() :]), 1)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sweep(FILES, 4), ids=lambda path: path.stem)
 def test_generated_modules_pass(path):
     check_structure(path.read_text(), path.name)
 
 
-@pytest.mark.parametrize("scheme", sweep(["gauss16", "lobatto_5_5", "lobatto10", "gauss_4_3"]))
+@pytest.mark.parametrize("scheme", sweep(["lobatto_5_5", "gauss16", "lobatto10", "gauss_4_3"]))
 def test_other_schemes_pass(scheme, tmp_path):
     path = ss.generate(ss.systems.lagrange_top(), scheme, tmp_path)
     assert ss.load(path).scheme == scheme

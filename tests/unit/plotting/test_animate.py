@@ -53,6 +53,7 @@ def test_a_body_turns_with_the_top():
     assert np.einsum("nij,nj->ni", spokes, scene.points[:, 0]) == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep(["double_pendulum", "lagrange_top"]))
 def test_films_need_nothing_from_elsewhere(tmp_path, name):
     film = run_of(name).animate(fps=5)

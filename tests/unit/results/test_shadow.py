@@ -27,6 +27,7 @@ def orders(swings):
     return np.log2(swings[:-1] / swings[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4"], 1))
 def test_orders_of_schemes_of_order_four(scheme):
     assert abs(orders(half_swings(lambda run: run.energy, scheme=scheme))[1] - 4.0) < 0.1

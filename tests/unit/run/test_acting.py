@@ -145,6 +145,7 @@ def test_a_start_on_a_wall():
     assert len(away.events("floor")) == 0
 
 
+@pytest.mark.slow
 def test_impacts_with_constraints_keep_to_them():
     """A pendulum of Cartesian coordinates against a wall: M v jumps along what the rod allows."""
     wall = ss.Event(x, name="wall", action=ss.Impact(0.5))
@@ -229,6 +230,7 @@ def test_what_does_not_go_with_events():
         ss.compile(BALL, precision=30).integrate([1.0], v0=[0.0], h=0.01, steps=3, events=[floor()])
 
 
+@pytest.mark.slow
 def test_impacts_that_accumulate_keep_what_was_computed():
     run = drop(floor(0.5), t_end=3.0, on_failure="return")
     assert run.status is ss.Status.EVENTS_ACCUMULATE
@@ -309,6 +311,7 @@ def test_a_gap_that_closes_shortly_before_a_state():
     assert len(run.events("ceiling")) == 1
 
 
+@pytest.mark.slow
 def test_changes_keep_to_constraints():
     stepper = ss.compile(ROD)
     for change in ({"positions": {x: 0.5}}, {"velocities": {y: 1}}):

@@ -45,7 +45,7 @@ def equal(run, other):
     return all(same) and about[0] == about[1]
 
 
-@pytest.mark.parametrize(("name", "scheme"), sweep(KINDS, 2))
+@pytest.mark.parametrize(("name", "scheme"), sweep(KINDS))
 def test_the_same_bits(name, scheme, taken):
     system = getattr(ss.systems, name)()
     stepper, state = ss.compile(system, scheme), system.reference_state

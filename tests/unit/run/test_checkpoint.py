@@ -269,6 +269,7 @@ def test_a_full_disk_loses_nothing(path, monkeypatch):
     assert same(ss.resume(path), whole)
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow(path, monkeypatch):
     """States beyond the buffer are on disk: the arrays of the run stay small."""
     monkeypatch.setattr("symsimpson.run.checkpoint.BUFFER", 4000)

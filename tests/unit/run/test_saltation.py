@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 
 import symsimpson as ss
 
@@ -70,7 +71,7 @@ def compare(system, events, q0, p0, *, scheme="simpson", by=None, near=1e-9, **g
     return run
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "lobatto6"])
+@pytest.mark.parametrize("scheme", sweep(["midpoint", "lobatto6"]))
 def test_impacts_with_a_mass_matrix_and_friction(scheme):
     run = compare(PLANE, [WALL], [0.5, 0.2], [0.1, 0.6], scheme=scheme, by="k")
     assert len(run.records) == 1
@@ -81,6 +82,7 @@ def test_impacts_with_a_mass_matrix_and_friction(scheme):
     assert np.abs(run.tangent[:6] - plain.tangent).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_changes_conditions_and_splits():
     swap = ss.Event(
         y - x,
@@ -104,6 +106,7 @@ def test_a_wall_that_moves_and_a_system_that_depends_on_time():
     assert len(run.records) == 1
 
 
+@pytest.mark.slow
 def test_impacts_of_what_constraints_hold():
     """Along variations that these allow."""
     wall = ss.Event(x + sp.Rational(1, 2), name="wall", action=ss.Impact(0.7))
@@ -129,6 +132,7 @@ def test_impacts_of_what_constraints_hold():
     assert np.abs(run.tangent[-1] - right).max() < 1e-8 * np.abs(right).max()
 
 
+@pytest.mark.slow
 def test_the_end_at_an_event_moves_with_its_time():
     """As the derivative of a map from one section to the next must have it."""
     last = ss.Event(z, name="down", terminal=True)
@@ -178,6 +182,7 @@ def test_what_is_refused_and_what_is_warned_of():
     assert np.isfinite(run.sensitivity["u"]).all()
 
 
+@pytest.mark.slow
 def test_two_events_at_one_time_each_have_their_own():
     """Two balls that know nothing of each other, and one in a corner; in any order."""
     two = ss.MechanicalSystem(
@@ -198,6 +203,7 @@ def test_two_events_at_one_time_each_have_their_own():
         assert np.abs(run.tangent[-1] - right).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_an_event_on_a_time_of_the_grid_moves_all_the_same():
     """Steps of free motion are exact: there is no kink."""
     free = ss.compile(
