@@ -53,7 +53,7 @@ def end(system, scheme, steps, t_end, precision=50):
 
 @pytest.mark.parametrize("scheme", sweep(SCHEMES))
 @pytest.mark.parametrize(
-    ("system", "t_end"), [(PENDULUM, "0.125"), (TOP, "0.125")], ids=["pendulum", "top"]
+    ("system", "t_end"), sweep([(PENDULUM, "0.125"), (TOP, "0.125")]), ids=["pendulum", "top"]
 )
 def test_order(system, t_end, scheme):
     """In 50 digits, from the differences of runs with h, h/2, h/4 and h/8."""

@@ -134,7 +134,7 @@ def test_order_through_an_impact(scheme, order, restitution):
         )
         return run.events("wall").t[0], np.concatenate([run.q[-1], run.v[-1]])
 
-    truth = end("gauss8", 600)
+    truth = end("gauss12", 120)
     counts = (12, 24, 48) if order == 6 else (24, 48, 96)
     times, states = zip(*(end(scheme, steps) for steps in counts), strict=True)
     off = np.abs(np.array(times) - truth[0])
@@ -143,6 +143,7 @@ def test_order_through_an_impact(scheme, order, restitution):
     assert np.log2(errors[0] / errors[-1]) / 2 > order - 0.6  # where in its step it falls scatters
 
 
+@pytest.mark.slow
 def test_elastic_impacts_keep_the_level_of_the_energy():
     """On the grid of times that was kept; no drift, where a grid anew from each impact has one."""
     (x,) = ss.coordinates("x")

@@ -26,6 +26,7 @@ def test_the_lightest_of_three_bodies_escapes():
     assert np.abs(run.p[-1].reshape(3, 2).sum(axis=0)).max() < 1e-11
 
 
+@pytest.mark.slow
 def test_a_comet_follows_keplers_equation():
     comet = ss.systems.kepler_plane()
     stepper = ss.compile(comet.retimed("encounters"), "gauss12")

@@ -5,6 +5,7 @@ import json
 import mpmath
 import numpy as np
 import pytest
+from support.cases import sweep
 from support.places import DATA
 
 import symsimpson as ss
@@ -15,7 +16,8 @@ def orders(errors):
 
 
 @pytest.mark.parametrize(
-    ("scheme", "order", "levels"), [("simpson", 4, range(2, 5)), ("midpoint", 2, range(4, 7))]
+    ("scheme", "order", "levels"),
+    sweep([("simpson", 4, range(2, 5)), ("midpoint", 2, range(4, 7))]),
 )
 def test_energy_of_the_double_pendulum(scheme, order, levels):
     system = ss.systems.double_pendulum()

@@ -32,7 +32,7 @@ def ends(system, state, scheme, t_end, counts):
 
 def orders(system, state, scheme, t_end):
     counts = STEPS.get(SCHEMES[scheme], (5, 10, 20))
-    (truth,) = ends(system, state, "gauss8", t_end, (1200,))
+    (truth,) = ends(system, state, "gauss12", t_end, (150,))
     errors = [np.abs(end - truth).max() for end in ends(system, state, scheme, t_end, counts)]
     return np.log2(np.array(errors[:-1]) / errors[1:])
 

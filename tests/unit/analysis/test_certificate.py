@@ -257,6 +257,7 @@ def test_steps_backwards_are_certified():
     assert row.measured == pytest.approx(4, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_damped_system_is_certified_backwards_and_forwards():
     """Kernels that many digits run have the names of no arithmetic."""
     damped = ss.systems.damped_oscillator()

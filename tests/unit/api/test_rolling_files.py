@@ -13,6 +13,7 @@ from symsimpson.systems import ROLLING
 SMALL = ["ball_on_turntable", "snakeboard", "chaplygin_sleigh", "rolling_disc"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sweep([*SMALL, *(x for x in ROLLING if x not in SMALL)]))
 def test_modules_files_and_checkpoints_are_read_again(name, tmp_path):
     system = ROLLING[name]()

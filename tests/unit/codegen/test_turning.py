@@ -74,6 +74,7 @@ def test_two_iterations_compute_them(text):
     assert np.abs(state - same).max() < 1e-16
 
 
+@pytest.mark.slow
 def test_angles_that_turn_far_have_sines_of_their_own(text):
     module, counts = counting(text)
     state, _ = step_of(module, START, 0.12)
