@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from symsimpson.control.held import held_blocks, held_rates, implied
 from symsimpson.control.points import PointFunctions
+from symsimpson.control.reading import Limits
 from symsimpson.control.transcription import Block, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
     from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["Layout"]
+__all__ = ["Layout", "Rows"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -44,6 +46,10 @@ class Layout:
         Those that are found.
     h : int or None
         The size of steps, if the duration is found.
+    multipliers : ndarray of int, shape (N, d, constraints)
+        Those of constraints at all control points of a step but the last, times h.
+    at_end : ndarray of int
+        Those of the momenta at the end, which are no multipliers of a step.
     size : int
         Number of unknowns.
     scale : float
@@ -60,31 +66,35 @@ class Layout:
             for x in (scheme.quadrature.weights, scheme.quadrature.nodes, scheme.points)
         )
         n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
-        self.n, self.degree, self.nodes = n, d, s
+        self.n, self.degree, self.nodes, N = n, d, s, steps
         block = d * n + n  # control points of a step but for the last, and the momentum
-        first = np.arange(steps)[:, None, None] * block
+        first = np.arange(N)[:, None, None] * block
         own = first + np.arange(d)[None, :, None] * n + np.arange(n)
-        last = np.append(own[1:, :1], np.arange(n)[None, None] + steps * block, axis=0)
+        last = np.append(own[1:, :1], np.arange(n)[None, None] + N * block, axis=0)
         self.points: Ints = np.concatenate([own, last], axis=1)
-        self.momenta: Ints = np.arange(steps + 1)[:, None] * block + d * n + np.arange(n)
-        self.momenta[-1] = steps * block + n + np.arange(n)
-        size = steps * block + 2 * n
+        self.momenta: Ints = np.arange(N + 1)[:, None] * block + d * n + np.arange(n)
+        self.momenta[-1] = N * block + n + np.arange(n)
+        size = N * block + 2 * n
         shared = self.c[0] == 0 and self.c[-1] == 1 and s > 1
         each = s - 1 if shared else s
         self.inputs: Ints = (
             size
-            + (np.arange(steps)[:, None, None] * each + np.arange(s)[None, :, None]) * m
+            + (np.arange(N)[:, None, None] * each + np.arange(s)[None, :, None]) * m
             + np.arange(m)
         )
-        size += (steps * each + shared) * m
+        size += (N * each + shared) * m
         self.velocities: Ints = size + np.arange(2 * n).reshape(2, n)
         size += 2 * n
         self.parameters: Ints = size + np.arange(len(read.found))
         size += len(read.found)
         low, high = read.duration
         self.h = None if low == high else size
-        self.size = size + (self.h is not None)
-        self.scale = (low if low == high else np.sqrt(low * high)) / steps
+        size += self.h is not None
+        held = len(read.constraints)
+        self.multipliers: Ints = size + np.arange(N * d * held).reshape(N, d, held)
+        self.at_end: Ints = size + N * d * held + np.arange(held)
+        self.size = size + (N * d + 1) * held
+        self.scale = (low if low == high else np.sqrt(low * high)) / N
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -123,13 +133,16 @@ class Layout:
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
         """The programme, and the bounds of its rows; ``names`` are theirs."""
-        rows = _Rows()
-        blocks = [self._path(rows), *self._ends(rows)]
+        rows = Rows()
+        blocks = [self._path(rows)]
+        if self.read.constraints:
+            blocks += held_blocks(self, rows)
+        self.of_steps = len(blocks)
+        blocks += self._ends(rows)
         linear = sparse.coo_matrix(
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
         self.names = rows.names
-        self.step_rows = rows.steps
         made = [self._block(rows.count, *block) for block in blocks]
         programme = Programme(made, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
@@ -152,48 +165,63 @@ class Layout:
         own = {x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found}
         return own if self.h is not None else {**own, h: read.duration[0] / self.steps}
 
-    def _of(self, columns: Any, count: int) -> Any:
+    def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
+        count = len(columns) if count is None else count
         data = np.ones(count)
         return sparse.csr_matrix(
             (data, (np.arange(count), np.broadcast_to(columns, count))), shape=(count, self.size)
         )
 
-    def _path(self, rows: _Rows) -> Any:
-        """Return the functions at nodes: forces, momenta, costs and what is bounded there."""
-        read, graph, N, s = self.read, self.read.graph, self.steps, self.nodes
-        n, d, count = self.n, self.degree, N * s
+    def on_path(self, table: Floats, k: Ints) -> list[Any]:
+        """Return the matrices of coordinates at points of steps k, by rows of a table."""
+        count, width = table.shape
+        found = []
+        for a in range(self.n):
+            columns = self.points[k, :, a].ravel()
+            matrix = sparse.csr_matrix(
+                (table.ravel(), (np.repeat(np.arange(count), width), columns)),
+                shape=(count, self.size),
+            )
+            matrix.eliminate_zeros()
+            found.append(matrix)
+        return found
+
+    def block(
+        self, values: Any, variables: Any, maps: Any, places: Floats, by_h: int = 0
+    ) -> tuple[PointFunctions, list[Any], dict[int, Any]]:
+        """Return functions of points of steps, their maps, and what is given there.
+
+        In ``values`` stand velocities, in maps those times h; the first ones are multiplied by h.
+        ``places`` are the times of the points in steps.
+        """
+        read, graph, count = self.read, self.read.graph, len(places)
         h, place = graph.numbers(["size of a step", "place in the motion"])
         turned: dict[int, Value] = {
             v: graph.multiply([(1, v), graph.power((1, h), -1)]) for v in read.v
         }
         turned[read.t] = graph.multiply([(1, place), (1, h)])
-        here = read.of_coordinates
-        values = [*read.forces, read.running]
-        given = rebuilt(graph, [*values, *read.momenta, *(x.value for x in read.within)], turned)
-        integrated = [graph.multiply([x, (1, h)]) for x in given[: n + 1]]
-        of_nodes = given[2 * n + 1 :] + [(1, read.q[a]) for a in here]
-        outputs = [*integrated, *given[n + 1 : 2 * n + 1], *of_nodes]
-        variables = [*read.q, *read.v, *read.u, *(read.parameters[i] for i in read.found)]
-        k, i = np.divmod(np.arange(count), s)
-        maps = []
-        for table in (self.A, self.B):
-            for a in range(n):
-                columns = self.points[k, :, a].ravel()
-                matrix = sparse.csr_matrix(
-                    (table[i].ravel(), (np.repeat(np.arange(count), d + 1), columns)),
-                    shape=(count, self.size),
-                )
-                matrix.eliminate_zeros()
-                maps.append(matrix)
-        maps += [self._of(self.inputs[k, i, a], count) for a in range(len(read.u))]
-        maps += [self._of(x, count) for x in self.parameters]
-        fixed = {**self._fixed(h), place: k + self.c[i]}
+        outputs = rebuilt(graph, values, turned)
+        outputs[:by_h] = [graph.multiply([x, (1, h)]) for x in outputs[:by_h]]
+        variables = [*variables, *(read.parameters[i] for i in read.found)]
+        maps = [*maps, *(self.of(x, count) for x in self.parameters)]
         if self.h is not None:
             variables.append(h)
-            maps.append(self._of(self.h, count))
-        steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
-        rows.steps = steps
+            maps.append(self.of(self.h, count))
+        fixed = {**self._fixed(h), place: places}
+        return PointFunctions(graph, variables, outputs), maps, fixed
+
+    def _path(self, rows: Rows) -> Any:
+        """Return the functions at nodes: forces, momenta, costs and what is bounded there."""
+        read, N, s, n, d = self.read, self.steps, self.nodes, self.n, self.degree
+        here, count = read.of_coordinates, N * s
+        values = [*read.forces, read.running, *read.momenta, *(x.value for x in read.within)]
+        values += [(1, read.q[a]) for a in here]
+        k, i = np.divmod(np.arange(count), s)
+        maps = [*self.on_path(self.A[i], k), *self.on_path(self.B[i], k)]
+        maps += [self.of(self.inputs[k, i, a]) for a in range(len(read.u))]
+        made = self.block(values, [*read.q, *read.v, *read.u], maps, k + self.c[i], n + 1)
+        self.step_rows = steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
         sign = np.ones(d + 1)
         sign[-1] = -1.0
         rows.linear(steps[:, 0], self.momenta[:-1], self.scale)
@@ -212,13 +240,13 @@ class Layout:
             some = np.flatnonzero(~self._alone[i])
             at = rows.add(len(some), low, high, read.names[a])
             parts.append((at, some, np.ones(len(some))))
-        return PointFunctions(graph, variables, outputs), maps, fixed, parts
+        return *made, parts
 
     def _driven(self, value: Value) -> bool:
         """Return whether an input stands in a value."""
         return not self.read.graph.nodes[value[1]].symbols.isdisjoint(self.read.u)
 
-    def _ends(self, rows: _Rows) -> list[Any]:
+    def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, made = self.read, self.read.graph, []
         h, last = graph.numbers(["size of a step", "number of steps"])
@@ -228,18 +256,23 @@ class Layout:
         ):
             name = ("start", "end")[end]
             own = {read.t: graph.multiply([(1, last), (1, h)])}
+            pulls = read.held.pulls(graph, read.q, read.multipliers) if end else []
             legendre = [
-                graph.add([(1, p), scaled(-1, P)])
-                for p, P in zip(read.p, read.momenta, strict=True)
+                graph.add([(1, p), scaled(-1, P), *(scaled(-1, x) for x in pulls[a : a + 1])])
+                for a, (p, P) in enumerate(zip(read.p, read.momenta, strict=True))
             ]
             final = [read.final] if end else []
             of_both = [values[1 - end] for _, *values in read.tied]
             # the velocities of the ends are unknowns of their own
             inside = [x for x in read.within if x.low < x.high and not self._driven(x.value)]
+            limits = [*limits, *self._held(end)]
             values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
             outputs = rebuilt(graph, values, own)
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
+            if end:
+                variables += read.multipliers
+                unknown += [*self.at_end]
             fixed = {**self._fixed(h), last: float(end * self.steps)}
             if self.h is not None:
                 variables.append(h)
@@ -250,13 +283,25 @@ class Layout:
                 rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
             ]
             at += tied
-            maps = [self._of(x, 1) for x in unknown]
+            maps = [self.of(x, 1) for x in unknown]
             parts = [([row], [0], [1.0]) for row in at]
             made.append((PointFunctions(graph, variables, outputs), maps, fixed, parts))
         return made
 
+    def _held(self, end: int) -> list[Limits]:
+        """Return the constraints of an end that its own conditions, or steps, do not imply."""
+        read = self.read
+        rates = list(zip(read.constraints, held_rates(read), strict=True))
+        held = [*([] if end else zip(read.constraints, read.held.phi, strict=False)), *rates]
+        known = implied(read, end, held)
+        return [
+            Limits(f"constraint {name!r}", value, 0.0, 0.0)
+            for (name, value), out in zip(held, known, strict=True)
+            if not out
+        ]
 
-class _Rows:
+
+class Rows:
     """Rows as they come; the first is that of the cost."""
 
     def __init__(self) -> None:
@@ -264,7 +309,6 @@ class _Rows:
         self.low: list[Floats] = []
         self.high: list[Floats] = []
         self.names: list[str] = []
-        self.steps: Ints = np.zeros((0, 0, 0), dtype=np.int64)
         self.at, self.columns, self.data = (
             np.zeros(0, dtype=k) for k in (np.int64, np.int64, float)
         )

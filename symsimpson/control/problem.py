@@ -93,15 +93,6 @@ class OptimalControl:
                 f"{type(system).__name__} is no system that can be controlled.\n"
                 "Pass a MechanicalSystem with inputs, not a retimed one."
             )
-        for what, held in (
-            ("constraints", system.plain.constraints),
-            ("velocity constraints", system.plain.velocity_constraints),
-        ):
-            if held:
-                raise InputError(
-                    f"{system.name} has {what}, which are not rows of a problem of optimal control "
-                    "yet.\nTake coordinates in which there are none."
-                )
         object.__setattr__(self, "_read", Reading(self))
 
     @property

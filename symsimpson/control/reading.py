@@ -59,6 +59,8 @@ class Reading:
         Places of parameters that are found.
     values : list of float
         Of all parameters.
+    held : Held
+        Constraints, ``constraints`` their names, and ``multipliers`` nodes of symbols for theirs.
     duration : pair of float
     """
 
@@ -76,6 +78,8 @@ class Reading:
         slopes, n = gradient(graph, L, [*self.q, *self.v]), len(self.q)
         self.forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
         self.momenta = slopes[n:]
+        self.held, self.constraints = plain.held_rows(graph), plain.held
+        self.multipliers = graph.numbers(s.name for s in plain.multipliers)
         self.names = [spelled(q) for q in system.coordinates]
         self.inputs = [spelled(u) for u in system.inputs]
         self.values = [float(x) for x in system.parameters.values()]
@@ -161,13 +165,13 @@ class Reading:
                 continue
             own, to = self.value(what, key, ends=True), self.value(what, value, ends=True)
             if not self.graph.nodes[to[1]].symbols:  # a number of its own: bounds say it best
-                number = self._number(to)
+                number = self.number(to)
                 found.append(Limits(name, own, number, number))
             else:
                 found.append(Limits(name, self.graph.add([own, scaled(-1, to)]), 0.0, 0.0))
         return found
 
-    def _number(self, value: Value) -> float:
+    def number(self, value: Value) -> float:
         """Return a value in which no symbol stands."""
         c, n = value
         return float(c * evaluated(self.graph, [n], {}, mpmath.fp)[n]) if c else 0.0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.control.held import projected
 from symsimpson.control.layout import Layout
 from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError
@@ -95,7 +96,17 @@ class ControlResult:
     @property
     def p(self) -> Floats:
         """Momenta there."""
-        return self.x[self.layout.momenta]
+        layout, p = self.layout, self.x[self.layout.momenta]
+        if not layout.read.constraints:
+            return p
+        return projected(layout, self.q, p, {**self.parameter_values, layout.read.t: self.t})
+
+    @property
+    def parameter_values(self) -> dict[int, float]:
+        """All parameters, by their nodes in the graph."""
+        layout, values = self.layout, dict(enumerate(self.layout.read.values))
+        values |= zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
+        return {layout.read.parameters[j]: value for j, value in values.items()}
 
     @property
     def unknowns(self) -> dict[str, float]:
@@ -161,18 +172,20 @@ class ControlResult:
         by_p = layout.scale * np.concatenate(
             [self.multipliers[steps[:, 0]], -self.multipliers[steps[-1:, -1]]]
         )
-        block = programme.blocks[0]
-        own = block.weights(np.concatenate([[1.0], self.multipliers]))
-        slopes = block.slopes(block.at(self.x)).reshape(-1, block.count)
-        n, N, s = layout.n, layout.steps, layout.nodes
-        at_nodes = np.zeros((2 * n, N, s))
-        for (r, c), values in zip(block.functions.slopes, slopes, strict=True):
-            if c < 2 * n:
-                at_nodes[c] += (own[r] * values).reshape(N, s)
-        first, last = (
-            at_nodes[:n] @ layout.A[:, j] + at_nodes[n:] @ layout.B[:, j] for j in (0, -1)
-        )
-        by_q = np.concatenate([first.T, -last.T[-1:]])
+        rows, n, N = np.concatenate([[1.0], self.multipliers]), layout.n, layout.steps
+        by_q = np.zeros((N + 1, n))
+        first, last = (np.full(layout.size, -1) for _ in range(2))  # whose coordinates they are
+        first[layout.points[:, 0]] = np.arange(N * n).reshape(N, n)
+        last[layout.points[-1, -1]] = np.arange(n)
+        for block in programme.blocks[: layout.of_steps]:  # each step's own part of the Lagrangian
+            for slopes, points in zip(block.gradient(self.x, rows), block.maps, strict=True):
+                entries = points.tocoo()
+                k = entries.row // (block.count // N)
+                values = entries.data * slopes[entries.row]
+                own = first[entries.col] // n == k
+                np.add.at(by_q.reshape(-1), first[entries.col[own]], values[own])
+                own = (last[entries.col] >= 0) & (k == N - 1)
+                np.add.at(by_q[-1], last[entries.col[own]], -values[own])
         return by_q, by_p
 
     @cached_property
@@ -183,8 +196,6 @@ class ControlResult:
 
         layout = self.layout
         stepper = stepper_of(layout)
-        values = np.array(layout.read.values)
-        values[layout.read.found] = self.x[layout.parameters]
         return Trajectory(
             t=self.t,
             q=self.q,
@@ -196,7 +207,7 @@ class ControlResult:
             status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
             message=self.message,
             program=stepper.program,
-            parameter_values=values,
+            parameter_values=np.array([*self.parameter_values.values()]),
             input_values=self.input_values[None],
         )
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import PointFunctions
@@ -162,6 +163,9 @@ def begin(layout: Layout, guess: Any) -> Floats:
     x[layout.parameters] = values
     if layout.h is not None:
         x[layout.h] = h
+    known = dict(zip(read.parameters, read.values, strict=True))
+    known |= {read.parameters[i]: y for i, y in zip(read.found, values, strict=True)}
+    x[layout.points] = onto(layout, x[layout.points], known)
     # momenta of the path at the ends of steps
     q = x[layout.points]
     at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
@@ -169,9 +173,7 @@ def begin(layout: Layout, guess: Any) -> Floats:
     at = np.concatenate([q[:, 0], q[-1:, -1]])
     momenta = PointFunctions(read.graph, read.q, read.momenta)
     state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
-    state |= dict(zip(read.parameters, read.values, strict=True))
-    state |= {read.parameters[i]: y for i, y in zip(read.found, values, strict=True)}
-    state[read.t] = h * np.arange(N + 1)
+    state |= {**known, read.t: h * np.arange(N + 1)}
     x[layout.momenta] = momenta.values(state, N + 1).T
     x[layout.velocities] = v[[0, -1]]
     if not np.isfinite(x).all():

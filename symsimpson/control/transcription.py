@@ -78,6 +78,15 @@ class Block:
         """Return the slopes at the points, one behind the other."""
         return self.functions.slopes_at(at, self.count).ravel()
 
+    def gradient(self, x: Floats, rows: Floats) -> Floats:
+        """Return slopes of the weighted rows by each variable at each point."""
+        weights = self.weights(rows)
+        slopes = self.slopes(self.at(x)).reshape(-1, self.count)
+        found = np.zeros((len(self.maps), self.count))
+        for (r, c), own in zip(self.functions.slopes, slopes, strict=True):
+            found[c] += weights[r] * own
+        return found
+
     def curvatures(self, at: dict[int, Any], rows: Floats) -> Floats:
         """Return second derivatives of the weighted rows, one behind the other."""
         return self.functions.curvatures_at(at, self.weights(rows), self.count).ravel()

@@ -1,0 +1,176 @@
+"""Constraints in a problem of optimal control: rows and multipliers of steps and of both ends.
+
+Steps are those of a stepper: multipliers act at all control points but the last, positions are
+held at all but the first, and A v = b at the Gauss points of the step. Momenta between steps are
+not projected: what they have along the constraints is taken up by the next multiplier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.control.points import PointFunctions
+from symsimpson.errors import InputError
+from symsimpson.graph.derive import gradient
+from symsimpson.graph.nodes import UNIT, Value, exact
+from symsimpson.graph.rebuild import rebuilt
+
+if TYPE_CHECKING:
+    from symsimpson.control.layout import Layout, Rows
+    from symsimpson.control.reading import Reading
+
+__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected"]
+
+Floats = NDArray[np.float64]
+#: Ends that are given by numbers may be off their constraints by so much.
+CONSISTENT = 1e-9
+#: So many of Newton's steps bring a guess onto its constraints, or near them.
+MOST_STEPS = 30
+
+
+def held_rates(read: Reading) -> list[Value]:
+    """Write Phi v, then A v - b."""
+    graph, held = read.graph, read.held
+    turned = [graph.add(graph.products(gradient(graph, x, read.q), read.v)) for x in held.phi]
+    return [*turned, *held.rates(graph, read.v)]
+
+
+def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> list[bool]:
+    """Return which constraints hold at an end since its conditions say so.
+
+    Parameters
+    ----------
+    read : Reading
+    end : int
+        0 or 1.
+    values : iterable of (str, Value)
+        The names of constraints, and what is 0.
+
+    Raises
+    ------
+    InputError
+        If the conditions contradict one.
+    """
+    graph, own = read.graph, {*read.q, *read.v}
+    low, high = read.duration
+
+    def number(x: float) -> Value:
+        return exact(Fraction(x)), UNIT
+
+    given = {x: number(y) for x, y in zip(read.parameters, read.values, strict=True)}
+    given = {x: y for j, (x, y) in enumerate(given.items()) if j not in read.found}
+    if not end or low == high:
+        given[read.t] = number(end * low)
+    for one in read.ends[end]:
+        c, n = one.value
+        if one.low == one.high and c == 1 and n in own:
+            given[n] = number(one.low)
+    tied = {last[1]: (-c, n) for _, last, (c, n) in read.tied if end and last[0] == 1}
+    found = []
+    for name, value in values:
+        (there,) = rebuilt(graph, [value], given)
+        known = not there[0] or not graph.nodes[there[1]].symbols
+        if known and abs(off := read.number(there)) > CONSISTENT:
+            raise InputError(
+                f"{('start', 'end')[end]} contradicts the constraint {name!r}: what is to be 0 is "
+                f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
+                "finds them."
+            )
+        found.append(known or (bool(tied) and rebuilt(graph, [value], tied) == [value]))
+    return found
+
+
+def held_blocks(layout: Layout, rows: Rows) -> list[Any]:
+    """Return functions at the control points and Gauss points of steps, with maps and rows.
+
+    Multipliers are those of rows times h, so that the matrix of a step does not depend on h.
+    """
+    read, graph, N, d = layout.read, layout.read.graph, layout.steps, layout.degree
+    phi, rates = read.held.phi, read.held.rates(graph, read.v)
+    names, made = [*read.constraints], []
+    k, j = (x.ravel() for x in np.mgrid[:N, :d])
+    count = np.arange(N * d)
+    forces = layout.block(
+        read.held.pulls(graph, read.q, read.multipliers),
+        [*read.q, *read.multipliers],
+        [*map(layout.of, layout.points[k, j].T), *map(layout.of, layout.multipliers[k, j].T)],
+        k + layout.places[j],
+    )
+    parts = [(layout.step_rows[k, j, a], count, np.full(N * d, -1.0)) for a in range(layout.n)]
+    made.append((*forces, parts))
+    if phi:
+        points = layout.block(
+            phi, read.q, [*map(layout.of, layout.points[k, j + 1].T)], k + layout.places[j + 1]
+        )
+        left_out = np.array(implied(read, 1, zip(names, phi, strict=False)))
+        parts = []
+        for name, out in zip(names, left_out, strict=False):
+            some = count[: N * d - out]
+            at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}")
+            parts.append((at, some, np.ones(len(some))))
+        made.append((*points, parts))
+    if rates:
+        places, *tables = (np.array(x, dtype=np.float64) for x in layout.scheme.at_gauss_points)
+        inner = layout.block(
+            rates,
+            [*read.q, *read.v],
+            [one for table in tables for one in layout.on_path(table[j], k)],
+            k + places[j],
+            len(rates),
+        )
+        parts = []
+        for name in names[len(phi) :]:
+            at = rows.add(N * d, 0.0, 0.0, f"velocity constraint {name!r}")
+            parts.append((at, count, np.ones(N * d)))
+        made.append((*inner, parts))
+    return made
+
+
+def onto(layout: Layout, q: Floats, values: dict[int, Any]) -> Floats:
+    """Return points of a guess, shape (..., n), on the constraints of positions, or near them."""
+    read = layout.read
+    m, n = len(read.held.phi), layout.n
+    functions = PointFunctions(read.graph, read.q, read.held.phi)
+    flat = q.reshape(-1, n).copy()
+    for _ in range(MOST_STEPS if m else 0):
+        at = {**values, **dict(zip(read.q, flat.T, strict=True))}
+        off = functions.values(at, len(flat)).T
+        slopes = np.zeros((len(flat), m, n))
+        for (c, a), own in zip(functions.slopes, functions.slopes_at(at, len(flat)), strict=True):
+            slopes[:, c, a] = own
+        # least squares: where slopes are dependent, or 0, they are followed as far as they go
+        moves = np.einsum("kac,kc->ka", np.linalg.pinv(slopes, rcond=1e-9), off)
+        if not np.isfinite(moves).all():
+            return q
+        flat -= moves
+        if np.abs(moves).max() < CONSISTENT:
+            break
+    return flat.reshape(q.shape)
+
+
+def projected(layout: Layout, q: Floats, p: Floats, values: dict[int, Any]) -> Floats:
+    """Return the momenta of velocities that the constraints allow, nearest to given ones.
+
+    They are what a step ends with: M v + a, with M v + W^T mu = p - a and W v = b.
+    """
+    read, graph, count = layout.read, layout.read.graph, len(q)
+    rates = held_rates(read)
+    m, n = len(rates), layout.n
+    functions = PointFunctions(graph, read.v, [*read.momenta, *rates])
+    at = {**values, **dict(zip([*read.q, *read.v], [*q.T, *np.zeros_like(q).T], strict=True))}
+    rest = functions.values(at, count).T
+    slopes = np.zeros((count, n + m, n))
+    for (r, a), own in zip(functions.slopes, functions.slopes_at(at, count), strict=True):
+        slopes[:, r, a] = own
+    matrix = np.zeros((count, n + m, n + m))
+    matrix[:, :, :n] = slopes
+    matrix[:, :n, n:] = slopes[:, n:].swapaxes(1, 2)
+    right = np.concatenate([p, np.zeros((count, m))], axis=1) - rest
+    v = np.linalg.solve(matrix, right[..., None])[:, :n]
+    found: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
+    return found
