@@ -28,6 +28,7 @@ __all__ = ["held_blocks", "held_rates", "implied", "onto", "projected"]
 
 Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
+
 CONSISTENT = 1e-9
 #: So many of Newton's steps bring a guess onto its constraints, or near them.
 MOST_STEPS = 30
@@ -101,7 +102,11 @@ def held_blocks(layout: Layout, rows: Rows) -> list[Any]:
         [*map(layout.of, layout.points[k, j].T), *map(layout.of, layout.multipliers[k, j].T)],
         k + layout.places[j],
     )
-    parts = [(layout.step_rows[k, j, a], count, np.full(N * d, -1.0)) for a in range(layout.n)]
+    parts = []
+    for a in range(layout.n):
+        at = np.concatenate([layout.step_rows[k, j, a], layout.step_rows[k, -1, a]])
+        own = np.repeat([-1.0, 1.0 / layout.scale], N * d)
+        parts.append((at, np.tile(count, 2), own))
     made.append((*forces, parts))
     if phi:
         points = layout.block(
@@ -112,7 +117,7 @@ def held_blocks(layout: Layout, rows: Rows) -> list[Any]:
         for name, out in zip(names, left_out, strict=False):
             some = count[: N * d - out]
             at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}")
-            parts.append((at, some, np.ones(len(some))))
+            parts.append((at, some, np.full(len(some), 1.0 / N)))
         made.append((*points, parts))
     if rates:
         places, *tables = (np.array(x, dtype=np.float64) for x in layout.scheme.at_gauss_points)

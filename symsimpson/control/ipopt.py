@@ -37,9 +37,9 @@ def run_ipopt(
     bounds: tuple[Floats, Floats],
     limits: tuple[Floats, Floats],
     options: dict[str, Any],
-    stopped: Callable[[], bool],
+    stopped: Callable[[float], bool],
 ) -> Outcome:
-    """Solve a programme from a guess; behind each iteration it is asked whether to stop.
+    """Solve a programme from a guess; behind each iteration the cost is told, and asked to stop.
 
     Raises
     ------
@@ -106,6 +106,7 @@ def run_ipopt(
 
         def __init__(self) -> None:
             super().__init__()
+            self.of_cost = ca.nlpsol_out().index("f")
             self.construct("watch", {})
 
         def get_n_in(self) -> int:
@@ -119,7 +120,7 @@ def run_ipopt(
             return kinds.get(ca.nlpsol_out(i), none)
 
         def eval(self, given: Any) -> Any:
-            return [int(stopped())]
+            return [int(stopped(float(given[self.of_cost])))]
 
     x = ca.MX.sym("x", size)
     own = Part("nlp", [of_x, none], [one, of_g], values, {})

@@ -53,7 +53,7 @@ class Layout:
     size : int
         Number of unknowns.
     scale : float
-        By which rows of steps are multiplied: entries M / h of the Jacobian become M.
+        By which rows of steps but the last are multiplied: entries M / h of the Jacobian become M.
     names : list of str
         Of the rows.
     """
@@ -222,16 +222,16 @@ class Layout:
         maps += [self.of(self.inputs[k, i, a]) for a in range(len(read.u))]
         made = self.block(values, [*read.q, *read.v, *read.u], maps, k + self.c[i], n + 1)
         self.step_rows = steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
-        sign = np.ones(d + 1)
-        sign[-1] = -1.0
+        # the last rows of steps are sums of all: p_k+1 - p_k is what forces add to it
         rows.linear(steps[:, 0], self.momenta[:-1], self.scale)
-        rows.linear(steps[:, -1], self.momenta[1:], self.scale)
+        rows.linear(steps[:, -1], self.momenta[1:], 1.0)
+        rows.linear(steps[:, -1], self.momenta[:-1], -1.0)
         parts: list[tuple[Any, Any, Any]] = []
-        weights = self.scale * self.b[:, None] * sign
-        for table in (self.A, self.B):
+        for table, sums in ((self.A, -self.b), (self.B, 0.0 * self.b)):
+            weights = np.column_stack([self.scale * self.b[:, None] * table[:, :-1], sums])
             for a in range(n):
                 at = steps[k, :, a].ravel()
-                parts.append((at, np.repeat(np.arange(count), d + 1), (weights * table)[i].ravel()))
+                parts.append((at, np.repeat(np.arange(count), d + 1), weights[i].ravel()))
         parts.insert(n, (np.zeros(count, int), np.arange(count), self.b[i]))
         for one in read.within:
             at = rows.add(count, one.low, one.high, one.name)

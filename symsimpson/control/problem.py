@@ -131,7 +131,8 @@ class OptimalControl:
             Of the optimality conditions, scaled.
         most_iterations : int
         progress : bool, optional
-            Whether to show the solver's iterations.
+            Whether to show the cost and the iterations (needs tqdm); None shows them after a
+            second. What the solver tells of each stands in the result's ``history``.
 
         Returns
         -------
@@ -159,12 +160,8 @@ class OptimalControl:
                 raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
         if not isinstance(most_iterations, (int, np.integer)) or most_iterations < 0:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
-        options = {
-            "tol": float(tolerance),
-            "max_iter": int(most_iterations),
-            "print_level": 5 if progress else 0,
-        }
-        return solve(self.reading, found, int(steps), guess, error, options)
+        options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
+        return solve(self.reading, found, int(steps), guess, error, options, progress)
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

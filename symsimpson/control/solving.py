@@ -17,6 +17,7 @@ from symsimpson.control.result import ControlResult, result_of
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
+from symsimpson.support.progress import Progress
 from symsimpson.support.signals import listening
 
 if TYPE_CHECKING:
@@ -41,6 +42,7 @@ def solve(
     guess: Any,
     error: float | None,
     options: dict[str, Any],
+    progress: bool | None,
 ) -> ControlResult:
     """Solve a problem for the motions of a scheme; with more steps, until the error is small.
 
@@ -50,11 +52,12 @@ def solve(
         If the guess does not fit, conditions are too many, or casadi is not installed.
     """
     _look_at_nodes(read, scheme)
-    found = _solved(Layout(read, scheme, steps), guess, options)
+    found = _solved(Layout(read, scheme, steps), guess, options, progress)
     for _ in range(MOST_REFINEMENTS if error is not None else 0):
         if not found.success:
             break
-        finer = _solved(Layout(read, scheme, 2 * found.layout.steps), found, options)
+        layout = Layout(read, scheme, 2 * found.layout.steps)
+        finer = _solved(layout, found, options, progress)
         off = abs(finer.cost - found.cost) / max(1.0, abs(finer.cost))
         # what is left behind a change from h to h / 2 of order 2: switches leave no more
         found = replace(finer, error=off / 3)
@@ -70,7 +73,9 @@ def solve(
     return found
 
 
-def _solved(layout: Layout, guess: Any, options: dict[str, Any]) -> ControlResult:
+def _solved(
+    layout: Layout, guess: Any, options: dict[str, Any], progress: bool | None
+) -> ControlResult:
     """Solve a problem once."""
     programme, low, high = layout.programme
     equations, size = int((low == high).sum()), layout.size
@@ -81,10 +86,16 @@ def _solved(layout: Layout, guess: Any, options: dict[str, Any]) -> ControlResul
         )
     bounds = layout.bounds
     x0 = np.clip(begin(layout, guess), *bounds)
-    with listening() as heard:
-        outcome = run_ipopt(
-            programme, x0, bounds, (low, high), {**OPTIONS, **options}, lambda: bool(heard)
-        )
+    name = f"{layout.read.system.name}, {layout.steps} steps"
+    bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)
+    with listening() as heard, bar:
+
+        def look(cost: float) -> bool:
+            bar.add(1)
+            bar.say(f"{name}: cost {cost:.6g}, {bar.count - 1} iterations")
+            return bool(heard)
+
+        outcome = run_ipopt(programme, x0, bounds, (low, high), {**OPTIONS, **options}, look)
     return result_of(layout, outcome)
 
 

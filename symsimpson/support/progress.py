@@ -122,11 +122,21 @@ class Progress:
                 mininterval=0.1 if watched() else 10.0,
             )
 
+    @property
+    def count(self) -> int:
+        """How much is done, if a bar is drawn."""
+        return 0 if self._bar is None else int(self._bar.n)
+
     def add(self, count: int) -> None:
         """Count what is done."""
         if self._bar is not None and count:
             with self._lock:
                 self._bar.update(min(count, self._bar.total - self._bar.n))
+
+    def say(self, what: str) -> None:
+        """Write in front of the bar what it is about by now."""
+        if self._bar is not None:
+            self._bar.set_description_str(what)
 
     def refresh(self) -> None:
         """Draw the bar anew."""
