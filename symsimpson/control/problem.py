@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
@@ -162,6 +163,28 @@ class OptimalControl:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
         return solve(self.reading, found, int(steps), guess, error, options, progress)
+
+    def open(
+        self, path: str | os.PathLike[str], scheme: str | Scheme | None = None
+    ) -> ControlResult:
+        """Read a solution of this problem that :meth:`ControlResult.save` wrote.
+
+        Parameters
+        ----------
+        path : str or path-like
+        scheme : str or Scheme, optional
+            The scheme of the solution, if it has a name that is not known here.
+
+        Raises
+        ------
+        StorageError
+            If the file is no such solution, or is damaged.
+        InputError
+            If it is the solution of another problem: its cost is computed anew.
+        """
+        from symsimpson.control.saving import open_result
+
+        return open_result(self.reading, path, None if scheme is None else read_scheme(scheme))
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.control import figures
 from symsimpson.control.held import projected
 from symsimpson.control.layout import Layout
 from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError
-from symsimpson.plotting.axes import axes
 from symsimpson.program.values import read_count
 
 if TYPE_CHECKING:
@@ -278,6 +279,23 @@ class ControlResult:
             P = Q + A_k.T @ P @ (A_k - B_k @ gains[k])
         return gains
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the solution to a file, which :meth:`OptimalControl.open` of its problem reads.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Such as ``"swing.npz"``: NumPy's format, numbers alone.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be written.
+        """
+        from symsimpson.control.saving import save_result
+
+        save_result(self, path)
+
     def plot(self) -> Any:
         """Draw coordinates and inputs over the time, inputs with their bounds.
 
@@ -290,21 +308,7 @@ class ControlResult:
         InputError
             If matplotlib is not installed.
         """
-        upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
-        layout = self.layout
-        t = np.linspace(0, self.duration, 12 * layout.steps + 1)
-        for name in layout.read.names:
-            upper.plot(t, self.functions[name](t), label=name)
-        for k, (name, values) in enumerate(self.inputs(t).items()):
-            (line,) = lower.plot(t, values, label=name)
-            for bound in layout.read.of_inputs.get(k, ()):
-                if np.isfinite(bound):
-                    lower.axhline(bound, color=line.get_color(), linestyle=":", linewidth=1)
-        upper.set_ylabel("coordinates")
-        lower.set(xlabel="t", ylabel="inputs")
-        for ax in (upper, lower)[: 1 + bool(layout.read.inputs)]:
-            ax.legend()
-        return upper.figure
+        return figures.motion(self)
 
     def plot_sparsity(self) -> Any:
         """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries.
@@ -318,23 +322,7 @@ class ControlResult:
         InputError
             If matplotlib is not installed.
         """
-        programme, *_ = self.layout.programme
-        left, right = axes(None, (8.0, 4.0), ncols=2)
-        rows, size = programme.shape
-        named = (
-            (left, "Jacobian", programme.jacobian_places, rows),
-            (right, "Hessian, upper half", programme.hessian_places, size),
-        )
-        for ax, name, (row, column), height in named:
-            ax.plot(column, row, linestyle="", marker="s", markersize=max(0.4, 120 / size))
-            ax.set(
-                title=f"{name}: {len(row)} entries",
-                xlim=(-0.5, size - 0.5),
-                ylim=(height - 0.5, -0.5),
-                xlabel="unknown",
-                ylabel="row",
-            )
-        return left.figure
+        return figures.sparsity(self)
 
     def _refined(self, refine: int) -> dict[str, Floats]:
         """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""

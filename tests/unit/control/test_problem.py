@@ -128,6 +128,37 @@ def test_more_steps_until_the_cost_is_as_exact_as_asked():
     assert abs(found.cost / exact - 1) < 1e-5
 
 
+def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
+    path = tmp_path / "cart.npz"
+    found = cart(cost=u**2 + x**2).solve("gauss4", steps=6)
+    found.save(path)
+    again = cart(cost=u**2 + x**2).open(path)
+    assert again.x.tolist() == found.x.tolist()
+    assert again.costates[1].tolist() == found.costates[1].tolist()
+    assert (again.status, again.history, again.cost) == (found.status, found.history, found.cost)
+    assert cart(cost=u**2 + x**2).solve("gauss4", steps=6, guess=again).iterations <= 2
+    for other in (cart(), everything()):
+        with pytest.raises(ss.InputError, match="the solution of another problem, of 6 steps"):
+            other.open(path)
+    whole = path.read_bytes()
+    for damaged in (whole[:-30], b"", b"no archive", whole.replace(b"told", b"cold")):
+        path.write_bytes(damaged)
+        with pytest.raises(ss.StorageError, match="no solution that symsimpson saved"):
+            cart(cost=u**2 + x**2).open(path)
+    with pytest.raises(ss.StorageError, match="FileNotFoundError"):
+        cart().open(tmp_path / "none.npz")
+    with pytest.raises(ss.StorageError, match="there is no folder"):
+        found.save(tmp_path / "nowhere" / "cart.npz")
+
+
+def test_the_cost_is_told_while_it_is_sought(capsys, monkeypatch):
+    pytest.importorskip("tqdm")
+    cart(cost=u**2 + x**4).solve(steps=4, progress=True)
+    assert "cart, 4 steps: cost" in capsys.readouterr().err
+    cart(cost=u**2 + x**4).solve(steps=4, progress=False)
+    assert capsys.readouterr() == ("", "")
+
+
 def test_a_motion_that_repeats_itself():
     """A mass on a spring that is driven, at least effort through two places, round and round."""
     problem = ss.OptimalControl(

@@ -1,0 +1,54 @@
+"""Figures of solutions of optimal control."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from symsimpson.plotting.axes import axes
+
+if TYPE_CHECKING:
+    from symsimpson.control.result import ControlResult
+
+__all__ = ["motion", "sparsity"]
+
+
+def motion(result: ControlResult) -> Any:
+    """Draw coordinates and inputs over the time, inputs with their bounds."""
+    upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
+    layout = result.layout
+    t = np.linspace(0, result.duration, 12 * layout.steps + 1)
+    for name in layout.read.names:
+        upper.plot(t, result.functions[name](t), label=name)
+    for k, (name, values) in enumerate(result.inputs(t).items()):
+        (line,) = lower.plot(t, values, label=name)
+        for bound in layout.read.of_inputs.get(k, ()):
+            if np.isfinite(bound):
+                lower.axhline(bound, color=line.get_color(), linestyle=":", linewidth=1)
+    upper.set_ylabel("coordinates")
+    lower.set(xlabel="t", ylabel="inputs")
+    for ax in (upper, lower)[: 1 + bool(layout.read.inputs)]:
+        ax.legend()
+    return upper.figure
+
+
+def sparsity(result: ControlResult) -> Any:
+    """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries."""
+    programme, *_ = result.layout.programme
+    left, right = axes(None, (8.0, 4.0), ncols=2)
+    rows, size = programme.shape
+    named = (
+        (left, "Jacobian", programme.jacobian_places, rows),
+        (right, "Hessian, upper half", programme.hessian_places, size),
+    )
+    for ax, name, (row, column), height in named:
+        ax.plot(column, row, linestyle="", marker="s", markersize=max(0.4, 120 / size))
+        ax.set(
+            title=f"{name}: {len(row)} entries",
+            xlim=(-0.5, size - 0.5),
+            ylim=(height - 0.5, -0.5),
+            xlabel="unknown",
+            ylabel="row",
+        )
+    return left.figure
