@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from symsimpson.plotting.axes import axes
 
-if TYPE_CHECKING:
-    from symsimpson.control.result import ControlResult
-
 __all__ = ["motion", "sparsity"]
 
 
-def motion(result: ControlResult) -> Any:
+def motion(result: Any) -> Any:
     """Draw coordinates and inputs over the time, inputs with their bounds."""
     upper, lower = axes(None, (6.4, 4.8), nrows=2, sharex=True)
     layout = result.layout
@@ -33,7 +30,7 @@ def motion(result: ControlResult) -> Any:
     return upper.figure
 
 
-def sparsity(result: ControlResult) -> Any:
+def sparsity(result: Any) -> Any:
     """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries."""
     programme, *_ = result.layout.programme
     left, right = axes(None, (8.0, 4.0), ncols=2)

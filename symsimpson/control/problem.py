@@ -182,9 +182,9 @@ class OptimalControl:
         InputError
             If it is the solution of another problem: its cost is computed anew.
         """
-        from symsimpson.control.saving import open_result
+        from symsimpson.control.solving import opened  # casadi and SciPy are slow to import
 
-        return open_result(self.reading, path, None if scheme is None else read_scheme(scheme))
+        return opened(self.reading, path, None if scheme is None else read_scheme(scheme))
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.control import figures
 from symsimpson.control.held import projected
 from symsimpson.control.layout import Layout
+from symsimpson.control.saving import write_solution
 from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError
 from symsimpson.program.values import read_count
@@ -22,9 +23,21 @@ if TYPE_CHECKING:
     from symsimpson.control.ipopt import Outcome
     from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["ControlResult", "result_of"]
+__all__ = ["TOLD", "ControlResult", "result_of"]
 
 Floats = NDArray[np.float64]
+#: What is told of a solution beside its numbers, as files hold it: the kinds of its parts.
+TOLD: dict[str, Any] = {
+    "cost": float,
+    "status": ControlStatus.__getitem__,
+    "iterations": int,
+    "seconds": float,
+    "in_functions": float,
+    "violation": float,
+    "worst": str,
+    "history": dict,
+    "error": lambda error: None if error is None else float(error),
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -292,9 +305,9 @@ class ControlResult:
         StorageError
             If it cannot be written.
         """
-        from symsimpson.control.saving import save_result
-
-        save_result(self, path)
+        told: dict[str, Any] = {name: getattr(self, name) for name in TOLD}
+        told |= {"scheme": self.layout.scheme.name, "steps": self.layout.steps}
+        write_solution(path, told | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
         """Draw coordinates and inputs over the time, inputs with their bounds.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,10 @@ from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import PointFunctions
-from symsimpson.control.result import ControlResult, result_of
+from symsimpson.control.result import TOLD, ControlResult, result_of
+from symsimpson.control.saving import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.support.progress import Progress
@@ -24,7 +27,7 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
     from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["solve"]
+__all__ = ["opened", "solve"]
 
 Floats = NDArray[np.float64]
 
@@ -33,6 +36,8 @@ Floats = NDArray[np.float64]
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
 #: So often steps are halved to make the error small.
 MOST_REFINEMENTS = 6
+#: The cost of a solution in a file is computed again, and may differ by so much, relatively.
+ROUNDED = 1e-9
 
 
 def solve(
@@ -91,12 +96,37 @@ def _solved(
     with listening() as heard, bar:
 
         def look(cost: float) -> bool:
+            bar.say(f"{name}: cost {cost:.6g}, {bar.count} iterations")
             bar.add(1)
-            bar.say(f"{name}: cost {cost:.6g}, {bar.count - 1} iterations")
             return bool(heard)
 
         outcome = run_ipopt(programme, x0, bounds, (low, high), {**OPTIONS, **options}, look)
     return result_of(layout, outcome)
+
+
+def opened(read: Reading, path: str | os.PathLike[str], scheme: Scheme | None) -> ControlResult:
+    """Read a solution of a problem from a file.
+
+    Raises
+    ------
+    StorageError
+        If the file is none of these, or is damaged.
+    InputError
+        If it is the solution of another problem.
+    """
+    place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": int})
+    name, steps = told.pop("scheme"), told.pop("steps")
+    layout = Layout(read, scheme or read_scheme(name), max(1, steps))
+    programme, *_ = layout.programme
+    same = (len(multipliers), len(x)) == programme.shape and np.isfinite(x).all()
+    cost = told["cost"]
+    if not same or abs(programme.values(x)[0] - cost) > ROUNDED * max(1.0, abs(cost)):
+        raise InputError(
+            f"{place}: the file holds the solution of another problem, of {steps} steps of {name}."
+            f"\n{read.system.name} has another cost there. Write down the problem as it was, with "
+            "the same parameters."
+        )
+    return ControlResult(layout, x, multipliers, **told)
 
 
 def _look_at_nodes(read: Reading, scheme: Scheme) -> None:

@@ -134,9 +134,9 @@ class Progress:
                 self._bar.update(min(count, self._bar.total - self._bar.n))
 
     def say(self, what: str) -> None:
-        """Write in front of the bar what it is about by now."""
+        """Let the bar say what it is about by now, when it is drawn next."""
         if self._bar is not None:
-            self._bar.set_description_str(what)
+            self._bar.set_description_str(what, refresh=False)
 
     def refresh(self) -> None:
         """Draw the bar anew."""
