@@ -21,7 +21,6 @@ from symsimpson.graph.nodes import UNIT, Value, exact
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
-    from symsimpson.control.layout import Layout, Rows
     from symsimpson.control.reading import Reading
 
 __all__ = ["held_blocks", "held_rates", "implied", "onto", "projected"]
@@ -86,7 +85,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     return found
 
 
-def held_blocks(layout: Layout, rows: Rows) -> list[Any]:
+def held_blocks(layout: Any, rows: Any) -> list[Any]:
     """Return functions at the control points and Gauss points of steps, with maps and rows.
 
     Multipliers are those of rows times h, so that the matrix of a step does not depend on h.
@@ -136,7 +135,7 @@ def held_blocks(layout: Layout, rows: Rows) -> list[Any]:
     return made
 
 
-def onto(layout: Layout, q: Floats, values: dict[int, Any]) -> Floats:
+def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
     """Return points of a guess, shape (..., n), on the constraints of positions, or near them."""
     read = layout.read
     m, n = len(read.held.phi), layout.n
@@ -158,7 +157,7 @@ def onto(layout: Layout, q: Floats, values: dict[int, Any]) -> Floats:
     return flat.reshape(q.shape)
 
 
-def projected(layout: Layout, q: Floats, p: Floats, values: dict[int, Any]) -> Floats:
+def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floats:
     """Return the momenta of velocities that the constraints allow, nearest to given ones.
 
     They are what a step ends with: M v + a, with M v + W^T mu = p - a and W v = b.
