@@ -50,7 +50,6 @@ from .mechanics.system import MechanicalSystem as MechanicalSystem
 from .plotting.animate import Animation as Animation
 from .program.configuration import show_config as show_config
 from .program.status import Status as Status
-from .results.acted import Actions as Actions
 from .results.archive import open_trajectory as open_trajectory
 from .results.chaos import Chaos as Chaos
 from .results.events import Events as Events
@@ -58,6 +57,7 @@ from .results.gradient import Gradient as Gradient
 from .results.gradient import hessian_product as hessian_product
 from .results.interpolate import DenseOutput as DenseOutput
 from .results.linearisation import Linearisation as Linearisation
+from .results.records import Actions as Actions
 from .results.sampled import Sampled as Sampled
 from .results.sampled import Saved as Saved
 from .results.states import States as States

@@ -114,8 +114,8 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         columns = directions(2 * header.n, PAIR)
         growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
     asked = recorders_of(header, count, task.record, task.reductions, growing)
-    if task.acting is not None:  # a member stops where an event is, and is run by itself
-        asked += task.acting.watchers(header, header.rows + sum(one.room for one in asked))
+    if task.run_events is not None:  # a member stops where an event is, and is run by itself
+        asked += task.run_events.watchers(header, header.rows + sum(one.room for one in asked))
     called = ordered(header, asked)
     rows = {one.kernel: (one.first, one.room) for one in called if one.room}
     observed, watched = (rows.get(kernel, (0, 0)) for kernel in ("observe", "watch"))

@@ -49,7 +49,7 @@ def run_ensemble(
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
     found, stopped = _run(program, task, store, client)
-    if not stopped and task.acting is None:  # else energies change with what events do
+    if not stopped and task.run_events is None:  # else energies change with what events do
         look_at_ends(program, task, found)
     elif stopped and on_failure == "raise":
         raise Interrupted(found.message, trajectory=found)
@@ -83,7 +83,7 @@ def _run(program: Program, task: Task, store: Any, client: Any) -> tuple[Ensembl
             f"{program.system} is retimed: its members have times of their own, and a store has "
             "one row of times for all.\nLeave store out, and store few states of each."
         )
-    if store is not None and task.acting is not None:
+    if store is not None and task.run_events is not None:
         raise InputError(
             "a store does not keep events, which its members would have to be run with again.\n"
             "Leave store out; every=None and reduce= keep few numbers of each member."

@@ -15,12 +15,12 @@ from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
 from symsimpson.program.values import read_array, read_parameters, whole_number
-from symsimpson.stepping.acting import read_acting
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
+from symsimpson.stepping.run_events import read_run_events
 from symsimpson.stepping.variations import read_tangents
 
 __all__ = ["read_task"]
@@ -52,7 +52,7 @@ def read_task(
         _states(name, given, program)
         for name, given in zip(names, (request.q0, other0), strict=True)
     ]
-    columns = _parameters(program, request.parameters)
+    columns = _parameters(program, request.parameters, (request.events, request.reduce))
     sizes = {name: len(rows) for name, rows in zip(names, states, strict=True) if rows.ndim == 2}
     sizes |= {f"parameter {name}": x.size for name, x in columns.items() if x.ndim == 1}
     driving = read_driving(program, request.inputs, h, count, max(sizes.values(), default=1))
@@ -64,8 +64,8 @@ def read_task(
                 f"{name} has {size} members, another argument has {members}.\n"
                 "Give each argument one row for each member, or one for all."
             )
-    stride, acting = read_every(request.every), read_acting(program, request)
-    reductions = read_reductions(program, request.reduce, acting.names if acting else ())
+    stride, run_events = read_every(request.every), read_run_events(program, request)
+    reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
     if retimed and any(one.kind == "mean" for one in reductions):
         raise InputError(
             f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
@@ -108,7 +108,7 @@ def read_task(
         t_end=end,
         record=read_record(program, request.record),
         reductions=reductions,
-        acting=acting,
+        run_events=run_events,
     )
 
 
@@ -152,7 +152,7 @@ def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
 
 
 def _parameters(
-    program: Program, given: Mapping[Any, Any] | None
+    program: Program, given: Mapping[Any, Any] | None, beside: Any
 ) -> dict[str, NDArray[np.float64]]:
     """Read parameter values, one or K of each."""
     program.check_given(given)
@@ -175,7 +175,7 @@ def _parameters(
     if program.names.idle:
         places = enumerate(zip(found.values(), program.defaults, strict=True))
         changed = [i for i, (x, default) in places if (x != default).any()]
-        program.names.warn_of_idle(program.system, changed)
+        program.names.warn_of_idle(program.system, changed, beside)
     return found
 
 

@@ -64,9 +64,13 @@ class Names:
             i for i, (symbol, n) in enumerate(own) if n not in used and symbol not in drawn
         )
 
-    def warn_of_idle(self, system: str, changed: Iterable[int]) -> None:
-        """Warn where values are given to parameters that stand in no expression."""
+    def warn_of_idle(self, system: str, changed: Iterable[int], beside: Any = None) -> None:
+        """Warn where values are given to parameters that stand in no expression.
+
+        They may stand ``beside`` the system, in events of a run or in what is observed of it.
+        """
         idle = [self.parameters.shown[i] for i in sorted(self.idle.intersection(changed))]
+        idle = [name for name in idle if name not in str(beside)]
         if idle:
             verb = "stand" if len(idle) > 1 else "stands"
             warn(

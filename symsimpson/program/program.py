@@ -199,8 +199,10 @@ class Program:
     def __repr__(self) -> str:
         return f"Program({self.system}, {self.scheme})"
 
-    def values(self, given: Mapping[Any, Any] | None = None) -> Reals:
+    def values(self, given: Mapping[Any, Any] | None = None, beside: Any = None) -> Reals:
         """Return values of all parameters, the defaults but for those that are given.
+
+        They are of use to the system, or to what is asked for ``beside`` it.
 
         Raises
         ------
@@ -214,7 +216,7 @@ class Program:
             self.names.parameters, self.header.signs, self.defaults, given, self.numbers
         )
         if self.names.idle:
-            self.names.warn_of_idle(self.system, np.flatnonzero(values != self.defaults))
+            self.names.warn_of_idle(self.system, np.flatnonzero(values != self.defaults), beside)
         return values
 
     def named_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:

@@ -78,9 +78,9 @@ _MESSAGES = {
         "that is positive along the whole motion, or take smaller steps if one jumped too far."
     ),
     Status.EVENTS_ACCUMULATE: (
-        "Impacts follow each other ever faster: the bodies stay in contact from there. What was "
-        "computed is kept, up to the last impact. Replace the contact by a constraint there, or "
-        "end the run by a terminal event."
+        "Impacts follow each other ever faster, or at rest: the bodies stay in contact from there. "
+        "What was computed is kept, up to the last impact. Replace the contact by a constraint "
+        "there, or end the run by a terminal event."
     ),
     Status.FILE_ERROR: (
         "The checkpoint could not be written; what was computed is kept. Make room, or choose "

@@ -13,7 +13,7 @@ from symsimpson.program.program import Program, read_program
 from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS
-from symsimpson.results.acted import Record
+from symsimpson.results.records import Record
 from symsimpson.results.saving import ACTED, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory

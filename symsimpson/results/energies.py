@@ -59,7 +59,7 @@ class Energies(Stored):
         """The energy that events gave up to stored states, which impacts take; 0 without any."""
         if not self.records:
             return 0
-        from symsimpson.results.acted import energies_given
+        from symsimpson.results.records import energies_given
 
         return energies_given(self)
 

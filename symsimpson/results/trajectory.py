@@ -19,9 +19,9 @@ from symsimpson.support.calling import explaining
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
-    from symsimpson.results.acted import Record
     from symsimpson.results.events import Events
     from symsimpson.results.interpolate import DenseOutput
+    from symsimpson.results.records import Record
 
 __all__ = ["Trajectory"]
 
@@ -197,7 +197,7 @@ class Trajectory(Energies, Differentiated):
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
         if isinstance(expression, str) and expression in self.actors:
-            from symsimpson.results.acted import actions_of
+            from symsimpson.results.records import actions_of
 
             return actions_of(self, expression)
         from symsimpson.results.events import find_events

@@ -59,7 +59,7 @@ def asked(program: Program, run: Run, spec: RunSpec) -> dict[str, Any]:
         **({"recorded": run.recorded.shape[1]} if run.recorded.shape[1] else {}),
         **({"tangents": spec.tangents.tolist()} if spec.tangents is not None else {}),
         **({"record": list(spec.record)} if spec.record else {}),
-        **({"events": [repr(x) for x in spec.acting.events]} if spec.acting else {}),
+        **({"events": [repr(x) for x in spec.run_events.events]} if spec.run_events else {}),
         **({"reduce": [x.asked for x in spec.reductions]} if spec.reductions else {}),
     }
 

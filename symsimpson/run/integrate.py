@@ -138,10 +138,10 @@ def new_run(
     given = spec.inputs if inputs is None else inputs
     asked = tuple(recorders) or _recorders(program, spec)
     try:
-        if spec.acting is not None:
-            from symsimpson.run.acting import ActingRun  # few runs need it
+        if spec.run_events is not None:
+            from symsimpson.run.event_run import EventRun  # few runs need it
 
-            return ActingRun(program, spec, spec.acting, stride, stored, given, asked)
+            return EventRun(program, spec, spec.run_events, stride, stored, given, asked)
         return Run(
             program,
             spec.parameters,

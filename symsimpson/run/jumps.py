@@ -13,8 +13,8 @@ from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
 from symsimpson.graph.nodes import Exact
-from symsimpson.stepping.acting import Acting
 from symsimpson.stepping.event import Impact
+from symsimpson.stepping.run_events import RunEvents
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -52,14 +52,14 @@ class Jumps:
     A point is a list of t, q, p and the parameters.
     """
 
-    def __init__(self, program: Program, acting: Acting, parameters: Floats) -> None:
+    def __init__(self, program: Program, run_events: RunEvents, parameters: Floats) -> None:
         assert program.declared is not None
         plain, n = program.declared.plain, program.n
-        self._n, self._acting, self._plain = n, acting, plain
+        self._n, self._events, self._plain = n, run_events, plain
         self._names, self._parameters = tuple(program.header.parameters), parameters
         graph = plain.graph
-        self._texts = [compile(one.text, "<event>", "eval") for one in acting.watched]
-        self._energetic = [one.energetic for one in acting.watched]
+        self._texts = [compile(one.text, "<event>", "eval") for one in run_events.watched]
+        self._energetic = [one.energetic for one in run_events.watched]
         self._mass = [(i, j, plain.entry(i, j)) for i in range(n) for j in range(n)]
         self._held = [
             gradient(graph, phi, plain.numbers(plain.q)) for phi in plain.constraints.values()
@@ -90,9 +90,9 @@ class Jumps:
     def act(self, event: int, z: Sequence[Any]) -> list[Any]:
         """Return q and p behind an event."""
         n, (t, q, p) = self._n, self._state(z)
-        if isinstance(self._acting.events[event].action, Impact):
+        if isinstance(self._events.events[event].action, Impact):
             return [*q, *self._hit(event, z)]
-        changes = self._acting.changes[event]
+        changes = self._events.changes[event]
         if not changes:
             return [*q, *p]
         at = self._values(t, q, z)
@@ -113,7 +113,7 @@ class Jumps:
     def _hit(self, event: int, z: Sequence[Any]) -> list[Any]:
         """Return the momenta behind an impact."""
         n, (t, q, p) = self._n, self._state(z)
-        first, place = self._acting.slopes[event], self._acting.rate[event]
+        first, place = self._events.slopes[event], self._events.rate[event]
         assert first is not None
         assert place is not None
         *along, rate = self._read(z)([*range(first, first + n), place])
@@ -131,7 +131,7 @@ class Jumps:
         return [p[i] + impulse * mp.fdot([full[i, j] for j in range(n)], w[:n]) for i in range(n)]
 
     def _restitution(self, event: int, approach: Any, z: Sequence[Any]) -> Any:
-        given = self._acting.events[event].action.restitution  # type: ignore[union-attr]
+        given = self._events.events[event].action.restitution  # type: ignore[union-attr]
         if not hasattr(given, "free_symbols"):
             return mp.mpf(float(given))
         known = dict(zip(self._names, z[1 + 2 * self._n :], strict=True)) | {"approach": approach}
@@ -192,7 +192,7 @@ class Jumps:
                 return [eval(self._texts[k], {"__builtins__": {"abs": abs}}, names) for k in places]
             except (NameError, TypeError, ValueError, ZeroDivisionError) as error:
                 raise InputError(
-                    f"the event expression {self._acting.watched[places[0]].expression!r} cannot "
+                    f"the event expression {self._events.watched[places[0]].expression!r} cannot "
                     f"be differentiated: {error}.\nRun without tangents and sensitivities."
                 ) from None
 

@@ -24,7 +24,7 @@ from symsimpson.support.calling import warn
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
-    from symsimpson.stepping.acting import Acting
+    from symsimpson.stepping.run_events import RunEvents
 
 __all__ = ["Saltation"]
 
@@ -45,7 +45,7 @@ class Saltation:
     ----------
     program : Program
         Whose module differentiates by what ``sensitivities`` are asked for.
-    acting : Acting
+    run_events : RunEvents
     parameters : ndarray, shape (m,)
     h : float
     inputs : ndarray, shape (1, N, s, u)
@@ -64,7 +64,7 @@ class Saltation:
     """
 
     def __init__(
-        self, program: Program, acting: Acting, parameters: Floats, h: float, inputs: Floats
+        self, program: Program, run_events: RunEvents, parameters: Floats, h: float, inputs: Floats
     ) -> None:
         if program.declared is None:
             raise InputError(
@@ -79,9 +79,9 @@ class Saltation:
         own = program.header.varied_by or ()
         by = ("h",) if program.header.autonomous else ("h", "t")
         self._program, self._by = varied_program(program, (*own, *by)), by
-        self._acting, self._parameters = acting, parameters
+        self._events, self._parameters = run_events, parameters
         self._h, self._inputs, self._own = h, inputs, own
-        self._jumps = Jumps(program, acting, parameters)
+        self._jumps = Jumps(program, run_events, parameters)
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
         #: The event whose time it is that has come.
         self._timed: int | None = None
@@ -157,7 +157,7 @@ class Saltation:
         (rate,) = slope(value, at, own)
         if abs(rate) <= GRAZED * abs(mean):
             warn(
-                f"{self._program.system}: at t={t:g} {self._acting.names[event]!r} is grazed: the "
+                f"{self._program.system}: at t={t:g} {self._events.names[event]!r} is grazed: the "
                 "time of the event depends on the state without bound, and so do derivatives "
                 "behind it.\nThey are those of the run, and tell little of runs nearby.",
                 ResolutionWarning,

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.observed import Reduction, read_reductions
 from symsimpson.program.values import read_vector
-from symsimpson.stepping.acting import Acting, read_acting
 from symsimpson.stepping.driving import read_driving
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.inputs import read_every, read_given, read_times
 from symsimpson.stepping.recording import read_record
 from symsimpson.stepping.request import Request
+from symsimpson.stepping.run_events import RunEvents, read_run_events
 from symsimpson.stepping.variations import read_tangents
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class RunSpec:
         What is added up over steps.
     reductions : tuple of Reduction
         What values of states are reduced to.
-    acting : Acting or None
+    run_events : RunEvents or None
         Events that act on it.
     """
 
@@ -70,7 +70,7 @@ class RunSpec:
     t_end: Any = field(default=None, kw_only=True)
     record: tuple[str, ...] = field(default=(), kw_only=True)
     reductions: tuple[Reduction, ...] = field(default=(), kw_only=True)
-    acting: Acting | None = field(default=None, kw_only=True)
+    run_events: RunEvents | None = field(default=None, kw_only=True)
 
     @property
     def velocities(self) -> bool:
@@ -105,7 +105,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
     """
     numbers, names = program.numbers, program.names.coordinates
     with numbers.working():
-        values = program.values(request.parameters)
+        values = program.values(request.parameters, (request.events, request.reduce))
         h, steps, t0, end = read_times(request, numbers, retimed=program.header.retimed)
         stride = read_every(request.every)
         how = "Pass initial velocities v0=[...] or initial momenta p0=[...]."
@@ -117,7 +117,7 @@ def read_run(program: Program, request: Request) -> RunSpec:
         )
         inputs, carried = read_driving(program, request.inputs, h, steps), request.carried
         tangents = None if carried is None else read_tangents(program, carried)
-        acting = read_acting(program, request)
+        run_events = read_run_events(program, request)
         return RunSpec(
             q,
             second,
@@ -131,8 +131,8 @@ def read_run(program: Program, request: Request) -> RunSpec:
             tangents=tangents,
             t_end=end,
             record=read_record(program, request.record),
-            reductions=_reductions(program, request.reduce, acting.names if acting else ()),
-            acting=acting,
+            reductions=_reductions(program, request.reduce, run_events.names if run_events else ()),
+            run_events=run_events,
         )
 
 

@@ -86,6 +86,8 @@ def test_warnings_belong_to_the_line_that_calls():
     assert [(one.filename, one.lineno) for one in told] == [(__file__, line)]
     with pytest.warns(ss.ModelWarning, match="k stands in no expression"):
         idle.ensemble([1.0], v0=[0.0], h=0.1, steps=2, parameters={k: [1.0, 2.0]})
+    wall = ss.Event(x - k, name="wall", action=ss.Impact())
+    idle.integrate(**START, h=0.1, steps=2, parameters={k: -4.0}, events=[wall])  # it stands there
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         warn("of nobody's call", UserWarning)

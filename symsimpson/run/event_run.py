@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import count
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -15,19 +14,19 @@ from symsimpson.module.interface import ARRIVED, MET, RECORDERS
 from symsimpson.program.observed import OF_EVENTS, WATCHED, ZERO, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
-from symsimpson.results.acted import Record
-from symsimpson.run.actions import Actor, limit_of
-from symsimpson.stepping.acting import Acting
+from symsimpson.results.records import Record
+from symsimpson.run.event_actions import EventActions, limit_of
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
+from symsimpson.stepping.run_events import RunEvents
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.run.saltation import Saltation
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["ActingRun"]
+__all__ = ["EventRun"]
 
 Floats = NDArray[np.float64]
 #: When impacts that lose energy have acted within a step, by their numbers.
@@ -42,7 +41,7 @@ BEHIND = 1e-9
 AHEAD = 1e-6
 
 
-class ActingRun(Run):
+class EventRun(Run):
     """A run in which events act: a step in which one is, is taken back, and anew in parts.
 
     Attributes
@@ -55,14 +54,14 @@ class ActingRun(Run):
         self,
         program: Program,
         spec: RunSpec,
-        acting: Acting,
+        run_events: RunEvents,
         stride: int,
         stored: int,
         inputs: NDArray[Any],
         recorders: Sequence[Recorder],
     ) -> None:
         first = program.header.rows + sum(one.room for one in recorders)
-        own = acting.watchers(program.header, first)
+        own = run_events.watchers(program.header, first)
         super().__init__(
             program,
             spec.parameters,
@@ -74,34 +73,34 @@ class ActingRun(Run):
             recorders=(*recorders, *own),
         )
         self.records: list[Record] = []
-        self._acting, self._steps = acting, spec.steps
+        self._events, self._steps = run_events, spec.steps
         self._system = program.system
-        self._actor = Actor(program, spec, acting)
+        self._actions = EventActions(program, spec, run_events)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs)
-        self._signs = np.array([event.sign for event in acting.events])
+        self._signs = np.array([event.sign for event in run_events.events])
         rows = self._column[first : first + WATCHED * len(self._signs)]
         self.side, self.size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
         self._code, self._saltation = 0, cast("Saltation | None", None)
         if spec.tangents is not None:
             from symsimpson.run.saltation import Saltation  # few runs need it
 
-            self._saltation = Saltation(program, acting, spec.parameters, float(spec.h), inputs)
+            self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
-        told = {"records": tuple(self.records), "actors": self._acting.names}
+        told = {"records": tuple(self.records), "actors": self._events.names}
         return {**super().beside(recorded, result), **told, "ended_by": self.ended_by}
 
     def look(self) -> None:
         """Look at the start: impacts that touch act there, none may be behind its wall."""
         state, t = self._state(), float(self.t0)
-        row = self._actor.row(t, state)
+        row = self._actions.row(t, state)
         values = row[: len(self.side)]
-        self.size[:] = np.maximum(np.abs(values), self._actor.sizes(row, state[0]))
+        self.size[:] = np.maximum(np.abs(values), self._actions.sizes(row, state[0]))
         self.side[:] = self._sides(values, np.zeros_like(self.side))  # a zero there is no event
-        for k, event in enumerate(self._acting.events):
+        for k, event in enumerate(self._events.events):
             off = BEHIND * max(1.0, self.size[k])
-            if not (isinstance(event.action, Impact) and self._actor.allowed(row, k)):
+            if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
             if values[k] < -off:
                 raise InputError(
@@ -109,7 +108,7 @@ class ActingRun(Run):
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
                 )
             self.side[k] = 1
-        if self._actor.touching(values, self._small).any():
+        if self._actions.touching(values, self._small).any():
             self._act_here(t, 0, state, [])
         self._remember()
         super().look()
@@ -117,7 +116,7 @@ class ActingRun(Run):
     def reduced(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
         """Return what observed values came to, and how often events acted."""
         known = dict(super().reduced(reductions))
-        names = [self._acting.names[one.event] for one in self.records]
+        names = [self._events.names[one.event] for one in self.records]
         for one in reductions:
             if one.kind == OF_EVENTS:
                 known[one.name] = float(names.count(one.expression))
@@ -176,10 +175,10 @@ class ActingRun(Run):
 
     def _remember(self) -> None:
         """Keep the values of expressions where the run is, and those before, by their rates."""
-        row = self._actor.row(float(self._time()), self._state())
+        row = self._actions.row(float(self._time()), self._state())
         self._value[:] = row[: len(self.side)]
         self.size[:] = np.fmax(self.size, np.abs(self._value))
-        self._earlier[:] = self._value - self.h * self._actor.rates(row)
+        self._earlier[:] = self._value - self.h * self._actions.rates(row)
 
     def _split_step(self) -> None:
         """Take the last step back, and take it anew with the events that are in it."""
@@ -239,12 +238,7 @@ class ActingRun(Run):
         times: Times = {}
         if self._saltation is not None:
             self._saltation.begin(self._variations)
-        for action in count():
-            if action > MOST_ACTIONS:
-                why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
-                return self._fail(
-                    Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. "
-                )
+        for _ in range(MOST_ACTIONS):
             rest = h - done
             if abs(rest) <= NOTHING * abs(h):
                 if self._saltation is not None:
@@ -255,8 +249,8 @@ class ActingRun(Run):
                 return self._fail(status)
             found = self._located(step, t0, done, rest, state, end)
             if found is None:
-                values = self._actor.values(t0 + h, end)
-                if np.isnan(values[self._actor.impacts]).any():
+                values = self._actions.values(t0 + h, end)
+                if np.isnan(values[self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
                 self.side[:] = self._sides(values, self.side)
                 if self._saltation is not None:
@@ -269,6 +263,12 @@ class ActingRun(Run):
             state = self._act(t0 + done, step, state, events, times)
             if state is None:
                 return None
+            if not part and state is behind and all(map(self._actions.is_impact, events)):
+                name = self._events.names[events[0]]
+                why = f"{name!r} is touched at rest at t={float(t0 + done)!r}. "
+                return self._fail(Status.EVENTS_ACCUMULATE, why)
+        why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
+        return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
 
     def _located(
         self, step: int, t0: float, done: float, rest: float, start: Any, end: Any
@@ -281,15 +281,15 @@ class ActingRun(Run):
             return state if status is Status.SUCCESS else (np.nan * start[0], np.nan * start[1])
 
         def row(part: float) -> Floats:
-            return self._actor.row(t0 + done + part, after(part))
+            return self._actions.row(t0 + done + part, after(part))
 
-        first, last = self._actor.row(t0 + done, start), self._actor.row(t0 + h, end)
+        first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         sides = self._sides(last[: len(self.side)], self.side)
         met = np.flatnonzero(self._acts(self.side, sides)).tolist()
-        root, ends = self._actor.root, {k: (rest, last[k]) for k in met}
-        for k in self._actor.dipping(first, last, self._small, rest):
+        root, ends = self._actions.root, {k: (rest, last[k]) for k in met}
+        for k in self._actions.dipping(first, last, self._small, rest):
             if k not in met:
-                place = self._actor.rate(k)
+                place = self._actions.rate(k)
                 lowest = root(row, place, rest, (first[place], last[place]))
                 if (low := row(lowest)[k]) < -self._small[k]:
                     ends[k] = lowest, low
@@ -307,24 +307,24 @@ class ActingRun(Run):
 
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Let events act on a state, and keep records; None where the run ends with them."""
-        row, small, given = self._actor.row(t, state), self._small, state
-        allowed = [k for k in events if self._actor.allowed(row, k)]
+        row, small, given = self._actions.row(t, state), self._small, state
+        allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
-            if not (k in allowed and self._actor.is_impact(k)):
+            if not (k in allowed and self._actions.is_impact(k)):
                 self.side[k] = -self.side[k]
-        done = list(self._actor.acted(t, state, allowed, small))
+        done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
         for k, before, behind, impulse in done:
             state = behind
             if self._saltation is not None:
                 self._saltation.act(t, before, k, step)
-            direction = -1 if self._actor.is_impact(k) else int(self.side[k])
-            together = several and self._actor.is_impact(k)
+            direction = -1 if self._actions.is_impact(k) else int(self.side[k])
+            together = several and self._actions.is_impact(k)
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
-            if self._actor.loses(k, before, behind, t):
+            if self._actions.loses(k, before, behind, t):
                 times.setdefault(k, []).append(t)
-        if self._actor.failed:
-            return self._fail(Status.BAD_INPUT, self._actor.failed)
+        if self._actions.failed:
+            return self._fail(Status.BAD_INPUT, self._actions.failed)
         if not all(np.isfinite(x).all() for x in state):
             return self._fail(Status.NOT_FINITE)
         if self._look_for_end():
@@ -340,29 +340,29 @@ class ActingRun(Run):
 
     def _look_ahead(self, t: float, step: int, state: Any) -> None:
         """Find on which sides expressions are behind an action, of zeros by a look ahead."""
-        values = self._actor.values(t, state)
+        values = self._actions.values(t, state)
         begin = float(self.t0 + self.h * step)
         size, share = AHEAD * float(self.h), (t - begin) / float(self.h)
         soon, status = self._parts(state, t, size, step, share)
-        ahead = self._actor.values(t + size, soon) if status is Status.SUCCESS else 0 * values
+        ahead = self._actions.values(t + size, soon) if status is Status.SUCCESS else 0 * values
         fresh = self._sides(values, np.sign(ahead))
-        self.side[:] = np.where(self._actor.impacts, self.side, fresh)
+        self.side[:] = np.where(self._actions.impacts, self.side, fresh)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
         for k, hits in times.items():
             about = limit_of(hits, abs(float(self.h)))
             if about is not None:
-                why = f"{self._acting.names[k]!r} acts ever faster up to t={about!r}. "
+                why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
                 self._fail(Status.EVENTS_ACCUMULATE, why)
                 return True
         return False
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""
-        last = self._acting.last_of(self.records)
+        last = self._events.last_of(self.records)
         if last is not None:
-            self.ended_by, self._code = self._acting.names[last.event], ARRIVED
+            self.ended_by, self._code = self._events.names[last.event], ARRIVED
             self.end_within = last.t, last.q_after, last.p_after
             self.reason = f"{self.ended_by!r} ended the run at t={last.t:g}."
         return last is not None
@@ -370,11 +370,10 @@ class ActingRun(Run):
     def _finish(self) -> None:
         """Let events act whose zero is the last state."""
         t, state = float(self._time()), self._state()
-        here = np.abs(self._actor.values(t, state)) <= self._small
+        here = np.abs(self._actions.values(t, state)) <= self._small
         events = np.flatnonzero(here & self._acts(self.side, -self.side)).tolist()
-        if not events:
-            return
-        self._act_here(t, self.step, state, events)
+        if events:
+            self._act_here(t, self.step, state, events)
 
     def _act_here(self, t: float, step: int, state: Any, events: list[int]) -> None:
         """Let events act on the state where the run is, which is one of the grid."""

@@ -8,7 +8,7 @@ import sympy as sp
 
 import symsimpson as ss
 from symsimpson.run import pieces
-from symsimpson.run.acting import ActingRun
+from symsimpson.run.event_run import EventRun
 
 (z,) = ss.coordinates("z")
 x, y = ss.coordinates("x y")
@@ -237,7 +237,10 @@ def test_impacts_that_accumulate_keep_what_was_computed():
     end = FALL * (1 + 0.5) / (1 - 0.5)
     assert abs(float(run.message.split("up to t=")[1].split(". ")[0]) - end) < 1e-12
     assert run.t[-1] < end < run.t[-1] + 0.01
-    with pytest.raises(ss.ConvergenceError, match="constraint"):
+
+
+def test_a_body_that_stays_on_its_floor_is_told_at_once():
+    with pytest.raises(ss.ConvergenceError, match=r"'floor' is touched at rest at t=.*constraint"):
         drop(floor(0.0), t_end=3.0)
 
 
@@ -359,7 +362,7 @@ def test_a_run_from_a_checkpoint_goes_on_to_the_same_bits(tmp_path):
 
 def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
     whole, file = drop(floor(), t_end=2.0), tmp_path / "run.ckpt"
-    advance = ActingRun.advance
+    advance = EventRun.advance
 
     def cut(run, stop):
         advance(run, stop)
@@ -367,7 +370,7 @@ def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(ActingRun, "advance", cut)
+        patched.setattr(EventRun, "advance", cut)
         part = drop(floor(), t_end=2.0, checkpoint=file, checkpoint_every=60, on_failure="return")
     assert part.status is ss.Status.INTERRUPTED
     assert 0 < len(part.events("floor")) < len(whole.events("floor"))

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from symsimpson.program.recorders import Recorder
     from symsimpson.stepping.request import Request
 
-__all__ = ["Acting", "read_acting"]
+__all__ = ["RunEvents", "read_run_events"]
 
 
 @dataclass(frozen=True)
-class Acting:
+class RunEvents:
     """Events of a run, and where what they ask for stands among expressions that are evaluated.
 
     Attributes
@@ -64,7 +64,7 @@ class Acting:
         return watchers(header, self.watched[: len(self.events)], signs, gaps, first)
 
 
-def read_acting(program: Program, request: Request) -> Acting | None:
+def read_run_events(program: Program, request: Request) -> RunEvents | None:
     """Read the events of a run, if there are any.
 
     Raises
@@ -90,7 +90,7 @@ def read_acting(program: Program, request: Request) -> Acting | None:
     return read_events(program, given)
 
 
-def read_events(program: Program, given: Any) -> Acting:
+def read_events(program: Program, given: Any) -> RunEvents:
     """Read the events of a run.
 
     Raises
@@ -128,7 +128,7 @@ def read_events(program: Program, given: Any) -> Acting:
     ]
     changes = tuple(_changes(program, one, place) for one in events)
     rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
-    return Acting(events, tuple(watched), when, rates, slopes, changes)
+    return RunEvents(events, tuple(watched), when, rates, slopes, changes)
 
 
 def _check_names(program: Program, events: Sequence[Event]) -> None:

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP, chandrupatla
-from symsimpson.stepping.acting import Acting
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run import Run
+from symsimpson.stepping.run_events import RunEvents
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["Actor", "limit_of"]
+__all__ = ["EventActions", "limit_of"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
@@ -54,7 +54,7 @@ def limit_of(times: Sequence[float], h: float) -> float | None:
     return float(times[-1] + left) if steady and abs(left) < ACCUMULATED * h else None
 
 
-class Actor:
+class EventActions:
     """Evaluates what events ask for, and what they do.
 
     Attributes
@@ -63,18 +63,18 @@ class Actor:
         Why an action could not be done, if it could not.
     """
 
-    def __init__(self, program: Program, spec: RunSpec, acting: Acting) -> None:
-        self._program, self._acting, self._values = program, acting, spec.parameters
-        self._watch = watching(program, acting.watched, spec.parameters)
+    def __init__(self, program: Program, spec: RunSpec, run_events: RunEvents) -> None:
+        self._program, self._events, self._values = program, run_events, spec.parameters
+        self._watch = watching(program, run_events.watched, spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
         self.failed = ""
         #: Which events are impacts.
-        self.impacts = np.array([place is not None for place in acting.rate])
+        self.impacts = np.array([place is not None for place in run_events.rate])
         self._restitution = [
             _restitution(program, event.action.restitution, spec.parameters)
             if isinstance(event.action, Impact)
             else None
-            for event in acting.events
+            for event in run_events.events
         ]
 
     def rows(self, t: Floats, q: Floats, p: Floats) -> Floats:
@@ -88,7 +88,7 @@ class Actor:
 
     def values(self, t: float, state: State) -> Floats:
         """Return the expressions of events at a state."""
-        return self.row(t, state)[: len(self._acting.events)]
+        return self.row(t, state)[: len(self._events.events)]
 
     def is_impact(self, k: int) -> bool:
         """Return whether an event is an impact."""
@@ -103,19 +103,19 @@ class Actor:
 
     def rate(self, k: int) -> int:
         """Return where the rate of a gap stands."""
-        place = self._acting.rate[k]
+        place = self._events.rate[k]
         assert place is not None
         return place
 
     def allowed(self, row: Floats, k: int) -> bool:
         """Return whether the condition of an event holds."""
-        place = self._acting.when[k]
+        place = self._events.when[k]
         return place is None or bool(row[place] > 0)
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which gaps are made, to tell what rounding is."""
-        found = np.zeros(len(self._acting.events))
-        for k, first in enumerate(self._acting.slopes):
+        found = np.zeros(len(self._events.events))
+        for k, first in enumerate(self._events.slopes):
             if first is not None:
                 found[k] = np.abs(row[first : first + len(q)] * q).sum()
         return found
@@ -126,12 +126,12 @@ class Actor:
 
     def rates(self, row: Floats) -> Floats:
         """Return the rates of gaps, and 0 for other expressions."""
-        return np.array([0.0 if place is None else row[place] for place in self._acting.rate])
+        return np.array([0.0 if place is None else row[place] for place in self._events.rate])
 
     def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
         """Return which gaps may pass through zero and come back between two states, by rates."""
         found = []
-        for k, place in enumerate(self._acting.rate):
+        for k, place in enumerate(self._events.rate):
             if place is not None and min(first[k], last[k]) > small[k]:
                 down, up = span * first[place], span * last[place]
                 low = _lowest(first[k], last[k], down, up) if down < 0 < up else np.inf
@@ -155,7 +155,7 @@ class Actor:
         (first, last), low, high = ends, 0.0, span
         if side and first * side <= 0:  # rounding has left it behind
             first = side * np.finfo(float).tiny
-        place = self._acting.rate[k] if k < len(self._acting.rate) else None
+        place = self._events.rate[k] if k < len(self._events.rate) else None
         near = abs(first) < NEAR * abs(last)  # it has just been at zero, and is to come back there
         x = span if near else span * first / (first - last)
         for _ in range(MOST_NEWTON if place is not None else 0):
@@ -228,7 +228,7 @@ class Actor:
     def _hit(self, t: float, state: State, row: Floats, k: int) -> tuple[State, float]:
         """Return the state after an impact, and its impulse: v jumps along M^-1 dg/dq."""
         q, p = state
-        first = self._acting.slopes[k]
+        first = self._events.slopes[k]
         assert first is not None
         n = row[first : first + len(q)]
         v, there, origin = self._velocities(t, q, np.stack([p, n, 0 * p]))
@@ -236,7 +236,7 @@ class Actor:
         weight = float(n @ w)
         if not weight > 0:
             self.failed = (
-                f"The gap {self._acting.names[k]!r} closes, but moves nothing that is free to. "
+                f"The gap {self._events.names[k]!r} closes, but moves nothing that is free to. "
             )
             return state, 0.0
         restitution = self._restitution[k]
@@ -249,7 +249,7 @@ class Actor:
             return state, 0.0
         if self._sign < 0 and e != 1.0:
             self.failed = (
-                f"The impact {self._acting.names[k]!r} loses energy, which a run backwards would "
+                f"The impact {self._events.names[k]!r} loses energy, which a run backwards would "
                 "have to give. Take restitution 1, or run forwards. "
             )
             return state, 0.0
@@ -260,7 +260,7 @@ class Actor:
 
     def _changed(self, t: float, state: State, k: int) -> State:
         """Return the state after an event that is no impact."""
-        changes = self._acting.changes[k]
+        changes = self._events.changes[k]
         if not changes:
             return state
         row, (q, p) = self.row(t, state), state
@@ -291,7 +291,7 @@ class Actor:
             off /= max(1.0, float(np.abs(v).max()))
         if not off <= ALLOWED:
             self.failed = (
-                f"The event {self._acting.names[k]!r} changes the state to one that constraints do "
+                f"The event {self._events.names[k]!r} changes the state to one that constraints do "
                 f"not allow: it is off by {off:.2g}. "
             )
 
