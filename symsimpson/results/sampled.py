@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import UnknownNameError
+from symsimpson.errors import InputError, UnknownNameError
 from symsimpson.module.quantity import SCALARS
 from symsimpson.module.quantity import VECTORS as WITH_COORDINATES
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.outcome import Outcome
+from symsimpson.results.records import Actions, Record, actions_of
 from symsimpson.results.states import States, with_units
 from symsimpson.results.tables import dataframe, write
 from symsimpson.support.calling import explaining
@@ -28,9 +29,44 @@ __all__ = ["Sampled", "Saved"]
 VECTORS = tuple(one.name for one in WITH_COORDINATES)
 
 
+class WithEvents:
+    """What events did on a run of which states between them may not be kept."""
+
+    records: tuple[Record, ...]
+    actors: tuple[str, ...]
+
+    def events(self, name: str) -> Actions:
+        """Return the states in which an event acted on the run, by its name.
+
+        Raises
+        ------
+        InputError
+            If the run had no such event.
+
+        Examples
+        --------
+        >>> import symsimpson as ss
+        >>> (z,) = ss.coordinates("z")
+        >>> ball = ss.MechanicalSystem(
+        ...     "ball", coordinates=(z,), kinetic=z.diff()**2 / 2, potential=10 * z)
+        >>> run = ss.compile(ball).integrate(
+        ...     [1.0], v0=[0.0], h=0.01, t_eval=[0, 2],
+        ...     events=[ss.Event(z, name="floor", action=ss.Impact())])
+        >>> run.events("floor").t.round(6).tolist()
+        [0.447214, 1.341641]
+        """
+        if name not in self.actors:
+            had = f"It had {', '.join(self.actors)}. " if self.actors else ""
+            raise InputError(
+                f"the run had no event {name!r}.\n{had}Zeros of expressions are found in runs "
+                "whose steps are kept: leave out t_eval= and save=."
+            )
+        return actions_of(self, name)
+
+
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False, init=False)
-class Sampled(Outcome, States):
+class Sampled(WithEvents, Outcome, States):
     """The states of a run at chosen times; ``integrate(..., t_eval=times)`` gives them.
 
     Attributes are those of :class:`States`, and how the run ended: ``status``, ``message``,
@@ -51,6 +87,8 @@ class Sampled(Outcome, States):
     steps: int
     status: Status
     message: str
+    records: tuple[Record, ...] = ()
+    actors: tuple[str, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the states in a file, of the kind that its ending says.
@@ -82,7 +120,7 @@ class Sampled(Outcome, States):
 
 @explaining()
 @dataclass(frozen=True, eq=False, repr=False)
-class Saved(Outcome):
+class Saved(WithEvents, Outcome):
     """Chosen quantities of a run; ``integrate(..., save=names)`` gives them.
 
     Attributes
@@ -113,6 +151,9 @@ class Saved(Outcome):
     status: Status
     message: str
     program: Program
+    parameter_values: Any = None
+    records: tuple[Record, ...] = ()
+    actors: tuple[str, ...] = ()
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.

@@ -511,3 +511,13 @@ def test_mistakes_in_events_of_ensembles_are_told_before():
         many([[1.0], [2.0]], events=[floor(sp.Symbol("e"))], **given)
     with pytest.raises(ss.InputError, match="how variations grow, which is not measured through"):
         many([[1.0], [2.0]], events=[floor()], reduce={"l": "lyapunov"}, **given)
+
+
+@pytest.mark.parametrize("how", [{"t_eval": [0.0, 0.7, 3.0]}, {"save": ["z"]}])
+def test_what_is_kept_of_a_run_knows_its_events(how):
+    whole, kept = drop(floor(0.8), t_end=3.0), drop(floor(0.8), t_end=3.0, **how)
+    hits = kept.events("floor")
+    assert hits.t.tolist() == whole.events("floor").t.tolist()
+    assert hits.after.energy.tolist() == whole.events("floor").after.energy.tolist()
+    with pytest.raises(ss.InputError, match=r"no event 'wall'.\nIt had floor"):
+        kept.events("wall")
