@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.held import held_blocks, held_rates, implied
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import Limits
@@ -221,6 +222,10 @@ class Layout:
         maps = [*self.on_path(self.A[i], k), *self.on_path(self.B[i], k)]
         maps += [self.of(self.inputs[k, i, a]) for a in range(len(read.u))]
         made = self.block(values, [*read.q, *read.v, *read.u], maps, k + self.c[i], n + 1)
+        for node, (symbol, given) in read.signals.items():
+            what, whole = f"signals[{symbol}]", read.duration[0]
+            function = read_function(what, given, whole)
+            made[2][node] = values_at(what, function, (k + self.c[i]) * whole / N)
         self.step_rows = steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step").reshape(N, d + 1, n)
         # the last rows of steps are sums of all: p_k+1 - p_k is what forces add to it
         rows.linear(steps[:, 0], self.momenta[:-1], self.scale)
@@ -243,8 +248,9 @@ class Layout:
         return *made, parts
 
     def _driven(self, value: Value) -> bool:
-        """Return whether an input stands in a value."""
-        return not self.read.graph.nodes[value[1]].symbols.isdisjoint(self.read.u)
+        """Return whether something that is known at nodes alone stands in a value."""
+        of_nodes = {*self.read.u, *self.read.signals}
+        return not self.read.graph.nodes[value[1]].symbols.isdisjoint(of_nodes)
 
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""

@@ -54,6 +54,10 @@ class OptimalControl:
         x.diff()}`` for a motion that repeats itself one further on.
     unknowns : mapping from parameter to (low, high)
         Parameters that are found, too.
+    signals : mapping from symbol to function or array
+        Functions of the time that are known, as motions to be followed or measured ones, by the
+        symbols for which they stand in ``cost``, ``bounds`` and ``path``: callables that take an
+        array of times, or arrays over equal times of the whole duration, which is a number then.
 
     Raises
     ------
@@ -86,6 +90,7 @@ class OptimalControl:
     path: Sequence[Any] = field(default=(), kw_only=True)
     conditions: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     unknowns: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+    signals: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         system = self.system

@@ -53,6 +53,8 @@ class Reading:
         Of the start and of the end.
     tied : list of (str, Value, Value)
         The name, what stands at the end, and less what of the start it is equal to.
+    signals : dict from int to (symbol, function)
+        Nodes of what is a function of the time, given.
     within : list of Limits
         At nodes; of inputs and coordinates, these are in ``of_inputs`` and ``of_coordinates``.
     found : list of int
@@ -67,13 +69,16 @@ class Reading:
     def __init__(self, problem: Any) -> None:
         system = self.system = problem.system
         plain = system.plain
-        self.symbols = Symbols(system.coordinates, system.parameters, system.inputs)
+        signals = read_signals(system, problem.signals)
+        self.symbols = Symbols(system.coordinates, system.parameters, (*system.inputs, *signals))
         graph = self.graph = Graph()
         self.q, self.v, self.p, self.u, self.parameters = (
             graph.numbers(s.name for s in group)
             for group in (plain.q, plain.v, plain.p, plain.u, plain.parameters)
         )
         (self.t,) = graph.numbers([plain.t.name])
+        of_signals = graph.numbers(s.name for s in self.symbols.u[len(self.u) :])
+        self.signals = dict(zip(of_signals, signals.items(), strict=True))
         L, *f = rebuilt(plain.graph, [plain.L, *plain.f], {}, graph)
         slopes, n = gradient(graph, L, [*self.q, *self.v]), len(self.q)
         self.forces = [graph.add([slopes[i], f[i]]) for i in range(n)]
@@ -95,6 +100,11 @@ class Reading:
             raise InputError(
                 f"duration is {problem.duration!r}.\nPass a positive number, or bounds (low, high) "
                 "of it."
+            )
+        if self.signals and self.duration[0] < self.duration[1]:
+            raise InputError(
+                f"signals are functions of the time, and duration is {problem.duration!r}.\n"
+                "Pass one number for the duration."
             )
         for what in ("bounds", "unknowns"):
             _check_mapping(what, getattr(problem, what), "pairs by symbol: {u: (-1, 1)}")
@@ -219,6 +229,25 @@ class Reading:
                             f"{where} has {one.name} = {one.low:g}, outside of its bounds "
                             f"({low:g}, {high:g}).\nWiden them, or begin within."
                         )
+
+
+def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
+    """Read functions of the time by symbols that the system does not have.
+
+    Raises
+    ------
+    InputError
+    """
+    _check_mapping("signals", given, "functions of the time by symbol: {s: numpy.sin}")
+    taken = {*map(spelled, (*system.coordinates, *system.parameters, *system.inputs)), "t"}
+    for key in given:
+        if not isinstance(key, sp.Symbol) or spelled(key) in taken:
+            raise InputError(
+                f"signals names {key!r}, which is "
+                f"{'a name of the system' if isinstance(key, sp.Symbol) else 'no symbol'}.\n"
+                "Take a symbol of its own: s = sympy.Symbol('s', real=True)."
+            )
+    return dict(given)
 
 
 def _check_mapping(what: str, given: Any, how: str) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
 from symsimpson.control.layout import Layout
@@ -183,7 +184,9 @@ def begin(layout: Layout, guess: Any) -> Floats:
         values = [
             _number(own[i], given.pop(own[i], x)) for i, x in zip(read.found, values, strict=True)
         ]
-        functions = {name: _function(name, value, whole) for name, value in given.items()}
+        functions = {
+            name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
+        }
     whole = min(max(whole, low), high)
     x = np.zeros(layout.size)
     h = whole / N
@@ -196,11 +199,11 @@ def begin(layout: Layout, guess: Any) -> Floats:
         line = functions.get(
             name, lambda t, first=first, last=last: first + (last - first) * t / whole
         )
-        x[layout.points[:, :, a]] = _numbers(name, line, times)
+        x[layout.points[:, :, a]] = values_at(f"guess[{name!r}]", line, times)
     nodes = starts[:, None] + h * layout.c
     for k, name in enumerate(read.inputs):
         if name in functions:
-            x[layout.inputs[..., k]] = _numbers(name, functions[name], nodes)
+            x[layout.inputs[..., k]] = values_at(f"guess[{name!r}]", functions[name], nodes)
     x[layout.parameters] = values
     if layout.h is not None:
         x[layout.h] = h
@@ -228,41 +231,6 @@ def begin(layout: Layout, guess: Any) -> Floats:
 def _given(limits: Any, read: Any) -> dict[str, float]:
     """Return the coordinates that are given at an end."""
     return {one.name: one.low for one in limits if one.low == one.high and one.name in read.names}
-
-
-def _function(name: str, given: Any, whole: float) -> Any:
-    """Return a guess as a function of the time."""
-    if callable(given):
-        return given
-    try:
-        array = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros((0, 0))
-    if array.ndim > 1 or not array.size:
-        raise InputError(
-            f"guess[{name!r}] is {given!r}, of shape {array.shape}.\nPass a number, an array over "
-            "equal times, or a function of the time."
-        )
-    if array.ndim == 0:
-        return lambda t: np.full(np.shape(t), float(array))
-    return lambda t: np.interp(t, np.linspace(0, whole, array.size), array)
-
-
-def _numbers(name: str, function: Any, times: Floats) -> Floats:
-    """Evaluate a guess."""
-    try:
-        found = np.asarray(function(times), dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            f"guess[{name!r}] cannot be evaluated at an array of times: {error}.\n"
-            "Write it with functions of numpy."
-        ) from None
-    if found.shape not in (times.shape, ()):
-        raise InputError(
-            f"guess[{name!r}] gives shape {found.shape} for times of shape {times.shape}.\n"
-            "It takes an array of times, and gives one of values."
-        )
-    return np.broadcast_to(found, times.shape)
 
 
 def _number(name: str, given: Any) -> float:

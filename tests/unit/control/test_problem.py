@@ -180,6 +180,59 @@ def test_a_motion_that_repeats_itself():
         cart(conditions=[x])
 
 
+def test_parameters_of_a_motion_that_was_measured():
+    """Of a pendulum with friction, from its angle with noise; and from the exact angle, exactly."""
+    th = ss.coordinates("theta")[0]
+    s, l, c = sp.Symbol("s"), *sp.symbols("l c", positive=True)
+    swing = ss.MechanicalSystem(
+        "pendulum",
+        coordinates=(th,),
+        kinetic=l**2 * th.diff() ** 2 / 2,
+        potential=-9.81 * l * sp.cos(th),
+        parameters={l: 1.0, c: 0.1},
+        forces={th: -c * th.diff()},
+    )
+    right = {l: 0.83, c: 0.07}
+    run = ss.compile(swing, "gauss8").integrate([1.2], v0=[0.0], h=0.02, t_end=6, parameters=right)
+    noise = 0.02 * np.random.default_rng(1).normal(size=301)
+    for measured, off in ((run.q[:, 0] + noise, 5e-3), (lambda t: run.at(t).q[:, 0], 1e-8)):
+        problem = ss.OptimalControl(
+            swing,
+            cost=(th - s) ** 2,
+            duration=6,
+            unknowns={l: (0.3, 3), c: (0.01, 1)},
+            signals={s: measured},
+        )
+        found = problem.solve("lobatto6", steps=60)
+        assert found.success, found.message
+        assert abs(found.unknowns["l"] - 0.83) < off
+        assert abs(found.unknowns["c"] - 0.07) < off
+
+
+def test_a_motion_that_is_followed():
+    """The least cost is that of an expression of the time, which a signal stands for."""
+    s = sp.Symbol("s", real=True)
+    ahead = cart(cost=u**2 + (x - s) ** 2, signals={s: lambda t: np.sin(3 * t)})
+    right = cart(cost=u**2 + (x - sp.sin(3 * ss.time)) ** 2).solve("gauss4", steps=8).cost
+    assert abs(ahead.solve("gauss4", steps=8).cost / right - 1) < 1e-12
+    below = cart(path=[x - s], signals={s: [0.3, 1.2]}).solve("gauss4", steps=8)
+    assert (below.q[:, 0] < 0.3 + 0.9 * below.t + 0.02).all()
+    for signals, told in (
+        ([s], "signals is list"),
+        ({"s": 1}, "no symbol"),
+        ({u: 1}, "a name of the system"),
+        ({s: [[1.0]]}, "of shape"),
+        ({s: lambda t: t[:2]}, "gives shape"),
+        ({s: "sin"}, "of shape"),
+    ):
+        with pytest.raises(ss.InputError, match=told):
+            cart(cost=u**2 + s, signals=signals).solve("gauss4", steps=2)
+    with pytest.raises(ss.InputError, match="signals are functions of the time, and duration is"):
+        cart(cost=u**2 + s, signals={s: 1.0}, duration=(1, 2))
+    with pytest.raises(ss.ModelError, match="s"):
+        cart(final_cost=s, signals={s: 1.0})
+
+
 def test_gains_hold_a_run_near_the_solution():
     found = cart().solve("simpson", steps=40)
     gains = found.lqr(np.eye(2), 0.01 * np.eye(1))
