@@ -115,7 +115,7 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
         parts = []
         for name, out in zip(names, left_out, strict=False):
             some = count[: N * d - out]
-            at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}")
+            at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}", 1.0 / N)
             parts.append((at, some, np.full(len(some), 1.0 / N)))
         made.append((*points, parts))
     if rates:

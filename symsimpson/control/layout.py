@@ -133,7 +133,7 @@ class Layout:
 
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
-        """The programme, and the bounds of its rows; ``names`` are theirs."""
+        """The programme, and the bounds of its rows; ``names`` and ``scales`` are theirs."""
         rows = Rows()
         blocks = [self._path(rows)]
         if self.read.constraints:
@@ -143,7 +143,7 @@ class Layout:
         linear = sparse.coo_matrix(
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
-        self.names = rows.names
+        self.names, self.scales = rows.names, np.concatenate(rows.scales)
         made = [self._block(rows.count, *block) for block in blocks]
         programme = Programme(made, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
@@ -315,12 +315,14 @@ class Rows:
         self.low: list[Floats] = []
         self.high: list[Floats] = []
         self.names: list[str] = []
+        self.scales: list[Floats] = []
         self.at, self.columns, self.data = (
             np.zeros(0, dtype=k) for k in (np.int64, np.int64, float)
         )
 
-    def add(self, count: int, low: float, high: float, name: str) -> Ints:
-        """Return the numbers of further rows between two bounds."""
+    def add(self, count: int, low: float, high: float, name: str, scale: float = 1.0) -> Ints:
+        """Return the numbers of further rows between two bounds, and by what they are scaled."""
+        self.scales.append(np.full(count, scale))
         self.low.append(np.full(count, low))
         self.high.append(np.full(count, high))
         self.names += [name] * count

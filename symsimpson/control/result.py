@@ -370,7 +370,7 @@ def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
     """Return what a solver came to."""
     programme, low, high = layout.programme
     cost, rows = programme.values(outcome.x)
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0)
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
     worst = int(np.argmax(off)) if off.size else 0
     return ControlResult(
         layout,

@@ -213,3 +213,11 @@ def test_gains_and_a_finer_run_know_the_constraint():
     gains = found.lqr(np.eye(4), np.eye(1))
     assert gains.shape == (20, 1, 4)
     assert np.isfinite(gains).all()
+
+
+def test_a_guess_is_put_on_the_constraints():
+    aside = {x: lambda t: 3 + 0 * t, y: lambda t: 4 + 0 * t}
+    found = ss.OptimalControl(PLANE, cost=u**2, duration=1.0).solve(
+        "simpson", steps=50, guess=aside, most_iterations=0
+    )
+    assert np.abs(found.q - [0.6 * LENGTH, 0.8 * LENGTH]).max() < 1e-9
