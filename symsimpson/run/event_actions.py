@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
-from symsimpson.results.events import JUMP, chandrupatla
+from symsimpson.results.events import JUMP
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
@@ -30,7 +32,11 @@ MOST_MAPS = 500
 #: A state that an event leads to may miss constraints by so much.
 ALLOWED = 1e-9
 #: Newton's method for the time of an event ends with corrections below this part of the span.
-EXACT, MOST_NEWTON = 4 * 2.0**-52, 12
+EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
+#: Where a gap is lowest is known to this part of the span.
+LOWEST = 1e-9
+#: Of so many states it is known what is asked for there, beside the last one.
+KNOWN = 4
 #: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
 NEAR = 0.1
 
@@ -67,7 +73,7 @@ class EventActions:
         self._program, self._events, self._values = program, run_events, spec.parameters
         self._watch = watching(program, run_events.watched, spec.parameters)
         self._sign = 1.0 if spec.h > 0 else -1.0
-        self.failed = ""
+        self.failed, self._known = "", list[tuple[float, State, Floats]]()
         #: Which events are impacts.
         self.impacts = np.array([place is not None for place in run_events.rate])
         self._restitution = [
@@ -82,8 +88,12 @@ class EventActions:
         return self._watch(t, q, p)
 
     def row(self, t: float, state: State) -> Floats:
-        """Return all that is asked for at one state."""
+        """Return all that is asked for at one state; of the last ones it is known."""
+        for when, where, known in self._known:
+            if where is state and when == t:
+                return known
         found: Floats = self.rows(np.array([t]), state[0][None], state[1][None])[0]
+        self._known = [(t, state, found), *self._known[:KNOWN]]
         return found
 
     def values(self, t: float, state: State) -> Floats:
@@ -139,46 +149,52 @@ class EventActions:
                     found.append(k)
         return found
 
+    def lowest(
+        self, row: Callable[[float], Floats], k: int, span: float, first: Floats, last: Floats
+    ) -> float:
+        """Return where from 0 to a span a gap is lowest, between rates of both signs."""
+        place = self.rate(k)
+        ends = float(first[place]), float(last[place])
+        return ridders(lambda x: float(row(x)[place]), 0.0, span, ends, LOWEST * abs(span))
+
     def root(
         self,
         row: Callable[[float], Floats],
         k: int,
         span: float,
-        ends: tuple[float, float],
-        side: float = 0.0,
+        ends: tuple[Floats, Floats],
+        side: float,
     ) -> float:
         """Return where from 0 to a span an expression is zero, to rounding; NaN where it jumps.
 
-        ``ends`` are its values there; it begins on a side of zero. Newton's method with the rate of
-        a gap takes few iterations; Chandrupatla's where there is none, or that leaves the bracket.
+        ``ends`` is all that is asked for there; it begins on a side of zero. Where there is a rate,
+        of a gap, Newton's method begins at the zero of a cubic, and bisects where it leaves the
+        bracket; Ridders' method needs none.
         """
-        (first, last), low, high = ends, 0.0, span
-        if side and first * side <= 0:  # rounding has left it behind
+        (first, last), place = (float(x[k]) for x in ends), self._events.rate[k]
+        if first * side <= 0:  # rounding has left it behind
             first = side * np.finfo(float).tiny
-        place = self._events.rate[k] if k < len(self._events.rate) else None
-        near = abs(first) < NEAR * abs(last)  # it has just been at zero, and is to come back there
-        x = span if near else span * first / (first - last)
-        for _ in range(MOST_NEWTON if place is not None else 0):
+        if place is None:
+            x = ridders(lambda x: float(row(x)[k]), 0.0, span, (first, last), EXACT * abs(span))
+            jumped = abs(float(row(x)[k])) > JUMP * (abs(first) + abs(last))
+            return float("nan") if jumped else x
+        low, high, before = 0.0, span, 0.0
+        a, b = (span * float(one[place]) for one in ends)
+        x = span * _zero_of_cubic(first, last, a, b, side)
+        for _ in range(MOST_NEWTON):
             found = row(x)
             value, rate = float(found[k]), float(found[place])
-            if value * first > 0:
-                low, first = x, value
-            else:
-                high, last = x, value
+            low, high = (x, high) if value * side > 0 else (low, x)
             step = -value / rate if rate else np.inf
-            if abs(step) <= EXACT * abs(span) and rate * span * side <= 0:
-                return x + step if low < x + step < high or high < x + step < low else x
-            x += step
-            if not (low < x < high or high < x < low):
-                break
-
-        def shifted(_: NDArray[np.int64], x: Floats) -> Floats:
-            return np.array([row(low + float(x[0]))[k]])
-
-        given = np.array([high - low]), np.array([first]), np.array([last])
-        x = low + float(chandrupatla(shifted, *given)[0])
-        jumped = abs(float(row(x)[k])) > JUMP * (abs(ends[0]) + abs(ends[1]))
-        return float("nan") if jumped else x
+            # behind this step; slopes of the scheme differ from the rate: convergence is linear
+            left = abs(step) * abs(step) / before if before else np.inf
+            fine = rate * span * side <= 0 and min(left, abs(step)) <= EXACT * abs(span)
+            inside = low <= x + step <= high or high <= x + step <= low
+            if fine or abs(high - low) <= EXACT * abs(span):
+                x = x + step if inside else x
+                return x if abs(x) > 4 * EXACT * abs(span) else 0.0
+            before, x = (abs(step), x + step) if inside else (0.0, (low + high) / 2)
+        return x
 
     def acted(
         self, t: float, state: State, events: Sequence[int], small: Floats
@@ -303,6 +319,49 @@ def _lowest(first: float, last: float, a: float, b: float) -> float:
     turns = np.asarray(cubic.deriv().roots(), dtype=np.complex128)
     places = turns.real[(turns.imag == 0) & (turns.real > 0) & (turns.real < 1)].tolist()
     return float(min(map(cubic, places), default=min(first, last)))
+
+
+def _zero_of_cubic(first: float, last: float, a: float, b: float, side: float) -> float:
+    """Return about where from 0 to 1 the cubic changes its side that has these ends and slopes."""
+    rest = last - first
+    c, d = 3 * rest - 2 * a - b, a + b - 2 * rest
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        x = (low + high) / 2
+        if (first + x * (a + x * (c + x * d))) * side > 0:
+            low = x
+        else:
+            high = x
+    return (low + high) / 2
+
+
+def ridders(
+    function: Callable[[float], float],
+    low: float,
+    high: float,
+    ends: tuple[float, float],
+    size: float,
+) -> float:
+    """Return a change of sign between two places, within a size (C. Ridders, IEEE TCS 26, 1979)."""
+    first, last = ends
+    while abs(high - low) > size:
+        middle = (low + high) / 2
+        value = function(middle)
+        root = math.sqrt(max(value * value - first * last, 0.0))
+        if not value or not root or middle in (low, high):
+            return middle
+        x = middle + (middle - low) * math.copysign(value / root, first * value)
+        there = function(x)
+        # the smallest bracket of what is known
+        known = sorted(
+            [(low, first), (middle, value), (x, there), (high, last)], reverse=high < low
+        )
+        ((low, first), (high, last)) = next(
+            (a, b) for a, b in pairwise(known) if (a[1] > 0) != (b[1] > 0) or not b[1]
+        )
+        if not last:
+            return high
+    return (low + high) / 2
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:

@@ -286,18 +286,17 @@ class EventRun(Run):
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
         sides = self._sides(last[: len(self.side)], self.side)
         met = np.flatnonzero(self._acts(self.side, sides)).tolist()
-        root, ends = self._actions.root, {k: (rest, last[k]) for k in met}
+        ends = dict.fromkeys(met, (rest, last))
         for k in self._actions.dipping(first, last, self._small, rest):
             if k not in met:
-                place = self._actions.rate(k)
-                lowest = root(row, place, rest, (first[place], last[place]))
-                if (low := row(lowest)[k]) < -self._small[k]:
-                    ends[k] = lowest, low
+                lowest = self._actions.lowest(row, k, rest, first, last)
+                if (there := row(lowest))[k] < -self._small[k]:
+                    ends[k] = lowest, there
         sides = self.side.tolist()
         roots = {
             k: x
-            for k, (until, low) in ends.items()
-            if (x := root(row, k, until, (first[k], low), sides[k])) == x  # a jump is no zero
+            for k, (until, there) in ends.items()
+            if (x := self._actions.root(row, k, until, (first, there), sides[k])) == x  # no jump
         }
         if not roots:
             return None
