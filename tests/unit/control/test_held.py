@@ -187,6 +187,12 @@ def test_a_body_turns_over_in_the_least_time():
     assert np.abs(found.trajectory.constraint_error).max() < 1e-12
 
 
+def rows_of_the_rod(found):
+    names = found.layout.names
+    ends = ("", " at the start", " at the end")
+    return [names.count(f"constraint 'rod'{end}") for end in ends]
+
+
 def test_ends_that_repeat_or_contradict_constraints():
     """What conditions imply is no row of its own; what they contradict is refused."""
     again = {q: q for q in (x, y, x.diff(), y.diff())}
@@ -195,6 +201,10 @@ def test_ends_that_repeat_or_contradict_constraints():
     )
     found = round_.solve("simpson", steps=20)
     assert found.success, found.message
+    # at the start phi and its rate, at control points phi, but not at the last one
+    assert rows_of_the_rod(found) == [39, 2, 0]
+    assert rows_of_the_rod(swing().solve("simpson", steps=20)) == [39, 0, 0]
+    assert rows_of_the_rod(swing(start=(0, 0), end=(0.1, 0)).solve("simpson", steps=2)) == [3, 0, 0]
     assert np.abs(found.q[-1] - found.q[0]).max() < 1e-9
     assert abs(np.hypot(*found.q[0]) - LENGTH) < 1e-9
     for end, wrong in (("start", {x: 0.5, y: 0.5}), ("end", {**bob(2.0, 0.0), x.diff(): 0.3})):

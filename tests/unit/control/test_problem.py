@@ -268,6 +268,30 @@ def test_guesses():
             problem.solve(steps=4, guess=guess)
 
 
+def test_what_is_not_guessed_begins_in_the_middle_of_its_bounds():
+    for bounds, middle in (((0.5, 4.5), 1.5), ((-1.0, 2.0), 0.5), ((None, 3.0), 1.2)):
+        c = sp.Symbol("c", real=True)
+        pulled = ss.MechanicalSystem(
+            "pulled",
+            coordinates=(x,),
+            kinetic=x.diff() ** 2 / 2,
+            potential=c * x**2,
+            parameters={c: 1.2},
+        )
+        problem = ss.OptimalControl(pulled, cost=x**2, duration=1, unknowns={c: bounds})
+        assert abs(problem.solve(steps=2, most_iterations=0).unknowns["c"] - middle) < 1e-12
+    free = cart(duration=(0.5, 2.0)).solve(steps=2, most_iterations=0)
+    assert abs(free.duration - 1.0) < 1e-12
+
+
+def test_a_bound_holds_at_the_last_state_too():
+    away = cart(end={}, final_cost=-x, cost=u**2 / 100, bounds={x: (None, 2.0)})
+    for steps in (1, 8):
+        found = away.solve("simpson", steps=steps)
+        assert found.success, found.message
+        assert abs(found.q[-1, 0] - 2.0) < 1e-6
+
+
 def test_outcomes_that_are_no_solution_keep_what_there_is():
     weak = cart(bounds={u: (-1, 1)}).solve(steps=10)  # too weak to be there in time
     assert weak.status is ss.ControlStatus.INFEASIBLE
