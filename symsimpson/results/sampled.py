@@ -30,7 +30,7 @@ VECTORS = tuple(one.name for one in WITH_COORDINATES)
 
 
 class WithEvents:
-    """What events did on a run of which states between them may not be kept."""
+    """A result that knows what events did, though states between them may not be kept."""
 
     records: tuple[Record, ...]
     actors: tuple[str, ...]
