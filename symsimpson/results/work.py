@@ -85,10 +85,10 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
     program, header = run.program, run.program.header
     if header.conservative:
         return {TOTAL: 0 * run.t}, 0 * run.t
-    if run.records:
+    if run.records and WORK not in run.recorded:
         raise InputError(
             "the work of a run in which events acted is not known: its steps are not taken again "
-            "with their parts.\nUse run.power, or runs from event to event."
+            "with their parts.\nRecord it: record='work'."
         )
     if run.every is None and WORK not in run.recorded:
         raise InputError(

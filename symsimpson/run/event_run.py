@@ -62,21 +62,14 @@ class EventRun(Run):
     ) -> None:
         first = program.header.rows + sum(one.room for one in recorders)
         own = run_events.watchers(program.header, first)
-        super().__init__(
-            program,
-            spec.parameters,
-            spec.h,
-            spec.t0,
-            stride,
-            stored,
-            inputs=inputs,
-            recorders=(*recorders, *own),
-        )
+        given = spec.parameters, spec.h, spec.t0, stride, stored
+        super().__init__(program, *given, inputs=inputs, recorders=(*recorders, *own))
         self.records: list[Record] = []
         self._events, self._steps = run_events, spec.steps
         self._system = program.system
         self._actions = EventActions(program, spec, run_events)
-        self._parts = Parts(program, spec.parameters, float(spec.h), inputs)
+        works = any(one.name == "work" for one in recorders)
+        self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
         self._signs = np.array([event.sign for event in run_events.events])
         rows = self._column[first : first + WATCHED * len(self._signs)]
         self.side, self.size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
@@ -253,12 +246,10 @@ class EventRun(Run):
                 if np.isnan(values[self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
                 self.side[:] = self._sides(values, self.side)
-                if self._saltation is not None:
-                    self._saltation.flow(state, t0 + done, rest, step, None)
+                self._flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = found
-            if self._saltation is not None:
-                self._saltation.flow(state, t0 + done, part, step, events[0])
+            self._flow(state, t0 + done, part, step, events[0])
             state, done = behind, done + part
             state = self._act(t0 + done, step, state, events, times)
             if state is None:
@@ -269,6 +260,16 @@ class EventRun(Run):
                 return self._fail(Status.EVENTS_ACCUMULATE, why)
         why = f"More than {MOST_ACTIONS} events act within one step, or one acts for ever. "
         return self._fail(Status.EVENTS_ACCUMULATE, why + "Take a smaller h if they do not. ")
+
+    def _flow(self, state: Any, t: float, part: float, step: int, event: int | None) -> None:
+        """Carry variations through a part of a step, and add up the work in it."""
+        if self._saltation is not None:
+            self._saltation.flow(state, t, part, step, event)
+        if self._parts.works:
+            share = (t - float(self.t0 + self.h * step)) / float(self.h)
+            self.rows("WORK", self.header.powers)[:] += self._parts.work(
+                state, t, part, step, share
+            )
 
     def _located(
         self, step: int, t0: float, done: float, rest: float, start: Any, end: Any

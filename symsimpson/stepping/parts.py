@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.program.recorders import work
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import workspace
 from symsimpson.stepping.driving import at_places, places
@@ -29,15 +30,20 @@ class Parts:
     parameters : ndarray, shape (m,)
     h : float
     inputs : ndarray, shape (1, N, s, u)
+    works : bool
+        Whether the work of forces is asked for.
     """
 
-    def __init__(self, program: Program, parameters: Floats, h: float, inputs: Floats) -> None:
+    def __init__(
+        self, program: Program, parameters: Floats, h: float, inputs: Floats, *, works: bool = False
+    ) -> None:
         numbers, header = program.numbers, program.header
         self._program, self._parameters, self._h, self._inputs = program, parameters, h, inputs
         self._kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
         self._W = workspace(header, numbers, numbers.read(parameters))
         self._between = numbers.driver("between")
         self._places = places(program)
+        self.works = works
 
     def __call__(self, state: Any, t: float, size: float, step: int, share: float) -> Any:
         """Return q and p after a part of a step, and whether it could be taken.
@@ -56,10 +62,7 @@ class Parts:
         if size == 0.0:
             return (q, p), Status.SUCCESS
         h, n = self._h, len(q)
-        rests = self._inputs
-        if rests.size:
-            at = share + size / h * self._places
-            rests = at_places(self._program, rests, np.array([step]), at[None])
+        rests = self._rests(size, step, share)
         found, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         one = np.zeros(1, dtype=np.int64)
         self._between(
@@ -75,6 +78,24 @@ class Parts:
         if fine[0]:
             return (found[0, 0], found[1, 0]), Status.SUCCESS
         return steps_from(self._program, self._parameters, t, state, size, 1, rests)
+
+    def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
+        """Return the work of forces in a part of a step, and the integral of dL/dt."""
+        program, inputs = self._program, self._rests(size, step, share)
+        recorder = work(program.header)
+        if recorder is None or size == 0.0:
+            return np.zeros(program.header.powers)
+        run = Run(program, self._parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
+        run.begin(*state, velocity=False)
+        run.advance(1)
+        return run.rows("WORK", program.header.powers).copy()
+
+    def _rests(self, size: float, step: int, share: float) -> Floats:
+        """Return the inputs of a part of a step, at its own nodes."""
+        if not self._inputs.size:
+            return self._inputs
+        at = share + size / self._h * self._places
+        return at_places(self._program, self._inputs, np.array([step]), at[None])
 
 
 def steps_from(

@@ -80,8 +80,6 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
         why = "many digits"
     elif program.header.retimed:
         why = "a rate: the energy of a retimed run stays as it is"
-    if request.record not in (None, ()):
-        why = "record="
     if why:
         raise InputError(
             f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "

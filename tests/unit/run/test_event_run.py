@@ -224,8 +224,6 @@ def test_events_that_do_not_fit(events, told):
 
 
 def test_what_does_not_go_with_events():
-    with pytest.raises(ss.InputError, match="do not go with record="):
-        drop(floor(), record="work")
     with pytest.raises(ss.InputError, match="many digits"):
         ss.compile(BALL, precision=30).integrate([1.0], v0=[0.0], h=0.01, steps=3, events=[floor()])
 
@@ -521,3 +519,33 @@ def test_what_is_kept_of_a_run_knows_its_events(how):
     assert hits.after.energy.tolist() == whole.events("floor").after.energy.tolist()
     with pytest.raises(ss.InputError, match=r"no event 'wall'.\nIt had floor"):
         kept.events("wall")
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("gauss6", 6), ("simpson", 4)])
+def test_work_is_recorded_through_events(scheme, order):
+    """Of friction and of an input that varies within steps: energies tell the same."""
+    u = sp.Symbol("u")
+    driven = ss.MechanicalSystem(
+        "driven_ball",
+        coordinates=(z,),
+        kinetic=z.diff() ** 2 / 2,
+        potential=10 * z,
+        forces={z: u * sp.cos(3 * z) - z.diff() / 2},
+        inputs=(u,),
+    )
+    stepper, off = ss.compile(driven, scheme), []
+    for steps in (50, 100):
+        times = stepper.node_times(2 / steps, steps)
+        given = {"h": 2 / steps, "steps": steps, "inputs": {u: np.sin(3 * times)}}
+        run = stepper.integrate([1.0], v0=[0.0], **given, record="work", events=[floor(0.9)])
+        assert len(run.records) >= 2
+        off.append(np.abs(run.energy_balance).max())
+    assert off[1] < {6: 1e-11, 4: 1e-7}[order]
+    assert off[1] < off[0] / 2 ** (order - 0.7) or off[1] < 1e-13
+    hits = run.events("floor")
+    lost = (hits.after.energy - hits.energy).sum()
+    assert abs(run.energy[-1] - run.energy[0] - run.work["total"][-1] - lost) < 1e-7
+    with pytest.raises(ss.InputError, match="Record it: record='work'"):
+        stepper.integrate([1.0], v0=[0.0], **given, events=[floor(0.9)]).work  # noqa: B018
+    many = stepper.ensemble([[1.0], [5.0]], v0=[0.0], **given, record="work", events=[floor(0.9)])
+    assert abs(many.recorded["work"][0][-1] - run.recorded["work"][-1]).max() < 1e-13
