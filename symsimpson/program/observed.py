@@ -104,7 +104,7 @@ def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] 
 
 
 def read_reductions(
-    program: Program, given: Mapping[str, Any] | None, actors: Sequence[str] | None = None
+    program: Program, given: Mapping[str, Any] | None, event_names: Sequence[str] | None = None
 ) -> tuple[Reduction, ...]:
     """Read a mapping from names to pairs of a kind and an expression, or the name of an event.
 
@@ -113,7 +113,7 @@ def read_reductions(
     InputError
         If a kind is unknown, or an expression contains something else than arithmetic, functions
         and the names of coordinates, momenta, parameters, t, energy and kinetic_energy; or if none
-        of the ``actors`` has the name.
+        of the ``event_names`` has the name.
     """
     if given is None:
         return ()
@@ -124,7 +124,7 @@ def read_reductions(
         )
     found = []
     for name, pair in given.items():
-        if actors and (
+        if event_names and (
             pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair[0] in OF_VARIATIONS)
         ):
             raise InputError(
@@ -136,10 +136,10 @@ def read_reductions(
             found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue
         if isinstance(pair, tuple) and len(pair) == 2 and pair[0] == OF_EVENTS:
-            if actors is not None and str(pair[1]) not in actors:
+            if event_names is not None and str(pair[1]) not in event_names:
                 raise InputError(
                     f"reduce[{name!r}] counts {str(pair[1])!r}, and no event is called so.\n"
-                    f"Events of this call are {', '.join(actors) or 'none: pass events='}."
+                    f"Events of this call are {', '.join(event_names) or 'none: pass events='}."
                 )
             found.append(Reduction(str(pair[1]), "0.0", False, name=str(name), kind=OF_EVENTS))
             continue

@@ -14,7 +14,7 @@ from symsimpson.program.recorders import NAMED
 from symsimpson.program.status import Status
 from symsimpson.program.workspace import NO_INPUTS
 from symsimpson.results.records import Record
-from symsimpson.results.saving import ACTED, RECORDED, digest_of
+from symsimpson.results.saving import EVENTS, RECORDED, digest_of
 from symsimpson.results.tables import TABLES, check_kind
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.support.extras import library
@@ -117,8 +117,8 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
     stored = steps // every + 1 if every > 0 else 1
     tau, retimed = t - t[0], program.header.retimed
     told: dict[str, Any] = {"names": [], "ended_by": None, "records": []}
-    if ACTED in found:
-        told = json.loads(np.asarray(found[ACTED], dtype=np.uint8).tobytes().decode())
+    if EVENTS in found:
+        told = json.loads(np.asarray(found[EVENTS], dtype=np.uint8).tobytes().decode())
     if told["ended_by"] is not None:  # within a step
         stored += int(every > 0 and len(t) == stored + 1)
     if retimed:
@@ -185,6 +185,6 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
         records=tuple(Record.read(one) for one in told["records"]),
-        actors=tuple(told["names"]),
+        event_names=tuple(told["names"]),
         ended_by=told["ended_by"],
     )

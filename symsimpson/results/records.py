@@ -95,7 +95,7 @@ class Actions(Events):
 
 def actions_of(run: Any, name: str) -> Actions:
     """Return what an event of a run did, by its name."""
-    number = run.actors.index(name)
+    number = run.event_names.index(name)
     found = [one for one in run.records if one.event == number]
 
     def rows(what: str) -> Floats:

@@ -33,7 +33,7 @@ class WithEvents:
     """A result that knows what events did, though states between them may not be kept."""
 
     records: tuple[Record, ...]
-    actors: tuple[str, ...]
+    event_names: tuple[str, ...]
 
     def events(self, name: str) -> Actions:
         """Return the states in which an event acted on the run, by its name.
@@ -55,8 +55,8 @@ class WithEvents:
         >>> run.events("floor").t.round(6).tolist()
         [0.447214, 1.341641]
         """
-        if name not in self.actors:
-            had = f"It had {', '.join(self.actors)}. " if self.actors else ""
+        if name not in self.event_names:
+            had = f"It had {', '.join(self.event_names)}. " if self.event_names else ""
             raise InputError(
                 f"the run had no event {name!r}.\n{had}Zeros of expressions are found in runs "
                 "whose steps are kept: leave out t_eval= and save=."
@@ -88,7 +88,7 @@ class Sampled(WithEvents, Outcome, States):
     status: Status
     message: str
     records: tuple[Record, ...] = ()
-    actors: tuple[str, ...] = ()
+    event_names: tuple[str, ...] = ()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the states in a file, of the kind that its ending says.
@@ -153,7 +153,7 @@ class Saved(WithEvents, Outcome):
     program: Program
     parameter_values: Any = None
     records: tuple[Record, ...] = ()
-    actors: tuple[str, ...] = ()
+    event_names: tuple[str, ...] = ()
 
     def __getitem__(self, name: Any) -> NDArray[Any]:
         """Return a quantity by its name.

@@ -13,12 +13,12 @@ from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.results.stored import Stored
 from symsimpson.results.tables import write
 
-__all__ = ["ACTED", "RECORDED", "digest_of", "save"]
+__all__ = ["EVENTS", "RECORDED", "digest_of", "save"]
 
 #: Before the names of what was recorded, in files.
 RECORDED = "recorded_"
 #: The name of what events did.
-ACTED = "acted"
+EVENTS = "acted"
 
 
 def save(run: Stored, path: str | os.PathLike[str]) -> None:
@@ -37,9 +37,9 @@ def _dataset(run: Stored) -> Any:
     found = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
     found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
-    if run.actors:
-        text = np.frombuffer(_acted(run).encode(), dtype=np.uint8)
-        found[ACTED] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
+    if run.event_names:
+        text = np.frombuffer(_of_events(run).encode(), dtype=np.uint8)
+        found[EVENTS] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
     if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
         found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
@@ -60,9 +60,13 @@ def _dataset(run: Stored) -> Any:
     return found
 
 
-def _acted(run: Stored) -> str:
+def _of_events(run: Stored) -> str:
     """Return what events did, as JSON."""
-    told = {"names": run.actors, "ended_by": run.ended_by, "records": [x.told for x in run.records]}
+    told = {
+        "names": run.event_names,
+        "ended_by": run.ended_by,
+        "records": [x.told for x in run.records],
+    }
     return json.dumps(told)
 
 
@@ -70,7 +74,7 @@ def digest_of(run: Stored) -> str:
     """Return a digest of all that a trajectory is made of."""
     reduced = (run.reduced_values,) if run.reduced_values else ()
     outcome = run.status.name, run.message, run.program.source
-    acted = (_acted(run),) if run.actors else ()
+    acted = (_of_events(run),) if run.event_names else ()
     about = (float(run.h), run.steps, run.every, *outcome, *reduced, *acted)
     content = hashlib.sha256(repr(about).encode())
     tau = () if run.tau_values is None else (run.tau_values,)

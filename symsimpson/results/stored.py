@@ -43,7 +43,7 @@ class Stored(Outcome, States):
     tau_values: NDArray[Any] | None
     reduced_values: tuple[tuple[str, float], ...]
     records: tuple[Any, ...]
-    actors: tuple[str, ...]
+    event_names: tuple[str, ...]
     ended_by: str | None
 
     @property

@@ -76,7 +76,7 @@ class Trajectory(Energies, Differentiated):
     reduced_values: tuple[tuple[str, float], ...] = field(default=(), repr=False)
     #: What events did, in the order of time, their names, and the one that ended the run.
     records: tuple[Record, ...] = field(default=(), repr=False)
-    actors: tuple[str, ...] = field(default=(), repr=False)
+    event_names: tuple[str, ...] = field(default=(), repr=False)
     ended_by: str | None = None
 
     @property
@@ -196,7 +196,7 @@ class Trajectory(Energies, Differentiated):
         >>> run.events("theta").t[:3].round(3), run.events("theta", direction=1).t.round(3)
         (array([0.535, 1.604, 2.674]), array([1.604, 3.743, 5.883]))
         """
-        if isinstance(expression, str) and expression in self.actors:
+        if isinstance(expression, str) and expression in self.event_names:
             from symsimpson.results.records import actions_of
 
             return actions_of(self, expression)

@@ -63,7 +63,7 @@ def chosen_run(
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
     about |= {"message": last.message, "program": program}
     about |= {"parameter_values": last.parameter_values, "records": tuple(run.records)}
-    about["actors"] = spec.run_events.names if spec.run_events else ()
+    about["event_names"] = spec.run_events.names if spec.run_events else ()
     result: Sampled | Saved
     if names is None:
         t, q, p = columns

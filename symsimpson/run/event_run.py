@@ -81,7 +81,7 @@ class EventRun(Run):
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
-        told = {"records": tuple(self.records), "actors": self._events.names}
+        told = {"records": tuple(self.records), "event_names": self._events.names}
         return {**super().beside(recorded, result), **told, "ended_by": self.ended_by}
 
     def look(self) -> None:

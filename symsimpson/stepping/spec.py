@@ -136,9 +136,11 @@ def read_run(program: Program, request: Request) -> RunSpec:
         )
 
 
-def _reductions(program: Program, given: Any, actors: tuple[str, ...]) -> tuple[Reduction, ...]:
+def _reductions(
+    program: Program, given: Any, event_names: tuple[str, ...]
+) -> tuple[Reduction, ...]:
     """Read what values of the states of one run are reduced to."""
-    found = read_reductions(program, given, actors)
+    found = read_reductions(program, given, event_names)
     for one in found:
         if one.of_variations:
             raise InputError(

@@ -74,6 +74,9 @@ def test_all_that_may_be_asked_for_is_there_in_the_end():
     names = found.inputs(np.linspace(0, found.duration, 7))
     assert sorted(names) == ["u", "w"]
     assert names["u"].shape == (7,)
+    ends = found.input_values  # of Lobatto's nodes the last is the first of the next step
+    assert (ends[:-1, -1] == ends[1:, 0]).all()
+    assert found.layout.inputs.max() - found.layout.inputs.min() + 1 == 2 * (20 * 3 + 1)
 
 
 def test_the_motion_is_a_run_of_the_scheme():
