@@ -184,6 +184,8 @@ class EventActions:
         for _ in range(MOST_NEWTON):
             found = row(x)
             value, rate = float(found[k]), float(found[place])
+            if not math.isfinite(value):
+                return math.nan
             low, high = (x, high) if value * side > 0 else (low, x)
             step = -value / rate if rate else np.inf
             # behind this step; slopes of the scheme differ from the rate: convergence is linear
@@ -342,16 +344,24 @@ def ridders(
     ends: tuple[float, float],
     size: float,
 ) -> float:
-    """Return a change of sign between two places, within a size (C. Ridders, IEEE TCS 26, 1979)."""
+    """Return a change of sign between two places, within a size; NaN where there is no value.
+
+    C. Ridders, IEEE Transactions on Circuits and Systems 26 (1979) 979.
+    """
     first, last = ends
     while abs(high - low) > size:
         middle = (low + high) / 2
         value = function(middle)
-        root = math.sqrt(max(value * value - first * last, 0.0))
-        if not value or not root or middle in (low, high):
+        root = math.sqrt(value * value - first * last) if math.isfinite(value) else math.nan
+        if not math.isfinite(root):
+            return math.nan
+        if not value or middle in (low, high):
             return middle
-        x = middle + (middle - low) * math.copysign(value / root, first * value)
+        share = math.copysign(value / root, first * value) if root else 0.0
+        x = middle + (middle - low) * share
         there = function(x)
+        if not math.isfinite(there):
+            return math.nan
         # the smallest bracket of what is known
         known = sorted(
             [(low, first), (middle, value), (x, there), (high, last)], reverse=high < low

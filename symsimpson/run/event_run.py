@@ -291,7 +291,7 @@ class EventRun(Run):
         for k in self._actions.dipping(first, last, self._small, rest):
             if k not in met:
                 lowest = self._actions.lowest(row, k, rest, first, last)
-                if (there := row(lowest))[k] < -self._small[k]:
+                if lowest == lowest and (there := row(lowest))[k] < -self._small[k]:
                     ends[k] = lowest, there
         sides = self.side.tolist()
         roots = {
