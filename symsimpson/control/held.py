@@ -104,7 +104,7 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     parts = []
     for a in range(layout.n):
         at = np.concatenate([layout.step_rows[k, j, a], layout.step_rows[k, -1, a]])
-        own = np.repeat([-1.0, 1.0 / layout.scale], N * d)
+        own = np.repeat([-1.0, layout.end_scale / layout.scale], N * d)
         parts.append((at, np.tile(count, 2), own))
     made.append((*forces, parts))
     if phi:

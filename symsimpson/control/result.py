@@ -183,8 +183,9 @@ class ControlResult:
         layout = self.layout
         programme, *_ = layout.programme
         steps = layout.step_rows - 1  # behind the row of the cost
-        first, last = self.multipliers[steps[:, 0]], self.multipliers[steps[:, -1]]
-        by_p = np.concatenate([layout.scale * first - last, -last[-1:]])
+        first = layout.scale * self.multipliers[steps[:, 0]]
+        last = layout.end_scale * self.multipliers[steps[:, -1]]
+        by_p = np.concatenate([first - last, -last[-1:]])
         rows, n, N = np.concatenate([[1.0], self.multipliers]), layout.n, layout.steps
         by_q = np.zeros((N + 1, n))
         first, last = (np.full(layout.size, -1) for _ in range(2))  # whose coordinates they are
