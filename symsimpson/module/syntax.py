@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.binding import MATH
@@ -105,15 +105,25 @@ def check_structure(text: str, where: str) -> None:
 
 
 def _hidden(tree: ast.Module, read: ast.Module) -> Iterator[tuple[ast.AST, str]]:
-    """Find the first statement that reads otherwise where functions are left out."""
+    """Find what reads otherwise where functions are left out, or shares a line with another.
+
+    Constants are read in a text without functions, and are replaced by whole lines.
+    """
 
     def told(node: ast.stmt | None) -> object:
-        if isinstance(node, ast.FunctionDef):
-            return node.name, node.lineno
-        return node and ast.dump(node)
+        """Return all of a statement, and where it stands, but what a function does."""
+        if not isinstance(node, ast.FunctionDef):
+            return node and ast.dump(node, include_attributes=True)
+        parts = (*node.decorator_list, node.args)
+        return node.name, node.lineno, [ast.dump(x, include_attributes=True) for x in parts]
 
-    pairs = zip_longest(tree.body, read.body)
-    return ((a or tree, "text at the left margin") for a, b in pairs if told(a) != told(b))
+    for mine, other in zip_longest(tree.body, read.body):
+        if told(mine) != told(other):
+            yield mine or tree, "text at the left margin"
+    for before, behind in pairwise(tree.body):
+        marks = getattr(behind, "decorator_list", [])
+        if min([behind.lineno, *(x.lineno for x in marks)]) <= (before.end_lineno or 0):
+            yield behind, "two statements in a line"
 
 
 def _strange(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:

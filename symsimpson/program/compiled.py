@@ -13,7 +13,7 @@ from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
 from symsimpson.errors import GenerationError
-from symsimpson.module.definitions import redefined
+from symsimpson.module.definitions import outline, redefined
 from symsimpson.module.header import Header
 from symsimpson.program.cache import compiled, location
 from symsimpson.program.machine import vector_bits
@@ -48,7 +48,8 @@ class Kernels(KernelSets):
         # names and values of parameters are no part of what is compiled, nor is the banner
         changed = redefined(text, {"FACTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
         self._lanes = lanes
-        self._text = changed[changed.index('"""') :]
+        first = outline(changed).body[0].lineno - 1  # the docstring: comments stand before it
+        self._text = "".join(changed.splitlines(keepends=True)[first:])
         self._single: dict[tuple[str, bool], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled
 

@@ -299,9 +299,9 @@ def read_program(text: str, where: str, tools: Tools | None = None) -> Program:
     StaleKernelError
         If it is not a module that this version generated.
     """
-    program = new_program(text, where, tools=tools)  # compares the digest, executes nothing
+    read_header(text, where)  # compares the digest, executes nothing
     check_structure(text, where)
-    return program
+    return new_program(text, where, tools=tools)
 
 
 def report_of(program: Program) -> Report:

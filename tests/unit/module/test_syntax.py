@@ -1,5 +1,7 @@
 """Files that are made to look generated: nothing in them runs."""
 
+import ast
+import contextlib
 import subprocess
 import sys
 
@@ -14,6 +16,19 @@ from symsimpson.module.syntax import check_structure
 FILES = sorted(GENERATED.glob("*.py"))
 TEXT = min((path.read_text() for path in FILES), key=len)
 TOUCH = "open('CANARY', 'w')"
+QUOTES = '"' * 3
+#: A decorator that is text in the file, and code where a line of it is replaced.
+HIDDEN = """
+def X(x):
+    y = QUOTES
+LANES = 1 # QUOTES; z = '''
+# QUOTES
+@open("CANARY", "w") or (QUOTES # '''
+LANES = 1
+# QUOTES)
+def Y(x):
+    return x
+""".replace("QUOTES", QUOTES)
 
 #: Lines that are put into a generated module; each would touch the canary, or prepare to.
 TOP = [
@@ -135,14 +150,35 @@ def test_nothing_else_is_executed(line, place, tmp_path, monkeypatch):
         'def X():\n    """\nROWS = 1000\n    """\n',
         "def X(a=(\n1,\n)):\n    return max(\n1,\n    2)\n",
         'def X():\n    """\ndef Y():\n    """\nROWS = 1000\n',
+        'LANES = 1; X = """\nROWS = 1000\n"""\n',
+        HIDDEN,
     ],
 )
 def test_bodies_at_the_left_margin_are_refused(lines, tmp_path):
     """Constants are read where functions have no bodies: none may stand in a body."""
     path = tmp_path / "hostile.py"
     path.write_text(signed(TEXT + lines))
-    with pytest.raises(ss.StaleKernelError, match=r"left margin|no module that symsimpson"):
+    told = r"left margin|in a line|not executed|no module that symsimpson"
+    with pytest.raises(ss.StaleKernelError, match=told):
         ss.load(path)
+
+
+def test_comments_before_the_module_are_no_part_of_it(tmp_path, monkeypatch):
+    """Quotes in them do not turn its description into code, which runs with the module."""
+    monkeypatch.chdir(tmp_path)
+    first = TEXT.index(QUOTES)
+    second = TEXT.index(QUOTES, first + 3)
+    evil = f"{QUOTES}\n{TOUCH}\n#{QUOTES}"
+    path = tmp_path / "hostile.py"
+    text = signed(TEXT[:first] + evil + TEXT[second + 3 :])
+    path.write_text(f"# {QUOTES}\n{text}")
+    with contextlib.suppress(ss.SymsimpsonError):
+        stepper = ss.load(path)
+        text = stepper.program.kernels._text
+        assert text.startswith(QUOTES)
+        ast.parse(text)
+        assert TOUCH not in ast.unparse(ast.parse(text).body[1:])
+    assert not (tmp_path / "CANARY").exists()
 
 
 def test_the_canary_would_sing(tmp_path):
