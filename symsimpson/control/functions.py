@@ -48,9 +48,9 @@ def values_at(what: str, function: Any, times: Floats) -> Floats:
     """
     try:
         found = np.asarray(function(times), dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except Exception as error:  # it is a function of the user's
         raise InputError(
-            f"{what} cannot be evaluated at an array of times: {error}.\n"
+            f"{what} cannot be evaluated at an array of times: {type(error).__name__}: {error}.\n"
             "Write it with functions of numpy."
         ) from None
     if found.shape not in (times.shape, ()):
@@ -58,4 +58,6 @@ def values_at(what: str, function: Any, times: Floats) -> Floats:
             f"{what} gives shape {found.shape} for times of shape {times.shape}.\n"
             "It takes an array of times, and gives one of values."
         )
+    if not np.isfinite(found).all():
+        raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
     return np.broadcast_to(found, times.shape)

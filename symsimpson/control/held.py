@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.points import PointFunctions
+from symsimpson.control.points import PointFunctions, lagrange
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, Value, exact
@@ -23,12 +23,15 @@ from symsimpson.graph.rebuild import rebuilt
 if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
 
-__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected"]
+__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected", "resolved"]
 
 Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
 
 CONSISTENT = 1e-9
+#: Between control points paths may miss constraints by this part of the length of a step, times
+#: the slope of the constraint: one that goes round by 0.8 of a radian in a step of degree 1 does.
+AWAY = 0.1
 #: So many of Newton's steps bring a guess onto its constraints, or near them.
 MOST_STEPS = 30
 
@@ -135,6 +138,29 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     return made
 
 
+def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
+    """Return whether the path is near its constraints between the points where they hold.
+
+    Near against how far a step goes along them. A path that jumps to another branch is not.
+    """
+    read, (N, d, n) = layout.read, (layout.steps, layout.degree, layout.n)
+    m = len(read.held.phi)
+    if not m:
+        return True
+    middle = (layout.places[:-1] + layout.places[1:]) / 2
+    q = x[layout.points]
+    between = np.einsum("ij,kja->kia", lagrange(layout.places, middle), q).reshape(-1, n)
+    functions = PointFunctions(read.graph, read.q, read.held.phi)
+    at = {**values, **dict(zip(read.q, between.T, strict=True))}
+    off = functions.values(at, N * d).reshape(m, N, d)
+    ends = {**values, **dict(zip(read.q, q[:, 0].T, strict=True))}
+    slopes = np.zeros((m, N))
+    for (c, _), own in zip(functions.slopes, functions.slopes_at(ends, N), strict=True):
+        slopes[c] = np.hypot(slopes[c], own)
+    moved = np.linalg.norm(np.diff(q, axis=1), axis=2).sum(axis=1)
+    return bool((np.abs(off).max(axis=2) <= AWAY * slopes * moved + CONSISTENT).all())
+
+
 def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
     """Return points of a guess, shape (..., n), on the constraints of positions, or near them."""
     read = layout.read
@@ -175,6 +201,9 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
     matrix[:, :, :n] = slopes
     matrix[:, :n, n:] = slopes[:, n:].swapaxes(1, 2)
     right = np.concatenate([p, np.zeros((count, m))], axis=1) - rest
-    v = np.linalg.solve(matrix, right[..., None])[:, :n]
+    try:
+        v = np.linalg.solve(matrix, right[..., None])[:, :n]
+    except np.linalg.LinAlgError:  # a constraint without a slope, where an iterate stands
+        v = (np.linalg.pinv(matrix) @ right[..., None])[:, :n]
     found: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
     return found

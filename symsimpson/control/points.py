@@ -14,7 +14,7 @@ from scipy.special import erf, erfc
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["PointFunctions"]
+__all__ = ["PointFunctions", "lagrange"]
 
 Floats = NDArray[np.float64]
 Entries = list[tuple[int, int, Value]]
@@ -139,3 +139,9 @@ def _power(x: str, e: Exact) -> str:
     if e == -1 or e == -2:
         return f"(1.0 / ({' * '.join([x] * -int(e))}))"
     return f"sqrt({x})" if 2 * e == 1 else f"{x} ** {float(e)!r}"
+
+
+def lagrange(places: Floats, at: Floats) -> Floats:
+    """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
+    found = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
+    return np.stack([value + 0 * at for value in found], axis=-1)

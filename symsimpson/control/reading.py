@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
@@ -130,8 +131,10 @@ class Reading:
     def value(self, what: str, expression: Any, *, ends: bool = False) -> Value:
         """Read an expression of coordinates, velocities, parameters, t, and inputs within."""
         expression = self._known.get(expression, expression)
-        if isinstance(expression, Real):
-            expression = sp.nsimplify(expression, rational=True)
+        if isinstance(expression, Real) and not isinstance(expression, sp.Basic):
+            if not math.isfinite(expression):
+                raise InputError(f"the {what} is {expression!r}.\nPass a finite number.")
+            expression = sp.Rational(repr(float(expression)))  # as it is written
         symbols = self.symbols
         if isinstance(expression, sp.Expr) and expression.has(*KINKED):
             raise InputError(

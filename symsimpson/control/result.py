@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.control import figures
-from symsimpson.control.held import projected
+from symsimpson.control.held import projected, resolved
 from symsimpson.control.layout import Layout
+from symsimpson.control.points import lagrange
 from symsimpson.control.saving import write_solution
 from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["TOLD", "ControlResult", "result_of"]
 
 Floats = NDArray[np.float64]
+FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
 #: What is told of a solution beside its numbers, as files hold it: the kinds of its parts.
 TOLD: dict[str, Any] = {
     "cost": float,
@@ -80,12 +82,13 @@ class ControlResult:
     @property
     def success(self) -> bool:
         """Whether an optimum was found."""
-        return self.status in (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
+        return self.status in FOUND
 
     @property
     def message(self) -> str:
         """The status as a sentence, with the largest violation if there is one to tell."""
-        told = "" if self.success else f" The {self.worst} is off by {self.violation:.1e}."
+        silent = self.success or self.status is ControlStatus.NOT_RESOLVED
+        told = "" if silent else f" The {self.worst} is off by {self.violation:.1e}."
         return self.status.value + told
 
     @property
@@ -113,14 +116,9 @@ class ControlResult:
         layout, p = self.layout, self.x[self.layout.momenta]
         if not layout.read.constraints:
             return p
-        return projected(layout, self.q, p, {**self.parameter_values, layout.read.t: self.t})
-
-    @property
-    def parameter_values(self) -> dict[int, float]:
-        """All parameters, by their nodes in the graph."""
-        layout, values = self.layout, dict(enumerate(self.layout.read.values))
-        values |= zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
-        return {layout.read.parameters[j]: value for j, value in values.items()}
+        return projected(
+            layout, self.q, p, {**parameter_values(layout, self.x), layout.read.t: self.t}
+        )
 
     @property
     def unknowns(self) -> dict[str, float]:
@@ -221,7 +219,7 @@ class ControlResult:
             status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
             message=self.message,
             program=stepper.program,
-            parameter_values=np.array([*self.parameter_values.values()]),
+            parameter_values=np.array([*parameter_values(layout, self.x).values()]),
             input_values=self.input_values[None],
         )
 
@@ -354,10 +352,11 @@ class ControlResult:
         )
 
 
-def lagrange(places: Floats, at: Floats) -> Floats:
-    """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
-    found = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
-    return np.stack([value + 0 * at for value in found], axis=-1)
+def parameter_values(layout: Layout, x: Floats) -> dict[int, float]:
+    """Return all parameters, by their nodes in the graph."""
+    values = dict(enumerate(layout.read.values))
+    values |= zip(layout.read.found, x[layout.parameters].tolist(), strict=True)
+    return {layout.read.parameters[j]: value for j, value in values.items()}
 
 
 def stepper_of(layout: Layout) -> Stepper:
@@ -373,12 +372,15 @@ def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
     cost, rows = programme.values(outcome.x)
     off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
     worst = int(np.argmax(off)) if off.size else 0
+    status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
+    if status in FOUND and not resolved(layout, outcome.x, parameter_values(layout, outcome.x)):
+        status = ControlStatus.NOT_RESOLVED
     return ControlResult(
         layout,
         outcome.x,
         outcome.multipliers,
         cost,
-        STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED),
+        status,
         outcome.iterations,
         outcome.seconds,
         outcome.in_functions,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,10 @@ __all__ = ["read_solution", "write_solution"]
 
 Floats = NDArray[np.float64]
 #: What a file may raise that is not there, not whole, or not what it should be.
-DAMAGE = (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError)
+DAMAGE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),
+    *(NotImplementedError, RuntimeError, OverflowError, MemoryError),
+)
 
 
 def write_solution(
@@ -50,7 +54,11 @@ def read_solution(
     try:
         with place.open("rb") as file, np.load(file, allow_pickle=False) as held:
             told = json.loads(str(held["told"]))
-            x, multipliers = (np.array(held[k], np.float64) for k in ("x", "multipliers"))
+            x, multipliers = (np.asarray(held[k]) for k in ("x", "multipliers"))
+        if any(one.ndim != 1 or one.dtype != np.float64 for one in (x, multipliers)):
+            raise ValueError("these are no vectors of numbers")
+        if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
+            raise ValueError("they are not all numbers")
         return place, {key: kind(told[key]) for key, kind in kinds.items()}, x, multipliers
     except DAMAGE as error:
         raise StorageError(

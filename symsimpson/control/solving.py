@@ -18,6 +18,7 @@ from symsimpson.control.points import PointFunctions
 from symsimpson.control.result import TOLD, ControlResult, result_of
 from symsimpson.control.saving import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
+from symsimpson.schemes.composition import Composition
 from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
@@ -117,15 +118,30 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Scheme | None) -
     """
     place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": int})
     name, steps = told.pop("scheme"), told.pop("steps")
-    layout = Layout(read, scheme or read_scheme(name), max(1, steps))
-    programme, *_ = layout.programme
-    same = (len(multipliers), len(x)) == programme.shape and np.isfinite(x).all()
-    cost = told["cost"]
-    if not same or abs(programme.values(x)[0] - cost) > ROUNDED * max(1.0, abs(cost)):
+    found, own = scheme or read_scheme(name), 0
+    if isinstance(found, Composition):
+        raise InputError(f"{found.name} is a composition, of which no solution is.\nPass another.")
+    if 0 < steps <= len(x):  # no larger layout is made
+        layout = Layout(read, found, steps)
+        programme, low, high = layout.programme
+        own = (len(multipliers), len(x)) == programme.shape
+    if own:
+        cost, rows = programme.values(x)
+        within = [
+            np.maximum(a - y, y - b).max(initial=0.0)
+            for a, y, b in (
+                (low / layout.scales, rows / layout.scales, high / layout.scales),
+                (layout.bounds[0], x, layout.bounds[1]),
+            )
+        ]
+        off = abs(cost - told["cost"]) / max(1.0, abs(cost))
+        own = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
+    if not own:
         raise InputError(
             f"{place}: the file holds the solution of another problem, of {steps} steps of {name}."
-            f"\n{read.system.name} has another cost there. Write down the problem as it was, with "
-            "the same parameters."
+            f"\nOf {read.system.name} as it is written down it has another cost, or conditions or "
+            "equations are not satisfied. Write down the problem as it was, with the same "
+            "parameters."
         )
     return ControlResult(layout, x, multipliers, **told)
 

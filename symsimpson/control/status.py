@@ -21,6 +21,11 @@ class ControlStatus(Enum):
         "The solver could not go on from where it is. A tolerance below 1e-11 asks for more than "
         "rounding allows; else another guess may help."
     )
+    NOT_RESOLVED = (
+        "The equations are solved, but between the points where constraints hold the path leaves "
+        "them: it jumps to another branch, or steps are too long. Give a guess that follows the "
+        "constraints from start to end, or take more steps."
+    )
     INTERRUPTED = "The search was interrupted; the last iterate is kept."
     NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."
 

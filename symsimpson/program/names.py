@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from itertools import chain
@@ -70,7 +71,8 @@ class Names:
         They may stand ``beside`` the system, in events of a run or in what is observed of it.
         """
         idle = [self.parameters.shown[i] for i in sorted(self.idle.intersection(changed))]
-        idle = [name for name in idle if name not in str(beside)]
+        own = re.compile("|".join(rf"(?<!\w){re.escape(name)}(?!\w)" for name in idle) or "(?!)")
+        idle = [name for name in idle if name not in own.findall(str(beside))]
         if idle:
             verb = "stand" if len(idle) > 1 else "stands"
             warn(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP
+from symsimpson.run.zeros import ridders, zero_of_cubic
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
@@ -122,6 +122,11 @@ class EventActions:
         place = self._events.when[k]
         return place is None or bool(row[place] > 0)
 
+    def may_all_hit(self, t: float, state: State, events: Sequence[int]) -> bool:
+        """Return whether all of some events are impacts that may act on a state."""
+        row = self.row(t, state)
+        return all(self.is_impact(k) and self.allowed(row, k) for k in events)
+
     def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which gaps are made, to tell what rounding is."""
         found = np.zeros(len(self._events.events))
@@ -180,7 +185,7 @@ class EventActions:
             return float("nan") if jumped else x
         low, high, before = 0.0, span, 0.0
         a, b = (span * float(one[place]) for one in ends)
-        x = span * _zero_of_cubic(first, last, a, b, side)
+        x = span * zero_of_cubic(first, last, a, b, side)
         for _ in range(MOST_NEWTON):
             found = row(x)
             value, rate = float(found[k]), float(found[place])
@@ -321,57 +326,6 @@ def _lowest(first: float, last: float, a: float, b: float) -> float:
     turns = np.asarray(cubic.deriv().roots(), dtype=np.complex128)
     places = turns.real[(turns.imag == 0) & (turns.real > 0) & (turns.real < 1)].tolist()
     return float(min(map(cubic, places), default=min(first, last)))
-
-
-def _zero_of_cubic(first: float, last: float, a: float, b: float, side: float) -> float:
-    """Return about where from 0 to 1 the cubic changes its side that has these ends and slopes."""
-    rest = last - first
-    c, d = 3 * rest - 2 * a - b, a + b - 2 * rest
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        x = (low + high) / 2
-        if (first + x * (a + x * (c + x * d))) * side > 0:
-            low = x
-        else:
-            high = x
-    return (low + high) / 2
-
-
-def ridders(
-    function: Callable[[float], float],
-    low: float,
-    high: float,
-    ends: tuple[float, float],
-    size: float,
-) -> float:
-    """Return a change of sign between two places, within a size; NaN where there is no value.
-
-    C. Ridders, IEEE Transactions on Circuits and Systems 26 (1979) 979.
-    """
-    first, last = ends
-    while abs(high - low) > size:
-        middle = (low + high) / 2
-        value = function(middle)
-        root = math.sqrt(value * value - first * last) if math.isfinite(value) else math.nan
-        if not math.isfinite(root):
-            return math.nan
-        if not value or middle in (low, high):
-            return middle
-        share = math.copysign(value / root, first * value) if root else 0.0
-        x = middle + (middle - low) * share
-        there = function(x)
-        if not math.isfinite(there):
-            return math.nan
-        # the smallest bracket of what is known
-        known = sorted(
-            [(low, first), (middle, value), (x, there), (high, last)], reverse=high < low
-        )
-        ((low, first), (high, last)) = next(
-            (a, b) for a, b in pairwise(known) if (a[1] > 0) != (b[1] > 0) or not b[1]
-        )
-        if not last:
-            return high
-    return (low + high) / 2
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:

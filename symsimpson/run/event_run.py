@@ -65,8 +65,7 @@ class EventRun(Run):
         given = spec.parameters, spec.h, spec.t0, stride, stored
         super().__init__(program, *given, inputs=inputs, recorders=(*recorders, *own))
         self.records: list[Record] = []
-        self._events, self._steps = run_events, spec.steps
-        self._system = program.system
+        self._events, self._steps, self._system = run_events, spec.steps, program.system
         self._actions = EventActions(program, spec, run_events)
         works = any(one.name == "work" for one in recorders)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
@@ -163,8 +162,7 @@ class EventRun(Run):
 
     def _state(self) -> tuple[Floats, Floats]:
         """Return q and p where the run is."""
-        q, p = (x[0] for x in self.end())
-        return q, p
+        return self.end()[0][0], self.end()[1][0]
 
     def _remember(self) -> None:
         """Keep the values of expressions where the run is, and those before, by their rates."""
@@ -181,8 +179,10 @@ class EventRun(Run):
         self._column[self._status] = 0
         step, acted = self.step, len(self.records)
         start, given = self._state(), (self.side.copy(), self.size.copy())
+        worked = self._worked.copy()
         found = self._split(step, start)
         if found is None:
+            self._worked[:] = worked if self.ended_by is None else self._worked
             self._go_on(start)
             self._column[self._status] = self._code
             if self._code == ARRIVED and self._saltation is not None:
@@ -254,7 +254,8 @@ class EventRun(Run):
             state = self._act(t0 + done, step, state, events, times)
             if state is None:
                 return None
-            if not part and state is behind and all(map(self._actions.is_impact, events)):
+            still = not part and state is behind
+            if still and self._actions.may_all_hit(t0 + done, state, events):
                 name = self._events.names[events[0]]
                 why = f"{name!r} is touched at rest at t={float(t0 + done)!r}. "
                 return self._fail(Status.EVENTS_ACCUMULATE, why)
@@ -265,11 +266,8 @@ class EventRun(Run):
         """Carry variations through a part of a step, and add up the work in it."""
         if self._saltation is not None:
             self._saltation.flow(state, t, part, step, event)
-        if self._parts.works:
-            share = (t - float(self.t0 + self.h * step)) / float(self.h)
-            self.rows("WORK", self.header.powers)[:] += self._parts.work(
-                state, t, part, step, share
-            )
+        share = (t - float(self.t0 + self.h * step)) / float(self.h)
+        self._worked[:] += self._parts.work(state, t, part, step, share)
 
     def _located(
         self, step: int, t0: float, done: float, rest: float, start: Any, end: Any
@@ -332,6 +330,11 @@ class EventRun(Run):
         if state is not given:
             self._look_ahead(t, step, state)
         return None if self._accumulates(times) else state
+
+    @property
+    def _worked(self) -> Floats:
+        """Rows of the work of forces, if it is recorded."""
+        return self.rows("WORK", self.header.powers) if self._parts.works else self._column[:0]
 
     @property
     def _variations(self) -> Floats:

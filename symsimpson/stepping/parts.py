@@ -80,11 +80,11 @@ class Parts:
         return steps_from(self._program, self._parameters, t, state, size, 1, rests)
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
-        """Return the work of forces in a part of a step, and the integral of dL/dt."""
-        program, inputs = self._program, self._rests(size, step, share)
-        recorder = work(program.header)
+        """Return the work of forces and the integral of dL/dt, if that is asked for."""
+        program, recorder = self._program, work(self._program.header) if self.works else None
         if recorder is None or size == 0.0:
-            return np.zeros(program.header.powers)
+            return np.zeros(self.works * program.header.powers)
+        inputs = self._rests(size, step, share)
         run = Run(program, self._parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
         run.begin(*state, velocity=False)
         run.advance(1)

@@ -94,6 +94,18 @@ def test_warnings_belong_to_the_line_that_calls():
     assert told[0].filename == __file__
 
 
+def test_idle_parameters_are_told_by_names_and_not_by_letters():
+    for name in "neo":
+        own = sp.Symbol(name)
+        idle = ss.compile(
+            ss.MechanicalSystem(
+                "idle", coordinates=(x,), kinetic=T, potential=V, parameters={own: 1.0}
+            )
+        )
+        with pytest.warns(ss.ModelWarning, match=f"{name} stands in no expression"):
+            idle.integrate(**START, h=0.1, steps=2, parameters={own: 5})
+
+
 def test_parameters_of_positions_alone_are_no_idle_ones():
     l = sp.Symbol("l")
     system = ss.MechanicalSystem(

@@ -231,3 +231,25 @@ def test_a_guess_is_put_on_the_constraints():
         "simpson", steps=50, guess=aside, most_iterations=0
     )
     assert np.abs(found.q - [0.6 * LENGTH, 0.8 * LENGTH]).max() < 1e-9
+
+
+def test_paths_that_jump_between_control_points_are_no_solutions():
+    """A straight line from below leads through the axis, where the rod determines nothing."""
+    up = swing(start=(0, 0), end=(np.pi, 0), duration=1.0)
+    for scheme, steps in (("gauss6", 12), ("simpson", 12), ("simpson", 41)):
+        found = up.solve(scheme, steps=steps)
+        assert found.status is ss.ControlStatus.NOT_RESOLVED
+        assert not found.success
+        assert "jumps to another branch" in found.message
+    way = {x: lambda t: LENGTH * np.sin(np.pi * t), y: lambda t: -LENGTH * np.cos(np.pi * t)}
+    found = up.solve("gauss6", steps=12, guess=way)
+    right = swing(plane=False, start=(0, 0), end=(np.pi, 0), duration=1.0)
+    assert found.success
+    assert abs(found.cost / right.solve("gauss6", steps=40).cost - 1) < 1e-3
+
+
+def test_an_iterate_without_slopes_has_momenta_all_the_same():
+    up = swing(start=(0, 0), end=(np.pi, 0), duration=1.0)
+    found = up.solve("lobatto6", steps=20, most_iterations=0)
+    assert np.isfinite(found.p).all()
+    assert len(found.trajectory.t) == 21

@@ -1,5 +1,6 @@
 """Problems of optimal control: derivatives of their programmes, outcomes, what is refused."""
 
+import io
 import pickle
 import signal
 
@@ -140,7 +141,18 @@ def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
     assert again.costates[1].tolist() == found.costates[1].tolist()
     assert (again.status, again.history, again.cost) == (found.status, found.history, found.cost)
     assert cart(cost=u**2 + x**2).solve("gauss4", steps=6, guess=again).iterations <= 2
-    for other in (cart(), everything()):
+    heavy = ss.MechanicalSystem(
+        "cart", coordinates=(x,), kinetic=x.diff() ** 2, potential=0, forces={x: u}, inputs=(u,)
+    )
+    given = {"cost": u**2 + x**2, "duration": 1}
+    others = [
+        cart(),
+        everything(),
+        cart(cost=u**2 + x**2, bounds={u: (-1, 1)}),
+        cart(cost=u**2 + x**2, end={x: 1, x.diff(): 0.1}),
+        ss.OptimalControl(heavy, **given, **REST),
+    ]
+    for other in others:
         with pytest.raises(ss.InputError, match="the solution of another problem, of 6 steps"):
             other.open(path)
     whole = path.read_bytes()
@@ -148,6 +160,15 @@ def test_solutions_are_saved_with_the_numbers_they_have(tmp_path):
         path.write_bytes(damaged)
         with pytest.raises(ss.StorageError, match="no solution that symsimpson saved"):
             cart(cost=u**2 + x**2).open(path)
+    for change in ({"x": found.x[:, None]}, {"multipliers": np.nan * found.multipliers}):
+        held = dict(np.load(io.BytesIO(whole)))
+        np.savez(path, **held | change)
+        with pytest.raises(ss.StorageError, match="ValueError"):
+            cart(cost=u**2 + x**2).open(path)
+    held["told"] = np.array(str(held["told"]).replace('"steps": 6', '"steps": 600000000'))
+    np.savez(path, **held)
+    with pytest.raises(ss.InputError, match="of another problem, of 600000000 steps"):
+        cart(cost=u**2 + x**2).open(path)
     with pytest.raises(ss.StorageError, match="FileNotFoundError"):
         cart().open(tmp_path / "none.npz")
     with pytest.raises(ss.StorageError, match="there is no folder"):
@@ -227,6 +248,8 @@ def test_a_motion_that_is_followed():
         ({s: [[1.0]]}, "of shape"),
         ({s: lambda t: t[:2]}, "gives shape"),
         ({s: "sin"}, "of shape"),
+        ({s: lambda t: {}[0]}, "KeyError"),
+        ({s: np.nan}, "not finite at all times"),
     ):
         with pytest.raises(ss.InputError, match=told):
             cart(cost=u**2 + s, signals=signals).solve("gauss4", steps=2)
@@ -264,7 +287,7 @@ def test_guesses():
         ({"z": 1.0}, "guess names 'z'"),
         ({x: np.zeros((2, 2))}, "of shape"),
         ({x: lambda t: t[:1]}, "gives shape"),
-        ({x: np.nan}, "holds NaN"),
+        ({x: np.nan}, "not finite at all times"),
         (3.0, "guess is float"),
     ):
         with pytest.raises(ss.InputError, match=told):
@@ -285,6 +308,11 @@ def test_what_is_not_guessed_begins_in_the_middle_of_its_bounds():
         assert abs(problem.solve(steps=2, most_iterations=0).unknowns["c"] - middle) < 1e-12
     free = cart(duration=(0.5, 2.0)).solve(steps=2, most_iterations=0)
     assert abs(free.duration - 1.0) < 1e-12
+
+
+def test_numbers_are_as_they_are_written():
+    for end in (1.00000001, 0.300000001, 10.0000001, np.float64(0.1)):
+        assert cart(end={x: end, x.diff(): 0}).solve("gauss4", steps=2).q[-1, 0] == end
 
 
 def test_a_bound_holds_at_the_last_state_too():

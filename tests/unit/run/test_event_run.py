@@ -549,3 +549,29 @@ def test_work_is_recorded_through_events(scheme, order):
         stepper.integrate([1.0], v0=[0.0], **given, events=[floor(0.9)]).work  # noqa: B018
     many = stepper.ensemble([[1.0], [5.0]], v0=[0.0], **given, record="work", events=[floor(0.9)])
     assert abs(many.recorded["work"][0][-1] - run.recorded["work"][-1]).max() < 1e-13
+
+
+def test_an_impact_that_is_not_allowed_lets_a_run_pass_on_a_time_of_its_grid():
+    (a,) = ss.coordinates("a")
+    free = ss.MechanicalSystem("free", coordinates=(a,), kinetic=a.diff() ** 2 / 2, potential=0 * a)
+    later = ss.Event(1 - a, name="later", action=ss.Impact(), when=ss.time - 2)
+    run = ss.compile(free).integrate([0.0], v0=[1.0], h=0.1, steps=30, events=[later])
+    assert run.success
+    assert abs(run.q[-1, 0] - 3) < 1e-12
+
+
+def test_work_of_a_step_that_is_not_taken_is_not_counted():
+    drag = ss.MechanicalSystem(
+        "drag",
+        coordinates=(z,),
+        kinetic=z.diff() ** 2 / 2,
+        potential=9.81 * z,
+        forces={z: -0.3 * z.diff()},
+    )
+    stepper, found = ss.compile(drag, "lobatto6"), []
+    for every in (1, None):
+        given = {"h": 0.13, "steps": 60, "every": every, "on_failure": "return"}
+        run = stepper.integrate([1.0], v0=[0.0], **given, record="work", events=[floor(0.5)])
+        assert run.status is ss.Status.EVENTS_ACCUMULATE
+        found.append((run.t[-1], run.work["total"][-1]))
+    assert found[0] == found[1]
