@@ -33,7 +33,7 @@ __all__ = ["opened", "solve"]
 
 Floats = NDArray[np.float64]
 
-#: Measured on several problems and meshes: 12 to 41 iterations, where larger barriers fall into
+#: Measured on several problems and meshes: 12 to 33 iterations, where larger barriers fall into
 #: other optima; relaxed bounds would move a minimum time by 1e-8.
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
 #: So often steps are halved to make the error small.
