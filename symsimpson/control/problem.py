@@ -164,7 +164,10 @@ class OptimalControl:
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
             if not real and (name, value) != ("error", None):
                 raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
-        if not isinstance(most_iterations, (int, np.integer)) or most_iterations < 0:
+        if progress not in (None, True, False):
+            raise InputError(f"progress is {progress!r}.\nPass True, False or None.")
+        whole = isinstance(most_iterations, (int, np.integer))
+        if not whole or isinstance(most_iterations, bool) or most_iterations < 0:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
         return solve(self.reading, found, int(steps), guess, error, options, progress)

@@ -71,6 +71,7 @@ class Reading:
         system = self.system = problem.system
         plain = system.plain
         signals = read_signals(system, problem.signals)
+        self._signals: set[Any] = {*signals}
         self.symbols = Symbols(system.coordinates, system.parameters, (*system.inputs, *signals))
         graph = self.graph = Graph()
         self.q, self.v, self.p, self.u, self.parameters = (
@@ -136,6 +137,12 @@ class Reading:
                 raise InputError(f"the {what} is {expression!r}.\nPass a finite number.")
             expression = sp.Rational(repr(float(expression)))  # as it is written
         symbols = self.symbols
+        known: set[Any] = getattr(expression, "free_symbols", set()) & self._signals
+        if ends and known:
+            raise InputError(
+                f"the {what} contains the signal {min(map(str, known))}, which is known within the "
+                "motion.\nWrite it as an expression of symsimpson.time, or as a number."
+            )
         if isinstance(expression, sp.Expr) and expression.has(*KINKED):
             raise InputError(
                 f"the {what} {expression} has a kink, and is to be differentiated twice.\n"

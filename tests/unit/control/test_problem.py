@@ -255,8 +255,9 @@ def test_a_motion_that_is_followed():
             cart(cost=u**2 + s, signals=signals).solve("gauss4", steps=2)
     with pytest.raises(ss.InputError, match="signals are functions of the time, and duration is"):
         cart(cost=u**2 + s, signals={s: 1.0}, duration=(1, 2))
-    with pytest.raises(ss.ModelError, match="s"):
-        cart(final_cost=s, signals={s: 1.0})
+    for more in ({"final_cost": s}, {"start": {x: s}}, {"conditions": {x: s}}):
+        with pytest.raises(ss.InputError, match="contains the signal s"):
+            cart(**more, signals={s: 1.0})
 
 
 def test_gains_hold_a_run_near_the_solution():
@@ -392,8 +393,10 @@ def test_what_cannot_be_solved_is_said_before():
         ("tolerance", -1),
         ("error", np.nan),
         ("most_iterations", -1),
+        ("most_iterations", True),
+        ("progress", "x"),
     ):
-        with pytest.raises(ss.InputError, match=f"{name} is {value}"):
+        with pytest.raises(ss.InputError, match=f"{name} is {value!r}"):
             cart().solve(**{name: value})
     with pytest.raises(ss.InputError, match="it is declared positive"):
         everything(unknowns={m: (-3, 3)})
