@@ -27,7 +27,6 @@ __all__ = ["held_blocks", "held_rates", "implied", "onto", "projected", "resolve
 
 Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
-
 CONSISTENT = 1e-9
 #: Between control points paths may miss constraints by this part of the length of a step, times
 #: the slope of the constraint: one that goes round by 0.8 of a radian in a step of degree 1 does.
@@ -65,8 +64,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     def number(x: float) -> Value:
         return exact(Fraction(x)), UNIT
 
-    given = {x: number(y) for x, y in zip(read.parameters, read.values, strict=True)}
-    given = {x: y for j, (x, y) in enumerate(given.items()) if j not in read.found}
+    given = {x: number(y) for x, y in read.given.items()}
     if not end or low == high:
         given[read.t] = number(end * low)
     for one in read.ends[end]:
@@ -154,9 +152,7 @@ def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
     at = {**values, **dict(zip(read.q, between.T, strict=True))}
     off = functions.values(at, N * d).reshape(m, N, d)
     ends = {**values, **dict(zip(read.q, q[:, 0].T, strict=True))}
-    slopes = np.zeros((m, N))
-    for (c, _), own in zip(functions.slopes, functions.slopes_at(ends, N), strict=True):
-        slopes[c] = np.hypot(slopes[c], own)
+    slopes = np.linalg.norm(functions.jacobian(ends, N), axis=2).T
     moved = np.linalg.norm(np.diff(q, axis=1), axis=2).sum(axis=1)
     return bool((np.abs(off).max(axis=2) <= AWAY * slopes * moved + CONSISTENT).all())
 
@@ -164,15 +160,12 @@ def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
 def onto(layout: Any, q: Floats, values: dict[int, Any]) -> Floats:
     """Return points of a guess, shape (..., n), on the constraints of positions, or near them."""
     read = layout.read
-    m, n = len(read.held.phi), layout.n
     functions = PointFunctions(read.graph, read.q, read.held.phi)
-    flat = q.reshape(-1, n).copy()
-    for _ in range(MOST_STEPS if m else 0):
+    flat = q.reshape(-1, layout.n).copy()
+    for _ in range(MOST_STEPS if read.held.phi else 0):
         at = {**values, **dict(zip(read.q, flat.T, strict=True))}
         off = functions.values(at, len(flat)).T
-        slopes = np.zeros((len(flat), m, n))
-        for (c, a), own in zip(functions.slopes, functions.slopes_at(at, len(flat)), strict=True):
-            slopes[:, c, a] = own
+        slopes = functions.jacobian(at, len(flat))
         # least squares: where slopes are dependent, or 0, they are followed as far as they go
         moves = np.einsum("kac,kc->ka", np.linalg.pinv(slopes, rcond=1e-9), off)
         if not np.isfinite(moves).all():
@@ -194,9 +187,7 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
     functions = PointFunctions(graph, read.v, [*read.momenta, *rates])
     at = {**values, **dict(zip([*read.q, *read.v], [*q.T, *np.zeros_like(q).T], strict=True))}
     rest = functions.values(at, count).T
-    slopes = np.zeros((count, n + m, n))
-    for (r, a), own in zip(functions.slopes, functions.slopes_at(at, count), strict=True):
-        slopes[:, r, a] = own
+    slopes = functions.jacobian(at, count)
     matrix = np.zeros((count, n + m, n + m))
     matrix[:, :, :n] = slopes
     matrix[:, :n, n:] = slopes[:, n:].swapaxes(1, 2)

@@ -169,9 +169,15 @@ class Layout:
 
     def _fixed(self, h: int) -> dict[int, Any]:
         """Return what is given at all points: parameters, and the size of steps."""
+        own = self.read.given
+        return own if self.h is not None else {**own, h: self.read.duration[0] / self.steps}
+
+    def parameter_values(self, x: Floats) -> dict[int, float]:
+        """Return all parameters where the unknowns are, by their nodes in the graph."""
         read = self.read
-        own = {x: read.values[j] for j, x in enumerate(read.parameters) if j not in read.found}
-        return own if self.h is not None else {**own, h: read.duration[0] / self.steps}
+        values = dict(zip(read.parameters, read.values, strict=True))
+        found = (read.parameters[j] for j in read.found)
+        return values | dict(zip(found, x[self.parameters].tolist(), strict=True))
 
     def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""

@@ -85,6 +85,13 @@ class PointFunctions:
         """Return the slopes at points, shape (len(slopes), count)."""
         return self._evaluated("slopes", [x for *_, x in self._slopes], at, count)
 
+    def jacobian(self, at: Mapping[int, Any], count: int) -> Floats:
+        """Return all slopes at points, shape (count, len(f), len(variables))."""
+        found = np.zeros((count, len(self._outputs), len(self.variables)))
+        for (r, c), own in zip(self.slopes, self.slopes_at(at, count), strict=True):
+            found[:, r, c] = own
+        return found
+
     def curvatures_at(self, at: Mapping[int, Any], weights: Floats, count: int) -> Floats:
         """Return second derivatives of w.f at points, shape (len(curved), count)."""
         known = {**at, **dict(zip(self.weights, weights, strict=True))}

@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from symsimpson.control.reading import Reading
+from symsimpson.control.reading import Reading, read_family
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
 from symsimpson.mechanics.system import MechanicalSystem
-from symsimpson.schemes.composition import Composition
-from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import explaining
 from symsimpson.support.names import spelled
 
@@ -152,12 +150,7 @@ class OptimalControl:
         """
         from symsimpson.control.solving import solve  # casadi and SciPy are slow to import
 
-        found: Any = read_scheme(scheme)
-        if isinstance(found, Composition):
-            raise InputError(
-                f"{found.name} is a composition, whose steps have no control points.\n"
-                "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
-            )
+        found = read_family(scheme)
         if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
             raise InputError(f"steps is {steps!r}.\nPass a whole number of steps, at least 1.")
         for name, value in (("tolerance", tolerance), ("error", error)):
@@ -192,7 +185,7 @@ class OptimalControl:
         """
         from symsimpson.control.solving import opened  # casadi and SciPy are slow to import
 
-        return opened(self.reading, path, None if scheme is None else read_scheme(scheme))
+        return opened(self.reading, path, scheme)
 
     def __repr__(self) -> str:
         return f"OptimalControl({self.system.name}: {', '.join(map(spelled, self.system.inputs))})"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
+from typing import Any, cast
 
 import mpmath
 import numpy as np
@@ -20,9 +20,12 @@ from symsimpson.graph.rebuild import rebuilt
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.expressions import read_expression
 from symsimpson.mechanics.plain import Symbols
+from symsimpson.schemes.composition import Composition
+from symsimpson.schemes.named import read_scheme
+from symsimpson.schemes.scheme import Scheme
 from symsimpson.support.names import did_you_mean, spelled
 
-__all__ = ["Limits", "Reading"]
+__all__ = ["Limits", "Reading", "read_family"]
 
 #: Functions whose slope jumps.
 KINKED = (sp.Abs, sp.Max, sp.Min, sp.sign, sp.Piecewise, sp.Heaviside, sp.floor, sp.ceiling)
@@ -128,6 +131,12 @@ class Reading:
                 )
         self._read_bounds(problem)
         self._check()
+
+    @property
+    def given(self) -> dict[int, float]:
+        """The parameters that are not found, by their nodes."""
+        pairs = enumerate(zip(self.parameters, self.values, strict=True))
+        return {node: value for j, (node, value) in pairs if j not in self.found}
 
     def value(self, what: str, expression: Any, *, ends: bool = False) -> Value:
         """Read an expression of coordinates, velocities, parameters, t, and inputs within."""
@@ -239,6 +248,25 @@ class Reading:
                             f"{where} has {one.name} = {one.low:g}, outside of its bounds "
                             f"({low:g}, {high:g}).\nWiden them, or begin within."
                         )
+
+
+def read_family(scheme: Any) -> Scheme:
+    """Read a scheme whose steps have control points.
+
+    Raises
+    ------
+    SchemeError
+        If no scheme has this name.
+    InputError
+        If it is a composition.
+    """
+    found: Any = read_scheme(scheme)
+    if isinstance(found, Composition):
+        raise InputError(
+            f"{found.name} is a composition, whose steps have no control points.\n"
+            "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
+        )
+    return cast("Scheme", found)
 
 
 def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:

@@ -117,7 +117,7 @@ class ControlResult:
         if not layout.read.constraints:
             return p
         return projected(
-            layout, self.q, p, {**parameter_values(layout, self.x), layout.read.t: self.t}
+            layout, self.q, p, {**layout.parameter_values(self.x), layout.read.t: self.t}
         )
 
     @property
@@ -219,7 +219,7 @@ class ControlResult:
             status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
             message=self.message,
             program=stepper.program,
-            parameter_values=np.array([*parameter_values(layout, self.x).values()]),
+            parameter_values=np.array([*layout.parameter_values(self.x).values()]),
             input_values=self.input_values[None],
         )
 
@@ -352,13 +352,6 @@ class ControlResult:
         )
 
 
-def parameter_values(layout: Layout, x: Floats) -> dict[int, float]:
-    """Return all parameters, by their nodes in the graph."""
-    values = dict(enumerate(layout.read.values))
-    values |= zip(layout.read.found, x[layout.parameters].tolist(), strict=True)
-    return {layout.read.parameters[j]: value for j, value in values.items()}
-
-
 def stepper_of(layout: Layout) -> Stepper:
     """Return the stepper of a problem's system and scheme."""
     from symsimpson.api.compiling import compile as compile_stepper  # solving compiles nothing
@@ -373,7 +366,7 @@ def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
     off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
     worst = int(np.argmax(off)) if off.size else 0
     status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
-    if status in FOUND and not resolved(layout, outcome.x, parameter_values(layout, outcome.x)):
+    if status in FOUND and not resolved(layout, outcome.x, layout.parameter_values(outcome.x)):
         status = ControlStatus.NOT_RESOLVED
     return ControlResult(
         layout,

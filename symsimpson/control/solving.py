@@ -15,11 +15,10 @@ from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import PointFunctions
+from symsimpson.control.reading import read_family
 from symsimpson.control.result import TOLD, ControlResult, result_of
 from symsimpson.control.saving import read_solution
 from symsimpson.errors import InputError, ResolutionWarning
-from symsimpson.schemes.composition import Composition
-from symsimpson.schemes.named import read_scheme
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
 from symsimpson.support.progress import Progress
@@ -106,7 +105,7 @@ def _solved(
     return result_of(layout, outcome)
 
 
-def opened(read: Reading, path: str | os.PathLike[str], scheme: Scheme | None) -> ControlResult:
+def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
     """Read a solution of a problem from a file.
 
     Raises
@@ -118,9 +117,7 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Scheme | None) -
     """
     place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": int})
     name, steps = told.pop("scheme"), told.pop("steps")
-    found, own = scheme or read_scheme(name), 0
-    if isinstance(found, Composition):
-        raise InputError(f"{found.name} is a composition, of which no solution is.\nPass another.")
+    found, own = read_family(scheme or name), 0
     if 0 < steps <= len(x):  # no larger layout is made
         layout = Layout(read, found, steps)
         programme, low, high = layout.programme
@@ -223,8 +220,7 @@ def begin(layout: Layout, guess: Any) -> Floats:
     x[layout.parameters] = values
     if layout.h is not None:
         x[layout.h] = h
-    known = dict(zip(read.parameters, read.values, strict=True))
-    known |= {read.parameters[i]: y for i, y in zip(read.found, values, strict=True)}
+    known = layout.parameter_values(x)
     x[layout.points] = onto(layout, x[layout.points], known)
     # momenta of the path at the ends of steps
     q = x[layout.points]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from types import MappingProxyType
 
-__all__ = ["definitions", "outline", "redefined", "syntax"]
+__all__ = ["definitions", "first_line", "outline", "redefined", "syntax"]
 
 
 @lru_cache(maxsize=1)  # trees are large, and asked for by one reader after the other
@@ -43,6 +43,11 @@ def outline(text: str) -> ast.Module:
     return ast.parse("\n".join(kept))
 
 
+def first_line(node: ast.stmt) -> int:
+    """Return the line in which a statement begins, counted from 1; decorators belong to it."""
+    return min([node.lineno, *(mark.lineno for mark in getattr(node, "decorator_list", ()))])
+
+
 @lru_cache(maxsize=64)  # each ensemble and each search for events asks again
 def definitions(text: str) -> Mapping[str, tuple[int, int]]:
     """Return the first line, and the line behind the last, of each constant and function.
@@ -57,13 +62,9 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
     found = {}
     for node in outline(text).body:
         match node:
-            case ast.FunctionDef(name=name, decorator_list=marks):
-                first = min([node.lineno, *(mark.lineno for mark in marks)])
-            case ast.Assign(targets=[ast.Name(id=name)]):
-                first = node.lineno
-            case _:
-                continue
-        found[name] = first - 1, node.end_lineno or first
+            case ast.FunctionDef(name=name) | ast.Assign(targets=[ast.Name(id=name)]):
+                first = first_line(node)
+                found[name] = first - 1, node.end_lineno or first
     return MappingProxyType(found)
 
 

@@ -14,7 +14,7 @@ from itertools import pairwise, zip_longest
 
 from symsimpson.errors import StaleKernelError
 from symsimpson.module.binding import MATH
-from symsimpson.module.definitions import outline, syntax
+from symsimpson.module.definitions import first_line, outline, syntax
 from symsimpson.module.interface import OPTIONS, SIGNATURE
 
 __all__ = ["check_structure"]
@@ -121,8 +121,7 @@ def _hidden(tree: ast.Module, read: ast.Module) -> Iterator[tuple[ast.AST, str]]
         if told(mine) != told(other):
             yield mine or tree, "text at the left margin"
     for before, behind in pairwise(tree.body):
-        marks = getattr(behind, "decorator_list", [])
-        if min([behind.lineno, *(x.lineno for x in marks)]) <= (before.end_lineno or 0):
+        if first_line(behind) <= (before.end_lineno or 0):
             yield behind, "two statements in a line"
 
 

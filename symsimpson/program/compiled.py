@@ -48,7 +48,8 @@ class Kernels(KernelSets):
         # names and values of parameters are no part of what is compiled, nor is the banner
         changed = redefined(text, {"FACTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
         self._lanes = lanes
-        first = outline(changed).body[0].lineno - 1  # the docstring: comments stand before it
+        # the docstring, before which comments stand, and behind it what was changed
+        first = outline(text).body[0].lineno - 1
         self._text = "".join(changed.splitlines(keepends=True)[first:])
         self._single: dict[tuple[str, bool], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import sympy as sp
+from support.rods import ROD
 
 import symsimpson as ss
 from symsimpson.run import pieces
@@ -22,13 +23,6 @@ PLANE = ss.MechanicalSystem(
     kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
     potential=0 * x,
     parameters={k: 0.5},
-)
-ROD = ss.MechanicalSystem(
-    "rod",
-    coordinates=(x, y),
-    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-    potential=10 * y,
-    constraints={"length": (x**2 + y**2 - 1) / 2},
 )
 FALL = np.sqrt(2 / 9.81)
 

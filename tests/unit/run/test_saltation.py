@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.rods import ROD
 
 import symsimpson as ss
 
@@ -21,13 +22,6 @@ PLANE = ss.MechanicalSystem(
     potential=k * (x**2 + x**4 / 2 + 2 * y**2) / 2 - x * y / 3,
     dissipation=c * x.diff() ** 2 / 2,
     parameters={k: 1.5, c: 0.1},
-)
-ROD = ss.MechanicalSystem(
-    "rod",
-    coordinates=(x, y),
-    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-    potential=10 * y,
-    constraints={"length": (x**2 + y**2 - 1) / 2},
 )
 DRIVEN = ss.MechanicalSystem(
     "driven",
