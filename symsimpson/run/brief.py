@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.recorders import ordered, told
 from symsimpson.program.status import Status
-from symsimpson.program.values import MOST_STEPS
+from symsimpson.program.values import MOST_STEPS, read_vector
 from symsimpson.program.workspace import NO_INPUTS, workspace
 from symsimpson.results.trajectory import Trajectory
 from symsimpson.run.resolution import (
@@ -35,14 +35,13 @@ from symsimpson.support.ahead import compiles_late
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
+    from symsimpson.support.names import Named
 
 __all__ = ["MOST_ROWS", "brief_run"]
 
 #: Steps times rows of the workspace: so much is over before anybody presses Ctrl-C; and so much
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**18, 2**22
-#: Types of states that never need a message.
-PLAIN = (list, tuple, np.ndarray)
 DONE = Status.SUCCESS.message
 #: What is returned of a run with too many steps for this.
 TOO_LONG = -2
@@ -152,22 +151,24 @@ def room(last: int, n: int) -> Stored:
     return np.zeros((2, last + 1, n, 1)), np.zeros((last + 1, 1), dtype=np.int64)
 
 
-def read_doubles(value: Any, n: int) -> Floats | None:
-    """Return a list, a tuple or an array of n float64 values as an array; else None."""
-    if type(value) not in PLAIN:
-        return None
-    try:
+def read_state(name: str, value: Any, coordinates: Named) -> Floats:
+    """Read a number for each coordinate; quickly, if these are floats in their order."""
+    if type(value) is np.ndarray and value.dtype == np.float64:
+        found = value.copy()
+    elif type(value) in (list, tuple) and all(type(x) is float for x in value):
         found = np.array(value)
-    except (TypeError, ValueError):
-        return None
-    return found if found.dtype.char == "d" and found.shape == (n,) else None
+    else:
+        return read_vector(name, value, coordinates, FLOAT64)
+    # what is not finite is told of where the run ends
+    good = found.shape == (len(coordinates),)
+    return found if good else read_vector(name, value, coordinates, FLOAT64)
 
 
 def read_brief_request(program: Program, request: Request) -> BriefRequest | None:
     """Read a simple request whose step was checked for stability; else return None."""
-    v0, p0, every, n = request.v0, request.p0, request.every, program.n
+    v0, p0, every = request.v0, request.p0, request.every
     one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
-    if program.findings.prepared is None or not one or not isinstance(request.h, float):
+    if program.findings.prepared is None or not one or not isinstance(request.h, (int, float)):
         return None
     if request.parameters and program.names.idle:  # which may be warned of, once
         return None
@@ -175,9 +176,9 @@ def read_brief_request(program: Program, request: Request) -> BriefRequest | Non
     known = (request.h, values.tobytes()) in program.findings.checked_steps
     if not known or not (every is None or 0 < every <= MOST_STEPS):
         return None
-    q, other = read_doubles(request.q0, n), read_doubles(p0 if v0 is None else v0, n)
-    if q is None or other is None:
-        return None
+    names = program.names.coordinates
+    q = read_state("q0", request.q0, names)
+    other = read_state("p0", p0, names) if v0 is None else read_state("v0", v0, names)
     return BriefRequest(values, q, other, v0 is not None, every or 0)
 
 

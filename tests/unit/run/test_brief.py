@@ -69,6 +69,35 @@ def test_the_same_bits(name, scheme, taken):
     assert len(stepper.program.findings.prepared) == 1
 
 
+def test_states_as_people_write_them(taken):
+    stepper = ss.compile(ss.systems.double_pendulum())
+    asked = {"h": 0.01, "steps": 20}
+    expected = stepper.integrate([1.0, 2.0], v0=[0.0, 0.0], **asked)
+    del taken[:]
+    for q0, v0 in (
+        ([1, 2], [0, 0]),
+        ((1.0, 2), np.zeros(2, dtype=np.float32)),
+        ({"q2": 2, "q1": 1.0}, {"q1": 0, "q2": 0.0}),
+        (np.array([1, 2]), (0.0, 0.0)),
+    ):
+        assert equal(stepper.integrate(q0, v0=v0, **asked), expected)
+    assert taken == [True] * 4
+
+
+def test_states_that_make_no_sense(taken):
+    stepper = ss.compile(ss.systems.double_pendulum())
+    stepper.integrate([1.0, 2.0], v0=[0.0, 0.0], h=0.01, steps=20)
+    for q0, message in (
+        ([1.0], r"q0 has shape \(1,\)"),
+        ([1.0, float("nan")], "q0 is not finite for q2"),
+        (np.zeros((1, 2)), r"q0 has shape \(1, 2\)"),
+        ({"q1": 1.0}, "q0 has no number for q2"),
+        (["a", 1.0], "q0 is"),
+    ):
+        with pytest.raises(ss.InputError, match=message):
+            stepper.integrate(q0, v0=[0.0, 0.0], h=0.01, steps=20)
+
+
 def test_a_step_at_once(taken):
     stepper = ss.compile(ss.systems.double_pendulum())
     run = stepper.integrate([1.0, 2.0], v0=[0.1, 0.2], h=0.01, steps=1, every=None)
