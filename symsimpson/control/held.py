@@ -100,7 +100,8 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
         read.held.pulls(graph, read.q, read.multipliers),
         [*read.q, *read.multipliers],
         [*map(layout.of, layout.points[k, j].T), *map(layout.of, layout.multipliers[k, j].T)],
-        k + layout.places[j],
+        k,
+        layout.places[j],
     )
     parts = []
     for a in range(layout.n):
@@ -110,7 +111,7 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     made.append((*forces, parts))
     if phi:
         points = layout.block(
-            phi, read.q, [*map(layout.of, layout.points[k, j + 1].T)], k + layout.places[j + 1]
+            phi, read.q, [*map(layout.of, layout.points[k, j + 1].T)], k, layout.places[j + 1]
         )
         left_out = np.array(implied(read, 1, zip(names, phi, strict=False)))
         parts = []
@@ -125,7 +126,8 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
             rates,
             [*read.q, *read.v],
             [one for table in tables for one in layout.on_path(table[j], k)],
-            k + places[j],
+            k,
+            places[j],
             len(rates),
         )
         parts = []

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from symsimpson.control.functions import read_function, values_at
+from symsimpson.control.grid import Grid
 from symsimpson.control.held import held_blocks, held_rates, implied
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import Limits
+from symsimpson.control.rows import Rows
 from symsimpson.control.transcription import Block, Programme
 from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
@@ -21,13 +23,15 @@ if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
     from symsimpson.schemes.scheme import Scheme
 
-__all__ = ["Layout", "Rows"]
+__all__ = ["Layout"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 #: Of the duration. Measured on four problems: iterations hardly depend on it from 0.1 to 0.2; at h,
 #: fine meshes lose the inertia of the Hessian to rounding.
 END_SCALE = 0.1
+#: Phases are no shorter than this part of the least duration: velocities are moves over times.
+SHORTEST = 1e-3
 
 
 class Layout:
@@ -35,6 +39,7 @@ class Layout:
 
     Attributes
     ----------
+    grid : Grid
     A, B, b, c : ndarray
         Tables of the scheme: values and slopes of its polynomials at nodes, weights, places.
     places : ndarray
@@ -48,8 +53,8 @@ class Layout:
         Those at the end of a step are shared with the next one, if there are nodes.
     parameters : ndarray of int
         Those that are found.
-    h : int or None
-        The size of steps, if the duration is found.
+    h : ndarray of int
+        The sizes of the steps of phases; none if the duration is given, and there is one phase.
     multipliers : ndarray of int, shape (N, d, constraints)
         Those of constraints at all control points of a step but the last, times h.
     at_end : ndarray of int
@@ -65,15 +70,16 @@ class Layout:
         Of the rows.
     """
 
-    def __init__(self, read: Reading, scheme: Scheme, steps: int) -> None:
-        self.read, self.scheme, self.steps = read, scheme, steps
+    def __init__(self, read: Reading, scheme: Scheme, grid: Grid) -> None:
+        self.read, self.scheme, self.grid, self.steps = read, scheme, grid, grid.count
+        phases = len(grid.steps)
         self.A, self.B = (np.array(x, dtype=np.float64) for x in (scheme.A, scheme.B))
         self.b, self.c, self.places = (
             np.array(x, dtype=np.float64)
             for x in (scheme.quadrature.weights, scheme.quadrature.nodes, scheme.points)
         )
         n, m, d, s = len(read.q), len(read.u), self.A.shape[1] - 1, len(self.b)
-        self.n, self.degree, self.nodes, N = n, d, s, steps
+        self.n, self.degree, self.nodes, N = n, d, s, self.steps
         block = d * n + n  # control points of a step but for the last, and the momentum
         first = np.arange(N)[:, None, None] * block
         own = first + np.arange(d)[None, :, None] * n + np.arange(n)
@@ -84,19 +90,19 @@ class Layout:
         size = N * block + 2 * n
         shared = self.c[0] == 0 and self.c[-1] == 1 and s > 1
         each = s - 1 if shared else s
+        # an input may jump where a phase ends
+        before = np.arange(N) * each + grid.phase * shared
         self.inputs: Ints = (
-            size
-            + (np.arange(N)[:, None, None] * each + np.arange(s)[None, :, None]) * m
-            + np.arange(m)
+            size + (before[:, None, None] + np.arange(s)[None, :, None]) * m + np.arange(m)
         )
-        size += (N * each + shared) * m
+        size += (N * each + shared * phases) * m
         self.velocities: Ints = size + np.arange(2 * n).reshape(2, n)
         size += 2 * n
         self.parameters: Ints = size + np.arange(len(read.found))
         size += len(read.found)
         low, high = read.duration
-        self.h = None if low == high else size
-        size += self.h is not None
+        self.h: Ints = size + np.arange(0 if low == high and phases == 1 else phases)
+        size += len(self.h)
         held = len(read.constraints)
         self.multipliers: Ints = size + np.arange(N * d * held).reshape(N, d, held)
         self.at_end: Ints = size + N * d * held + np.arange(held)
@@ -115,6 +121,9 @@ class Layout:
 
         for k, pair in read.of_inputs.items():
             bound(self.inputs[..., k], pair)
+        for steps, inputs in zip(self.grid.slices, read.phases, strict=True):
+            for k, pair in inputs.items():
+                bound(self.inputs[steps, :, k], pair)
         for a, pair in read.of_coordinates.items():
             bound(self.points[:, 0, a], pair)
             bound(self.points[-1, -1, a], pair)
@@ -122,9 +131,17 @@ class Layout:
                 bound(self.points[:, int(self.A[i].argmax()), a], pair)
         for place, pair in zip(self.parameters, read.found_bounds, strict=True):
             bound(place, pair)
-        if self.h is not None:
+        if len(self.h) == 1:
             low[self.h], high[self.h] = (x / self.steps for x in read.duration)
+        for place, n in zip(self.h, self.grid.steps, strict=False):
+            if len(self.h) > 1:
+                low[place], high[place] = SHORTEST * read.duration[0] / n, read.duration[1] / n
         return low, high
+
+    def sizes(self, x: Floats) -> Floats:
+        """Return the size of the steps of each phase."""
+        given = np.array([self.read.duration[0] / self.steps])
+        return x[self.h] if len(self.h) else given
 
     @property
     def end_slopes(self) -> tuple[Any, Any]:
@@ -141,12 +158,17 @@ class Layout:
     @cached_property
     def programme(self) -> tuple[Programme, Floats, Floats]:
         """The programme, and the bounds of its rows; ``names`` and ``scales`` are theirs."""
-        rows = Rows()
+        rows, read = Rows(), self.read
         blocks = [self._path(rows)]
-        if self.read.constraints:
+        if read.constraints:
             blocks += held_blocks(self, rows)
         self.of_steps = len(blocks)
         blocks += self._ends(rows)
+        if len(self.h) > 1:
+            shortest, longest = read.duration
+            whole = rows.add(1, shortest / longest, 1.0, "duration")
+            for place, n in zip(self.h, self.grid.steps, strict=True):
+                rows.linear(whole, np.array([place]), n / longest)
         linear = sparse.coo_matrix(
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
@@ -167,10 +189,35 @@ class Layout:
             matrix.eliminate_zeros()
         return Block(functions, maps, matrices, fixed)
 
-    def _fixed(self, h: int) -> dict[int, Any]:
-        """Return what is given at all points: parameters, and the size of steps."""
-        own = self.read.given
-        return own if self.h is not None else {**own, h: self.read.duration[0] / self.steps}
+    def _timed(self, k: Ints, places: Floats, h: int | None) -> tuple[list[int], list[Any], Any]:
+        """Return the time at places in steps, and their size: as unknowns with maps, or as given.
+
+        Parameters
+        ----------
+        k : ndarray of int
+        places : ndarray
+        h : int or None
+            The node of the size, where it is asked for.
+
+        Returns
+        -------
+        list of int
+            Nodes of what is unknown of both.
+        list of sparse matrices
+        dict
+            What is given, with the values of parameters.
+        """
+        t, before = self.read.t, self.grid.before(k, places)
+        if not len(self.h):
+            size = self.read.duration[0] / self.steps
+            of_h = {} if h is None else {h: size}
+            return [], [], {**self.read.given, t: before[:, 0] * size, **of_h}
+        at, phase = np.nonzero(before)
+        shape = len(places), self.size
+        time = sparse.csr_matrix((before[at, phase], (at, self.h[phase])), shape=shape)
+        if h is None:
+            return [t], [time], self.read.given
+        return [t, h], [time, self.of(self.h[self.grid.phase[k]])], self.read.given
 
     def parameter_values(self, x: Floats) -> dict[int, float]:
         """Return all parameters where the unknowns are, by their nodes in the graph."""
@@ -202,27 +249,23 @@ class Layout:
         return found
 
     def block(
-        self, values: Any, variables: Any, maps: Any, places: Floats, by_h: int = 0
+        self, values: Any, variables: Any, maps: Any, k: Ints, places: Floats, by_h: int = 0
     ) -> tuple[PointFunctions, list[Any], dict[int, Any]]:
-        """Return functions of points of steps, their maps, and what is given there.
+        """Return functions of points of steps k, their maps, and what is given there.
 
         In ``values`` stand velocities, in maps those times h; the first ones are multiplied by h.
         ``places`` are the times of the points in steps.
         """
         read, graph, count = self.read, self.read.graph, len(places)
-        h, place = graph.numbers(["size of a step", "place in the motion"])
+        (h,) = graph.numbers(["size of a step"])
         turned: dict[int, Value] = {
             v: graph.multiply([(1, v), graph.power((1, h), -1)]) for v in read.v
         }
-        turned[read.t] = graph.multiply([(1, place), (1, h)])
         outputs = rebuilt(graph, values, turned)
         outputs[:by_h] = [graph.multiply([x, (1, h)]) for x in outputs[:by_h]]
-        variables = [*variables, *(read.parameters[i] for i in read.found)]
-        maps = [*maps, *(self.of(x, count) for x in self.parameters)]
-        if self.h is not None:
-            variables.append(h)
-            maps.append(self.of(self.h, count))
-        fixed = {**self._fixed(h), place: places}
+        timed, timed_maps, fixed = self._timed(k, places, h)
+        variables = [*variables, *(read.parameters[i] for i in read.found), *timed]
+        maps = [*maps, *(self.of(x, count) for x in self.parameters), *timed_maps]
         return PointFunctions(graph, variables, outputs), maps, fixed
 
     def _path(self, rows: Rows) -> Any:
@@ -234,7 +277,7 @@ class Layout:
         k, i = np.divmod(np.arange(count), s)
         maps = [*self.on_path(self.A[i], k), *self.on_path(self.B[i], k)]
         maps += [self.of(self.inputs[k, i, a]) for a in range(len(read.u))]
-        made = self.block(values, [*read.q, *read.v, *read.u], maps, k + self.c[i], n + 1)
+        made = self.block(values, [*read.q, *read.v, *read.u], maps, k, self.c[i], n + 1)
         for node, (symbol, given) in read.signals.items():
             what, whole = f"signals[{symbol}]", read.duration[0]
             function = read_function(what, given, whole)
@@ -270,13 +313,11 @@ class Layout:
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
         read, graph, made = self.read, self.read.graph, []
-        h, last = graph.numbers(["size of a step", "number of steps"])
         tied = [rows.add(1, 0.0, 0.0, f"{name} at both ends")[0] for name, *_ in read.tied]
         for end, (limits, point) in enumerate(
             zip(read.ends, (self.points[0, 0], self.points[-1, -1]), strict=True)
         ):
             name = ("start", "end")[end]
-            own = {read.t: graph.multiply([(1, last), (1, h)])}
             pulls = read.held.pulls(graph, read.q, read.multipliers) if end else []
             legendre = [
                 graph.add([(1, p), scaled(-1, P), *(scaled(-1, x) for x in pulls[a : a + 1])])
@@ -288,25 +329,22 @@ class Layout:
             inside = [x for x in read.within if x.low < x.high and not self._driven(x.value)]
             limits = [*limits, *self._held(end)]
             values = [*legendre, *final, *(x.value for x in (*limits, *inside)), *of_both]
-            outputs = rebuilt(graph, values, own)
             variables = [*read.q, *read.v, *read.p, *(read.parameters[i] for i in read.found)]
             unknown = [*point, *self.velocities[end], *self.momenta[-end], *self.parameters]
             if end:
                 variables += read.multipliers
                 unknown += [*self.at_end]
-            fixed = {**self._fixed(h), last: float(end * self.steps)}
-            if self.h is not None:
-                variables.append(h)
-                unknown.append(self.h)
+            timed, timed_maps, fixed = self._timed(np.array([end * self.steps]), np.zeros(1), None)
             at = list(rows.add(self.n, 0.0, 0.0, f"momentum at the {name}"))
             at += [0] * len(final)
             at += [
                 rows.add(1, x.low, x.high, f"{x.name} at the {name}")[0] for x in (*limits, *inside)
             ]
             at += tied
-            maps = [self.of(x, 1) for x in unknown]
+            maps = [*(self.of(x, 1) for x in unknown), *timed_maps]
             parts = [([row], [0], [1.0]) for row in at]
-            made.append((PointFunctions(graph, variables, outputs), maps, fixed, parts))
+            functions = PointFunctions(graph, [*variables, *timed], values)
+            made.append((functions, maps, fixed, parts))
         return made
 
     def _held(self, end: int) -> list[Limits]:
@@ -320,32 +358,3 @@ class Layout:
             for (name, value), out in zip(held, known, strict=True)
             if not out
         ]
-
-
-class Rows:
-    """Rows as they come; the first is that of the cost."""
-
-    def __init__(self) -> None:
-        self.count = 1
-        self.low: list[Floats] = []
-        self.high: list[Floats] = []
-        self.names: list[str] = []
-        self.scales: list[Floats] = []
-        self.at, self.columns, self.data = (
-            np.zeros(0, dtype=k) for k in (np.int64, np.int64, float)
-        )
-
-    def add(self, count: int, low: float, high: float, name: str, scale: Any = 1.0) -> Ints:
-        """Return the numbers of further rows between two bounds, and by what they are scaled."""
-        self.scales.append(np.array(np.broadcast_to(scale, count)))
-        self.low.append(np.full(count, low))
-        self.high.append(np.full(count, high))
-        self.names += [name] * count
-        self.count += count
-        return np.arange(self.count - count, self.count)
-
-    def linear(self, at: Ints, columns: Ints, factor: float) -> None:
-        """Add unknowns to rows."""
-        self.at = np.concatenate([self.at, at.ravel()])
-        self.columns = np.concatenate([self.columns, columns.ravel()])
-        self.data = np.concatenate([self.data, np.full(at.size, factor)])

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from symsimpson.control.grid import read_grid
 from symsimpson.control.reading import Reading, read_family
 from symsimpson.errors import InputError
 from symsimpson.mechanics.retimed import RetimedSystem
@@ -52,6 +53,10 @@ class OptimalControl:
         x.diff()}`` for a motion that repeats itself one further on.
     unknowns : mapping from parameter to (low, high)
         Parameters that are found, too.
+    phases : sequence of mapping
+        Parts of the motion one behind the other, whose durations are found, each with numbers or
+        pairs (low, high) that its inputs keep to: ``[{u: 1}, {u: -1}]``. Inputs may jump where one
+        ends: then switches do not take a scheme's order.
     signals : mapping from symbol to function or array
         Functions of the time that are known, as motions to be followed or measured ones, by the
         symbols for which they stand in ``cost``, ``bounds`` and ``path``: callables that take an
@@ -88,6 +93,7 @@ class OptimalControl:
     path: Sequence[Any] = field(default=(), kw_only=True)
     conditions: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     unknowns: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
+    phases: Sequence[Mapping[Any, Any]] = field(default=(), kw_only=True)
     signals: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
@@ -109,7 +115,7 @@ class OptimalControl:
         self,
         scheme: str | Scheme = "lobatto6",
         *,
-        steps: int = 40,
+        steps: int | Sequence[int] = 40,
         guess: Any = None,
         error: float | None = None,
         tolerance: float = 1e-9,
@@ -122,9 +128,10 @@ class OptimalControl:
         ----------
         scheme : str or Scheme
             One of the Galerkin family.
-        steps : int
+        steps : int or sequence of int
+            How many; or the number of steps of each phase.
         guess : ControlResult or mapping, optional
-            Another result, of any scheme and number of steps; or functions of the time, numbers or
+            Another result, of any scheme and grid; or functions of the time, numbers or
             arrays over equal times, of coordinates and inputs by symbol or by name, and a number
             for "duration" and parameters that are found. Coordinates go in a straight line from
             start to end unless given, inputs are 0.
@@ -151,8 +158,7 @@ class OptimalControl:
         from symsimpson.control.solving import solve  # casadi and SciPy are slow to import
 
         found = read_family(scheme)
-        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
-            raise InputError(f"steps is {steps!r}.\nPass a whole number of steps, at least 1.")
+        grid = read_grid(steps, len(self.reading.phases))
         for name, value in (("tolerance", tolerance), ("error", error)):
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
             if not real and (name, value) != ("error", None):
@@ -163,7 +169,7 @@ class OptimalControl:
         if not whole or isinstance(most_iterations, bool) or most_iterations < 0:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
-        return solve(self.reading, found, int(steps), guess, error, options, progress)
+        return solve(self.reading, found, grid, guess, error, options, progress)
 
     def open(
         self, path: str | os.PathLike[str], scheme: str | Scheme | None = None

@@ -67,6 +67,8 @@ class Reading:
         Of all parameters.
     held : Held
         Constraints, ``constraints`` their names, and ``multipliers`` nodes of symbols for theirs.
+    phases : list of dict from int to pair of float
+        The bounds of inputs in each, by their places.
     duration : pair of float
     """
 
@@ -130,6 +132,7 @@ class Reading:
                     "Raise the low bound, or declare it with another sign."
                 )
         self._read_bounds(problem)
+        self.phases = self._phases(problem.phases)
         self._check()
 
     @property
@@ -228,6 +231,41 @@ class Reading:
             low, expression, high = one if isinstance(one, (tuple, list)) else (None, one, 0)
             pair = _pair(f"path {expression}", (low, high))
             self.within.append(Limits(str(expression), self.value("path", expression), *pair))
+
+    def _phases(self, given: Any) -> list[dict[int, tuple[float, float]]]:
+        """Read what bounds inputs in each phase; there is one if none is given."""
+        if not isinstance(given, (tuple, list)):
+            raise InputError(
+                f"phases is {given!r}, no list.\n"
+                "Pass what bounds inputs in each: [{u: 1}, {u: -1}]."
+            )
+        if self.signals and len(given) > 1:
+            raise InputError(
+                "signals are functions of the time, and where phases begin is found.\n"
+                "Leave out signals or phases."
+            )
+        found: list[dict[int, tuple[float, float]]] = []
+        for number, one in enumerate(given):
+            what = f"phases[{number}]"
+            _check_mapping(what, one, "numbers or pairs by inputs: {u: 1}")
+            found.append({})
+            for key, bounds in one.items():
+                name = key if isinstance(key, str) else spelled(key)
+                if name not in self.inputs:
+                    raise InputError(
+                        f"{what} names {name!r}, which is no input."
+                        f"{did_you_mean(name, self.inputs)}\nIt bounds inputs: "
+                        f"{', '.join(self.inputs) or 'the system has none'}."
+                    )
+                place, (low, high) = self.inputs.index(name), _pair(f"{what}[{name}]", bounds)
+                least, most = self.of_inputs.get(place, (-np.inf, np.inf))
+                if low > most or high < least:
+                    raise InputError(
+                        f"{what} has {name} in ({low:g}, {high:g}), outside of its bounds "
+                        f"({least:g}, {most:g}).\nWiden these, or stay within."
+                    )
+                found[-1][place] = max(low, least), min(high, most)
+        return found or [{}]
 
     def _check(self) -> None:
         """Refuse ends that cannot be satisfied."""

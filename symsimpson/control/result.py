@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.control import figures
+from symsimpson.control.arcs import arcs_of
+from symsimpson.control.forward import gains, simulated, stepper_of
 from symsimpson.control.held import projected, resolved
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import lagrange
 from symsimpson.control.saving import write_solution
 from symsimpson.control.status import STATUSES, ControlStatus
 from symsimpson.errors import InputError
-from symsimpson.program.values import read_count
 
 if TYPE_CHECKING:
-    from symsimpson.api.stepper import Stepper
     from symsimpson.control.ipopt import Outcome
     from symsimpson.results.trajectory import Trajectory
 
@@ -94,15 +94,17 @@ class ControlResult:
     @property
     def duration(self) -> float:
         """How long the motion is."""
-        layout = self.layout
-        if layout.h is None:
-            return float(layout.read.duration[0])
-        return float(self.x[layout.h]) * layout.steps
+        return float(self.t[-1])
 
     @property
     def t(self) -> Floats:
-        """Times of the ends of steps."""
-        return np.asarray(self.duration / self.layout.steps * np.arange(self.layout.steps + 1))
+        """Times of the ends of steps, shape (N + 1,)."""
+        return self.layout.grid.times(self.layout.sizes(self.x))
+
+    @property
+    def switches(self) -> Floats:
+        """Times at which a phase ends and the next begins."""
+        return self.t[[own.stop for own in self.layout.grid.slices[:-1]]]
 
     @property
     def q(self) -> Floats:
@@ -167,10 +169,10 @@ class ControlResult:
 
     def _basis(self, t: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
         """Return Lagrange's polynomials of places in steps, at times, and the steps' numbers."""
-        layout = self.layout
-        h = self.duration / layout.steps
-        k = np.clip(np.floor(t / h).astype(np.int64), 0, layout.steps - 1)
-        return lagrange(places, np.clip(t / h - k, 0.0, 1.0)), k
+        ends = self.t
+        k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, self.layout.steps - 1)
+        within = (t - ends[k]) / (ends[k + 1] - ends[k])
+        return lagrange(places, np.clip(within, 0.0, 1.0)), k
 
     @cached_property
     def costates(self) -> tuple[Floats, Floats]:
@@ -200,30 +202,51 @@ class ControlResult:
                 np.add.at(by_q[-1], last[entries.col[own]], -values[own])
         return by_q, by_p
 
-    @cached_property
+    @property
     def trajectory(self) -> Trajectory:
-        """The motion as a run of the scheme has it: energies, figures, states between steps."""
+        """The motion as a run of the scheme has it: energies, figures, states between steps.
+
+        Raises
+        ------
+        InputError
+            If there are several phases: see ``trajectories``.
+        """
+        if len(self.trajectories) > 1:
+            raise InputError(
+                f"the motion has {len(self.trajectories)} phases, each in steps of its own size.\n"
+                "Take result.trajectories, one for each phase."
+            )
+        return self.trajectories[0]
+
+    @cached_property
+    def trajectories(self) -> tuple[Trajectory, ...]:
+        """The motion in each phase as a run of the scheme has it."""
         from symsimpson.program.status import Status
         from symsimpson.results.trajectory import Trajectory
 
-        layout = self.layout
-        stepper = stepper_of(layout)
-        return Trajectory(
-            t=self.t,
-            q=self.q,
-            p=self.p,
-            newton_iterations=np.zeros(layout.steps + 1, dtype=np.int64),
-            h=self.duration / layout.steps,
-            steps=layout.steps,
-            every=1,
-            status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
-            message=self.message,
-            program=stepper.program,
-            parameter_values=np.array([*layout.parameter_values(self.x).values()]),
-            input_values=self.input_values[None],
-        )
+        layout, t, q, p = self.layout, self.t, self.q, self.p
+        sizes, found = layout.sizes(self.x).tolist(), []
+        for own, h in zip(layout.grid.slices, sizes, strict=True):
+            ends = slice(own.start, own.stop + 1)
+            found.append(
+                Trajectory(
+                    t=t[ends],
+                    q=q[ends],
+                    p=p[ends],
+                    newton_iterations=np.zeros(len(t[ends]), dtype=np.int64),
+                    h=h,
+                    steps=own.stop - own.start,
+                    every=1,
+                    status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
+                    message=self.message,
+                    program=stepper_of(layout).program,
+                    parameter_values=np.array([*layout.parameter_values(self.x).values()]),
+                    input_values=self.input_values[None, own],
+                )
+            )
+        return tuple(found)
 
-    def simulate(self, refine: int = 10) -> tuple[Trajectory, float]:
+    def simulate(self, refine: int = 10) -> tuple[Any, float]:
         """Run the inputs that were found from the start, with finer steps of the scheme.
 
         Parameters
@@ -233,18 +256,38 @@ class ControlResult:
 
         Returns
         -------
-        Trajectory
+        Trajectory, or tuple of Trajectory if there are several phases
         float
             How far from the end of the solution its end is, in coordinates.
         """
-        layout, refine = self.layout, read_count("refine", refine, least=1)
-        stepper = stepper_of(layout)
-        steps, h = layout.steps * refine, self.duration / layout.steps / refine
-        given: dict[str, Any] = {"parameters": self.unknowns or None}
-        if layout.read.inputs:
-            given["inputs"] = self._refined(refine)
-        run = stepper.integrate(self.q[0], p0=self.p[0], h=h, steps=steps, **given)
-        return run, float(np.abs(run.q[-1] - self.q[-1]).max())
+        return simulated(self, refine)
+
+    def arcs(self) -> list[dict[Any, float]]:
+        """Return the arcs of the motion: which inputs stay at which bound, one arc behind another.
+
+        Returns
+        -------
+        list of dict from symbol to float
+            What ``phases=`` of the same problem takes, to find the times of switches.
+
+        Examples
+        --------
+        >>> import dataclasses, sympy as sp, symsimpson as ss
+        >>> (x,), u = ss.coordinates("x"), sp.Symbol("u", real=True)
+        >>> cart = ss.MechanicalSystem(
+        ...     "cart", coordinates=(x,), kinetic=x.diff()**2 / 2, potential=0 * x,
+        ...     forces={x: u}, inputs=(u,))
+        >>> problem = ss.OptimalControl(
+        ...     cart, cost=1, start={x: 0, x.diff(): 0}, end={x: 1, x.diff(): 0},
+        ...     duration=(1, 5), bounds={u: (-2, 1)})
+        >>> about = problem.solve(steps=10)
+        >>> about.arcs()
+        [{u: 1.0}, {u: -2.0}]
+        >>> exact = dataclasses.replace(problem, phases=about.arcs()).solve(steps=2, guess=about)
+        >>> exact.duration**2, exact.switches  # 3 and 2 / sqrt(3)
+        (3.00000..., array([1.15470...]))
+        """
+        return arcs_of(self)
 
     def lqr(self, Q: ArrayLike, R: ArrayLike) -> Floats:
         """Return gains that hold a run near the solution: u = u_k - K_k (z - z_k), held over steps.
@@ -267,29 +310,7 @@ class ControlResult:
         InputError
             If Q or R has another shape.
         """
-        layout, run = self.layout, self.trajectory
-        names = layout.read.inputs
-        linear = stepper_of(layout).linearise(
-            self.q[0],
-            p0=self.p[0],
-            h=run.h,
-            steps=layout.steps,
-            inputs={name: self.input_values[..., j] for j, name in enumerate(names)},
-            parameters=self.unknowns or None,
-            wrt=list(layout.read.system.inputs),
-        )
-        sizes = (("Q", Q, 2 * layout.n), ("R", R, len(names)))
-        for name, given, size in sizes:
-            if np.shape(given) != (size, size):
-                raise InputError(f"{name} has shape {np.shape(given)}, not ({size}, {size}).")
-        Q, R = np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
-        B = np.stack([linear.by_input[name].sum(axis=-1) for name in names], axis=-1)
-        P, gains = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
-        for k in reversed(range(layout.steps)):
-            A_k, B_k = linear.by_state[k], B[k]
-            gains[k] = np.linalg.solve(R + B_k.T @ P @ B_k, B_k.T @ P @ A_k)
-            P = Q + A_k.T @ P @ (A_k - B_k @ gains[k])
-        return gains
+        return gains(self, Q, R)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution to a file, which :meth:`OptimalControl.open` of its problem reads.
@@ -305,7 +326,7 @@ class ControlResult:
             If it cannot be written.
         """
         told: dict[str, Any] = {name: getattr(self, name) for name in TOLD}
-        told |= {"scheme": self.layout.scheme.name, "steps": self.layout.steps}
+        told |= {"scheme": self.layout.scheme.name, "steps": self.layout.grid.told}
         write_solution(path, told | {"status": self.status.name}, self.x, self.multipliers)
 
     def plot(self) -> Any:
@@ -336,27 +357,13 @@ class ControlResult:
         """
         return figures.sparsity(self)
 
-    def _refined(self, refine: int) -> dict[str, Floats]:
-        """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
-        layout = self.layout
-        places = (np.arange(refine)[:, None] + layout.c) / refine
-        values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), self.input_values)
-        shape = layout.steps * refine, layout.nodes
-        return {name: values[..., j].reshape(shape) for j, name in enumerate(layout.read.inputs)}
-
     def __repr__(self) -> str:
         layout = self.layout
         return (
-            f"ControlResult({layout.read.system.name}, {layout.scheme.name}: {layout.steps} "
-            f"steps, cost {self.cost:.9g}, {self.status.name} after {self.iterations} iterations)"
+            f"ControlResult({layout.read.system.name}, {layout.scheme.name}: "
+            f"{' + '.join(map(str, layout.grid.steps))} steps, cost {self.cost:.9g}, "
+            f"{self.status.name} after {self.iterations} iterations)"
         )
-
-
-def stepper_of(layout: Layout) -> Stepper:
-    """Return the stepper of a problem's system and scheme."""
-    from symsimpson.api.compiling import compile as compile_stepper  # solving compiles nothing
-
-    return compile_stepper(layout.read.system, layout.scheme)
 
 
 def result_of(layout: Layout, outcome: Outcome) -> ControlResult:

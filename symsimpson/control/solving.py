@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.functions import read_function, values_at
+from symsimpson.control.grid import Grid, read_grid
 from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
 from symsimpson.control.layout import Layout
@@ -44,7 +45,7 @@ ROUNDED = 1e-9
 def solve(
     read: Reading,
     scheme: Scheme,
-    steps: int,
+    grid: Grid,
     guess: Any,
     error: float | None,
     options: dict[str, Any],
@@ -58,11 +59,11 @@ def solve(
         If the guess does not fit, conditions are too many, or casadi is not installed.
     """
     _look_at_nodes(read, scheme)
-    found = _solved(Layout(read, scheme, steps), guess, options, progress)
+    found = _solved(Layout(read, scheme, grid), guess, options, progress)
     for _ in range(MOST_REFINEMENTS if error is not None else 0):
         if not found.success:
             break
-        layout = Layout(read, scheme, 2 * found.layout.steps)
+        layout = Layout(read, scheme, found.layout.grid.halved)
         finer = _solved(layout, found, options, progress)
         off = abs(finer.cost - found.cost) / max(1.0, abs(finer.cost))
         # what is left behind a change from h to h / 2 of order 2: switches leave no more
@@ -72,8 +73,8 @@ def solve(
     if error is not None and found.success:
         warn(
             f"{read.system.name}: with {found.layout.steps} steps the relative error of the cost "
-            f"is about {found.error:.1e}, not {error:g}.\nBegin with more steps, or put switches "
-            "of inputs on times of the grid.",
+            f"is about {found.error:.1e}, not {error:g}.\nBegin with more steps, or with phases= "
+            "that end where inputs jump.",
             ResolutionWarning,
         )
     return found
@@ -115,11 +116,11 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
     InputError
         If it is the solution of another problem.
     """
-    place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": int})
-    name, steps = told.pop("scheme"), told.pop("steps")
+    place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": _as_grid})
+    name, grid = told.pop("scheme"), told.pop("steps")
     found, own = read_family(scheme or name), 0
-    if 0 < steps <= len(x):  # no larger layout is made
-        layout = Layout(read, found, steps)
+    if len(grid.steps) == len(read.phases) and grid.count <= len(x):  # no larger layout is made
+        layout = Layout(read, found, grid)
         programme, low, high = layout.programme
         own = (len(multipliers), len(x)) == programme.shape
     if own:
@@ -135,12 +136,21 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
         own = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
     if not own:
         raise InputError(
-            f"{place}: the file holds the solution of another problem, of {steps} steps of {name}."
+            f"{place}: the file holds the solution of another problem, of {grid.count} steps of "
+            f"{name}."
             f"\nOf {read.system.name} as it is written down it has another cost, or conditions or "
             "equations are not satisfied. Write down the problem as it was, with the same "
             "parameters."
         )
     return ControlResult(layout, x, multipliers, **told)
+
+
+def _as_grid(steps: Any) -> Grid:
+    """Return the grid of a file."""
+    try:
+        return read_grid(steps, len(steps) if isinstance(steps, list) else 1)
+    except InputError as error:
+        raise ValueError(str(error)) from None
 
 
 def _look_at_nodes(read: Reading, scheme: Scheme) -> None:
@@ -202,9 +212,14 @@ def begin(layout: Layout, guess: Any) -> Floats:
         }
     whole = min(max(whole, low), high)
     x = np.zeros(layout.size)
-    h = whole / N
-    starts = h * np.arange(N)
-    times = starts[:, None] + h * layout.places
+    grid = layout.grid
+    sizes = np.full(len(grid.steps), whole / N)
+    if isinstance(guess, ControlResult) and len(guess.layout.grid.steps) == len(grid.steps):
+        durations = guess.layout.sizes(guess.x) * guess.layout.grid.steps
+        sizes = whole * durations / durations.sum() / grid.steps
+    ends_of_steps, h = grid.times(sizes), sizes[grid.phase]
+    starts = ends_of_steps[:-1]
+    times = starts[:, None] + h[:, None] * layout.places
     ends = [_given(limits, read) for limits in read.ends]
     for a, name in enumerate(read.names):
         first = ends[0].get(name, ends[1].get(name, 0.0))
@@ -213,23 +228,22 @@ def begin(layout: Layout, guess: Any) -> Floats:
             name, lambda t, first=first, last=last: first + (last - first) * t / whole
         )
         x[layout.points[:, :, a]] = values_at(f"guess[{name!r}]", line, times)
-    nodes = starts[:, None] + h * layout.c
+    nodes = starts[:, None] + h[:, None] * layout.c
     for k, name in enumerate(read.inputs):
         if name in functions:
             x[layout.inputs[..., k]] = values_at(f"guess[{name!r}]", functions[name], nodes)
     x[layout.parameters] = values
-    if layout.h is not None:
-        x[layout.h] = h
+    x[layout.h] = sizes[: len(layout.h)]
     known = layout.parameter_values(x)
     x[layout.points] = onto(layout, x[layout.points], known)
     # momenta of the path at the ends of steps
     q = x[layout.points]
     at_start, at_end = (np.array(row, dtype=np.float64) for row in layout.end_slopes)
-    v = np.concatenate([at_start @ q, (at_end @ q[-1])[None]]) / h
+    v = np.concatenate([at_start @ q / h[:, None], (at_end @ q[-1])[None] / h[-1]])
     at = np.concatenate([q[:, 0], q[-1:, -1]])
     momenta = PointFunctions(read.graph, read.q, read.momenta)
     state: dict[int, Any] = dict(zip([*read.q, *read.v], [*at.T, *v.T], strict=True))
-    state |= {**known, read.t: h * np.arange(N + 1)}
+    state |= {**known, read.t: ends_of_steps}
     x[layout.momenta] = momenta.values(state, N + 1).T
     x[layout.velocities] = v[[0, -1]]
     if not np.isfinite(x).all():

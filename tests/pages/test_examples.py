@@ -11,7 +11,7 @@ MODULES = sorted(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts
 
 
 #: Examples that need what the quick tests do without.
-NEEDED = {"symsimpson.control.problem": "casadi"}
+NEEDED = dict.fromkeys(("symsimpson.control.problem", "symsimpson.control.result"), "casadi")
 
 
 @pytest.mark.parametrize("name", MODULES)

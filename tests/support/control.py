@@ -7,11 +7,13 @@ def check_derivatives(problem, scheme, steps=3):
     """Compare those of all rows by all unknowns; patterns miss nothing."""
     from scipy import sparse
 
+    from symsimpson.control.grid import read_grid
     from symsimpson.control.layout import Layout
     from symsimpson.control.solving import begin
     from symsimpson.schemes.named import read_scheme
 
-    layout = Layout(problem.reading, read_scheme(scheme), steps)
+    grid = read_grid(steps, len(problem.reading.phases))
+    layout = Layout(problem.reading, read_scheme(scheme), grid)
     programme, *_ = layout.programme
     rng = np.random.default_rng(3)
     at = begin(layout, None) + 0.1 * rng.normal(size=layout.size)

@@ -1,5 +1,7 @@
 """Optimal control where constraints hold: positions, velocities, and both."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -184,6 +186,10 @@ def test_a_body_turns_over_in_the_least_time():
     first = problem.solve("lobatto6", steps=20, guess=aside)
     found = problem.solve("lobatto6", steps=80, guess=first)
     assert abs(found.duration - 28.63041) < 5e-4
+    arcs = first.arcs()
+    assert [len(arc) for arc in arcs] == [3] * 6
+    exact = dataclasses.replace(problem, phases=arcs).solve("lobatto6", steps=24, guess=first)
+    assert abs(exact.duration - 28.6304065) < 2e-7
     assert np.abs(found.trajectory.constraint_error).max() < 1e-12
 
 

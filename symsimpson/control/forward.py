@@ -1,0 +1,94 @@
+"""What is done with a solution: its inputs run forward, gains that hold a run near it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symsimpson.control.points import lagrange
+from symsimpson.errors import InputError
+from symsimpson.program.values import read_count
+
+if TYPE_CHECKING:
+    from symsimpson.api.stepper import Stepper
+    from symsimpson.control.layout import Layout
+
+__all__ = ["gains", "simulated", "stepper_of"]
+
+Floats = NDArray[np.float64]
+
+
+def stepper_of(layout: Layout) -> Stepper:
+    """Return the stepper of a problem's system and scheme."""
+    from symsimpson.api.compiling import compile as compile_stepper  # solving compiles nothing
+
+    return compile_stepper(layout.read.system, layout.scheme)
+
+
+def simulated(result: Any, refine: int) -> tuple[Any, float]:
+    """Run the inputs of a solution with finer steps; return the runs, and how far off they end."""
+    layout, refine = result.layout, read_count("refine", refine, least=1)
+    stepper, inputs = stepper_of(layout), refined(result, refine)
+    sizes, (q, p), runs = layout.sizes(result.x), (result.q[0], result.p[0]), []
+    for own, h in zip(layout.grid.slices, sizes, strict=True):
+        first, last = own.start * refine, own.stop * refine
+        run = stepper.integrate(
+            q,
+            p0=p,
+            h=float(h) / refine,
+            steps=last - first,
+            t0=float(result.t[own.start]),
+            inputs={name: values[first:last] for name, values in inputs.items()} or None,
+            parameters=result.unknowns or None,
+        )
+        q, p = run.q[-1], run.p[-1]
+        runs.append(run)
+    found: Any = runs[0] if len(runs) == 1 else tuple(runs)
+    return found, float(np.abs(q - result.q[-1]).max())
+
+
+def refined(result: Any, refine: int) -> dict[str, Floats]:
+    """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
+    layout = result.layout
+    places = (np.arange(refine)[:, None] + layout.c) / refine
+    values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), result.input_values)
+    shape = layout.steps * refine, layout.nodes
+    return {name: values[..., j].reshape(shape) for j, name in enumerate(layout.read.inputs)}
+
+
+def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
+    """Return the gains of the linear regulator along a solution."""
+    layout, names = result.layout, result.layout.read.inputs
+    sizes = (("Q", Q, 2 * layout.n), ("R", R, len(names)))
+    for name, given, size in sizes:
+        if np.shape(given) != (size, size):
+            raise InputError(f"{name} has shape {np.shape(given)}, not ({size}, {size}).")
+    Q, R = np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
+    A, B = (np.concatenate(x) for x in zip(*linearised(result), strict=True))
+    P, found = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
+    for k in reversed(range(layout.steps)):
+        A_k, B_k = A[k], B[k]
+        found[k] = np.linalg.solve(R + B_k.T @ P @ B_k, B_k.T @ P @ A_k)
+        P = Q + A_k.T @ P @ (A_k - B_k @ found[k])
+    return found
+
+
+def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
+    """Give how the states at the ends of steps depend on those before, and on inputs held."""
+    layout, names, q, p = result.layout, result.layout.read.inputs, result.q, result.p
+    for own, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
+        linear = stepper_of(layout).linearise(
+            q[own.start],
+            p0=p[own.start],
+            h=float(h),
+            steps=own.stop - own.start,
+            t0=float(result.t[own.start]),
+            inputs={name: result.input_values[own, :, j] for j, name in enumerate(names)},
+            parameters=result.unknowns or None,
+            wrt=list(layout.read.system.inputs),
+        )
+        by_input = [linear.by_input[name].sum(axis=-1) for name in names]
+        yield linear.by_state, np.stack(by_input, axis=-1)

@@ -1,0 +1,98 @@
+"""The grid of a motion: phases, whose durations may be found, in equal steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from symsimpson.errors import InputError
+
+__all__ = ["Grid", "read_grid"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Phases one behind the other, each in equal steps.
+
+    Attributes
+    ----------
+    steps : tuple of int
+        The number of steps of each phase.
+    """
+
+    steps: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of steps."""
+        return sum(self.steps)
+
+    @cached_property
+    def phase(self) -> Ints:
+        """The phase of each step, shape (N,)."""
+        return np.repeat(np.arange(len(self.steps)), self.steps)
+
+    @property
+    def slices(self) -> list[slice]:
+        """The steps of each phase."""
+        ends = np.cumsum(self.steps).tolist()
+        return [slice(end - n, end) for end, n in zip(ends, self.steps, strict=True)]
+
+    @property
+    def told(self) -> int | tuple[int, ...]:
+        """The number of steps, of each phase if there are several."""
+        return self.steps if len(self.steps) > 1 else self.count
+
+    @property
+    def halved(self) -> Grid:
+        """The same phases in steps of half the size."""
+        return Grid(tuple(2 * n for n in self.steps))
+
+    def before(self, k: Ints, place: Floats) -> Floats:
+        """Return how many steps of each phase lie before places in steps, shape (..., phases).
+
+        The time at a place is that times the sizes of steps.
+        """
+        first = np.array([own.start for own in self.slices])
+        whole = np.clip(np.asarray(k)[..., None] - first, 0, self.steps)
+        inside = np.asarray(k)[..., None] - first
+        within = (inside >= 0) & (inside < self.steps)
+        found: Floats = whole + within * np.asarray(place)[..., None]
+        return found
+
+    def times(self, sizes: Floats) -> Floats:
+        """Return the times of the ends of steps, shape (N + 1,), for the size of each phase's."""
+        found: Floats = self.before(np.arange(self.count + 1), np.zeros(self.count + 1)) @ sizes
+        return found
+
+
+def read_grid(steps: Any, phases: int) -> Grid:
+    """Read a number of steps, or one for each phase.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    given = list(steps) if isinstance(steps, (tuple, list, np.ndarray)) else [steps]
+    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in given)
+    if not given or not whole or min(given) < 1:
+        raise InputError(
+            f"steps is {steps!r}.\nPass a whole number of steps, at least 1; or one for each phase."
+        )
+    if len(given) == 1:
+        size, more = divmod(int(given[0]), phases)
+        given = [size + (k < more) for k in range(phases)]
+    if len(given) != phases or min(given) < 1:
+        raise InputError(
+            f"steps is {steps!r}, and the number of phases is {phases}.\n"
+            "Pass one number of steps for all of it, or one for each of phases=."
+        )
+    return Grid(tuple(int(n) for n in given))
