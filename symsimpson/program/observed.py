@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -39,6 +40,8 @@ KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
 OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
 #: Rows for each expression whose sign is waited for, and the part of its size that is rounding.
 WATCHED, ZERO = 4, 64 * 2.0**-52
+#: What is left of the size of an expression in each step, unless its terms are as large.
+FADED = 2.0**-10
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,22 @@ class Observed:
     energetic: bool
     wrapped: tuple[int, ...] = ()
     rest: bool = False
+
+    @property
+    def size(self) -> str:
+        """The sizes of the terms of a sum, added up, as an expression: what is rounded in it."""
+        terms: list[str] = []
+
+        def collect(node: ast.expr) -> None:
+            match node:
+                case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+                    collect(left)
+                    collect(right)
+                case _:
+                    terms.append(f"abs({ast.unparse(node)})")
+
+        collect(ast.parse(self.text, mode="eval").body)
+        return " + ".join(terms)
 
 
 @dataclass(frozen=True)
@@ -201,8 +220,9 @@ def watchers(
     """Return what stops a run behind a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, its largest size, its value, and the value before. ``signs`` are those that
-    are waited for, or 0; a gap may also pass through zero and come back within a step.
+    that is not known, its size of late, of a gap its largest, its value, and the value before.
+    ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
+    within a step.
     """
     lines, kept = list(_names(header)), list[str]()
     for k, (one, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
@@ -212,7 +232,9 @@ def watchers(
         lines += [
             f"value_{k} = {one.text}",
             f"side = {side}",
-            f"size_{k} = abs(value_{k}) if abs(value_{k}) > {size} else {size}",
+            f"size_{k} = {one.size}",
+            f"least = {1.0 if gap else FADED} * {size}",
+            f"size_{k} = size_{k} if size_{k} > least else least",
             f"small = {ZERO!r} * size_{k}",
             f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else side)",
             f"met_{k} = 1.0 if {waited} else (1.0 if now_{k} != now_{k} else 0.0)",

@@ -128,11 +128,11 @@ class EventActions:
         return all(self.is_impact(k) and self.allowed(row, k) for k in events)
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
-        """Return the sizes of terms of which gaps are made, to tell what rounding is."""
-        found = np.zeros(len(self._events.events))
+        """Return the sizes of terms of which expressions are made, to tell what rounding is."""
+        found = row[[*self._events.sizes]]
         for k, first in enumerate(self._events.slopes):
             if first is not None:
-                found[k] = np.abs(row[first : first + len(q)] * q).sum()
+                found[k] = max(found[k], np.abs(row[first : first + len(q)] * q).sum())
         return found
 
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:

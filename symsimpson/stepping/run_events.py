@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
@@ -35,6 +35,8 @@ class RunEvents:
         Where the rate of the gap of each impact stands, and the first of its derivatives by q.
     changes : tuple of tuples
         What each event changes: a block of the state, a coordinate, and where its value stands.
+    sizes : tuple of int
+        Where the sizes of the terms of each expression stand.
     """
 
     events: tuple[Event, ...]
@@ -43,6 +45,7 @@ class RunEvents:
     rate: tuple[int | None, ...]
     slopes: tuple[int | None, ...]
     changes: tuple[tuple[tuple[str, int, int], ...], ...]
+    sizes: tuple[int, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,7 +129,9 @@ def read_events(program: Program, given: Any) -> RunEvents:
     ]
     changes = tuple(_changes(program, one, place) for one in events)
     rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
-    return RunEvents(events, tuple(watched), when, rates, slopes, changes)
+    sizes = tuple(range(len(watched), len(watched) + len(events)))
+    watched += [replace(one, text=one.size) for one in watched[: len(events)]]
+    return RunEvents(events, tuple(watched), when, rates, slopes, changes, sizes)
 
 
 def _check_names(program: Program, events: Sequence[Event]) -> None:
