@@ -33,6 +33,8 @@ MOST_MAPS = 500
 ALLOWED = 1e-9
 #: Newton's method for the time of an event ends with corrections below this part of the span.
 EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
+#: States at an event are known to so much of themselves.
+ROUNDINGS = 16 * 2.0**-52
 #: Where a gap is lowest is known to this part of the span.
 LOWEST = 1e-9
 #: Of so many states it is known what is asked for there, beside the last one.
@@ -135,6 +137,16 @@ class EventActions:
                 found[k] = max(found[k], np.abs(row[first : first + len(q)] * q).sum())
         return found
 
+    def rounding(self, t: float, state: State) -> Floats:
+        """Return by how much expressions change where time and state do by some roundings."""
+        n, place = len(state[0]), np.concatenate([[t], *state])
+        places = np.tile(place, (len(place) + 1, 1))
+        places[1:] += np.diag(ROUNDINGS * place)
+        found = self.rows(places[:, 0], places[:, 1 : n + 1], places[:, n + 1 :])
+        with np.errstate(all="ignore"):  # where there is no value, nothing is known
+            changes = np.abs(found[1:, : len(self.impacts)] - found[0, : len(self.impacts)])
+        return np.asarray(np.nan_to_num(changes, nan=0.0, posinf=0.0).sum(axis=0))
+
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
         """Return which impacts have a gap of zero."""
         return self.impacts & (np.abs(values) <= small)
@@ -223,9 +235,11 @@ class EventActions:
             near = [k for k in range(len(small)) if k in forced or touch[k]]
             rates = {k: row[self.rate(k)] for k in near if self.allowed(row, k)}
             velocities = self._velocities(t, state[0], state[1][None])[0]
-            still = STILL * max(float(np.abs(velocities).max(initial=0.0)), 1e-300)
-            closing = {k: -self._sign * rate for k, rate in rates.items()}
-            closing = {k: speed for k, speed in closing.items() if speed > still}
+            closing = {
+                k: -self._sign * rate
+                for k, rate in rates.items()
+                if -self._sign * rate > STILL * self._terms_of_rate(row, velocities, k)
+            }
             forced.clear()
             if not closing:
                 return
@@ -235,6 +249,14 @@ class EventActions:
             yield k, before, state, impulse
             if self.failed:
                 return
+
+    def _terms_of_rate(self, row: Floats, v: Floats, k: int) -> float:
+        """Return the sizes of the terms of which the rate of a gap is made."""
+        first = self._events.slopes[k]
+        assert first is not None
+        terms = row[first : first + len(v)] * v
+        moved = float(row[self.rate(k)] - terms.sum())
+        return max(float(np.abs(terms).sum()) + abs(moved), 1e-300)
 
     def _velocities(self, t: float, q: Floats, p: Floats) -> Floats:
         """Return velocities at one position, of several momenta."""
@@ -292,13 +314,24 @@ class EventActions:
         for block, place, number in changes:
             {"q": q, "v": v, "p": p}[block][place] = row[number]
         blocks = {block for block, _, _ in changes}
-        moved = self._momenta(t, q, v)
-        given = {place for block, place, _ in changes if block == "p"}
         # velocities are kept where positions change, unless momenta are given
         if "v" in blocks or "p" not in blocks:
-            p = np.where(np.isin(np.arange(len(p)), list(given)), p, moved)
+            given = sorted({place for block, place, _ in changes if block == "p"})
+            p = self._momenta(t, q, self._with_momenta(t, q, v, p, given))
         self._check_allowed(t, (q, p), v if "v" in blocks else None, k)
         return q, p
+
+    def _with_momenta(self, t: float, q: Floats, v: Floats, p: Floats, given: list[int]) -> Floats:
+        """Return velocities of which some are those of given momenta, and the others stay."""
+        if not given:
+            return v
+        v = v.copy()
+        v[given] = 0
+        base = self._momenta(t, q, v)
+        ways = np.eye(len(v))[given]
+        masses = np.stack([self._momenta(t, q, v + way) - base for way in ways], axis=1)
+        v[given] = np.linalg.solve(masses[given], (p - base)[given])
+        return v
 
     def _check_allowed(self, t: float, state: State, v: Floats | None, k: int) -> None:
         """Say so where a state that was changed is none that constraints allow."""
@@ -309,13 +342,15 @@ class EventActions:
         count = len(header.constraints)
         phi = evaluate(self._program, "multipliers", "CONSTRAINT", count, *place, self._values)
         off = float(np.abs(phi).max())
+        what = f"{header.constraints[int(np.abs(phi).argmax())]!r}"
         if off <= ALLOWED * max(1.0, float(np.abs(q).max())) and v is not None:
             off = float(np.abs(self._velocities(t, q, p[None])[0] - v).max())
-            off /= max(1.0, float(np.abs(v).max()))
+            off, what = off / max(1.0, float(np.abs(v).max())), "the rate of one of them"
         if not off <= ALLOWED:
             self.failed = (
                 f"The event {self._events.names[k]!r} changes the state to one that constraints do "
-                f"not allow: it is off by {off:.2g}. "
+                f"not allow: {what} is off by {off:.2g}. Change all that hang together, as "
+                "system.consistent(q0, v0) finds it. "
             )
 
 

@@ -16,6 +16,7 @@ from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.records import Record
 from symsimpson.run.event_actions import EventActions, limit_of
+from symsimpson.run.event_sides import Sides
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
@@ -33,22 +34,13 @@ Floats = NDArray[np.float64]
 Times = dict[int, list[float]]
 #: A rest of a step below this part of it is none; events that are so near act together.
 NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
-#: So many actions within one step are too many.
-MOST_ACTIONS = 500
-#: A start may be so far behind a wall, relative to its size.
-BEHIND = 1e-9
-#: Where an expression is zero behind an action, its sign is that after so much of a step.
-AHEAD = 1e-6
+#: So many actions within one step are too many; a start may be so far behind a wall, relative to
+#: its size; where an expression is zero behind an action, its sign is that after so much of a step.
+MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6
 
 
 class EventRun(Run):
-    """A run in which events act: a step in which one is, is taken back, and anew in parts.
-
-    Attributes
-    ----------
-    side, size : ndarray of float
-        On which side of zero each expression is, and the largest size that it had.
-    """
+    """A run in which events act: a step in which one is, is taken back, and anew in parts."""
 
     def __init__(
         self,
@@ -69,9 +61,10 @@ class EventRun(Run):
         self._actions = EventActions(program, spec, run_events)
         works = any(one.name == "work" for one in recorders)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
-        self._signs = np.array([event.sign for event in run_events.events])
-        rows = self._column[first : first + WATCHED * len(self._signs)]
-        self.side, self.size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
+        signs = [event.sign for event in run_events.events]
+        rows = self._column[first : first + WATCHED * len(signs)]
+        side, size, self._value, self._earlier = rows.reshape(-1, WATCHED).T
+        self.sides = Sides(side, size, self._actions, signs)
         self._code, self._saltation = 0, cast("Saltation | None", None)
         if spec.tangents is not None:
             from symsimpson.run.saltation import Saltation  # few runs need it
@@ -87,11 +80,12 @@ class EventRun(Run):
         """Look at the start: impacts that touch act there, none may be behind its wall."""
         state, t = self._state(), float(self.t0)
         row = self._actions.row(t, state)
-        values = row[: len(self.side)]
-        self.size[:] = np.maximum(np.abs(values), self._actions.sizes(row, state[0]))
-        self.side[:] = self._sides(values, np.zeros_like(self.side))  # a zero there is no event
+        sides, values = self.sides, row[: len(self._value)]
+        sides.size[:] = np.maximum(np.abs(values), self._actions.sizes(row, state[0]))
+        small = sides.small_at(t, state)
+        sides.side[:] = sides.of(values, small, 0 * values)  # a zero there is no event
         for k, event in enumerate(self._events.events):
-            off = BEHIND * max(1.0, self.size[k])
+            off = BEHIND * sides.size[k]
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
             if values[k] < -off:
@@ -99,8 +93,8 @@ class EventRun(Run):
                     f"{self._system}: the start is behind the wall {event.key!r}: the gap "
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
                 )
-            self.side[k] = 1
-        if self._actions.touching(values, self._small).any():
+            sides.side[k] = 1
+        if self._actions.touching(values, sides.small).any():
             self._act_here(t, 0, state, [])
         self._remember()
         super().look()
@@ -146,20 +140,6 @@ class EventRun(Run):
         self._look_for_end()
         self.reason = reason
 
-    @property
-    def _small(self) -> Floats:
-        """Values below these are zeros: rounding."""
-        return ZERO * self.size
-
-    def _sides(self, values: Floats, before: Floats) -> Floats:
-        """Return on which sides of zero values are; near it they stay where they were."""
-        small = self._small
-        return np.where(values > small, 1.0, np.where(values < -small, -1.0, before))
-
-    def _acts(self, before: Floats, behind: Floats) -> NDArray[np.bool_]:
-        """Return which events act between two sides."""
-        return (before * behind < 0) & ((self._signs == 0) | (behind == self._signs))
-
     def _state(self) -> tuple[Floats, Floats]:
         """Return q and p where the run is."""
         return self.end()[0][0], self.end()[1][0]
@@ -167,8 +147,8 @@ class EventRun(Run):
     def _remember(self) -> None:
         """Keep the values of expressions where the run is, and those before, by their rates."""
         row = self._actions.row(float(self._time()), self._state())
-        self._value[:] = row[: len(self.side)]
-        self.size[:] = np.fmax(self.size, np.abs(self._value))
+        self._value[:] = row[: len(self._value)]
+        self.sides.size[:] = np.fmax(self.sides.size, np.abs(self._value))
         self._earlier[:] = self._value - self.h * self._actions.rates(row)
 
     def _split_step(self) -> None:
@@ -178,19 +158,22 @@ class EventRun(Run):
         self.rows("POSITION", rows)[:] = self.rows("PREVIOUS", rows)
         self._column[self._status] = 0
         step, acted = self.step, len(self.records)
-        start, given = self._state(), (self.side.copy(), self.size.copy())
+        start, side = self._state(), self.sides.side.copy()
         worked = self._worked.copy()
         found = self._split(step, start)
         if found is None:
             self._worked[:] = worked if self.ended_by is None else self._worked
+            if self.end_within is not None:
+                self._reduce_end(*self.end_within)
             self._go_on(start)
             self._column[self._status] = self._code
             if self._code == ARRIVED and self._saltation is not None:
                 self._saltation.put(self._variations)
             return
-        if len(self.records) == acted and (self.side == given[0]).all():  # nothing was there
+        if len(self.records) == acted and (self.sides.side == side).all():  # nothing was there
+            size = self.sides.size.copy()
             self.W[:] = behind
-            self.side[:], self.size[:] = given
+            self.sides.side[:], self.sides.size[:] = side, size
             self._column[self._status] = 0
             self._call(self._time(), of_states=False)
             self._progress[0] += 1
@@ -216,13 +199,18 @@ class EventRun(Run):
         self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
         self.rows("ITERATIONS", 1)[:] = kept
 
-    def _call(self, passed: Any, *, of_states: bool) -> None:
+    def _reduce_end(self, t: float, q: Floats, p: Floats) -> None:
+        """Let recorders of states see the end of a run within a step."""
+        self._go_on((q, p))
+        self._call(t, of_states=True, h=t - float(self._time()))
+
+    def _call(self, passed: Any, *, of_states: bool, h: Any = None) -> None:
         """Call recorders of states, or those of steps."""
         kernels, last = self._kernels(), len(self._kernels()) - self.told[TOLD["OF_STATES"]]
         first = RECORDERS + self.told[TOLD["OF_EVENTS"]]
         self.rows("ACTIVE", 1)[:] = 1
         for kernel in kernels[last:] if of_states else kernels[first:last]:
-            self._driver("apply")(kernel, self.h, passed, self.W)
+            self._driver("apply")(kernel, self.h if h is None else h, passed, self.W)
 
     def _split(self, step: int, start: Any) -> Any:
         """Take a step with events in it; None where the run ends within it."""
@@ -242,10 +230,12 @@ class EventRun(Run):
                 return self._fail(status)
             found = self._located(step, t0, done, rest, state, end)
             if found is None:
-                values = self._actions.values(t0 + h, end)
+                row = self._actions.row(t0 + h, end)
+                values = row[: len(self._value)]
                 if np.isnan(values[self._actions.impacts]).any():
                     return self._fail(Status.NOT_FINITE, "A gap has no value beyond its wall. ")
-                self.side[:] = self._sides(values, self.side)
+                self.sides.size[:] = self.sides.faded(row, end[0])
+                self.sides.side[:] = self.sides.of(values, self.sides.small)
                 self._flow(state, t0 + done, rest, step, None)
                 return end
             part, behind, events = found
@@ -283,15 +273,17 @@ class EventRun(Run):
             return self._actions.row(t0 + done + part, after(part))
 
         first, last = self._actions.row(t0 + done, start), self._actions.row(t0 + h, end)
-        sides = self._sides(last[: len(self.side)], self.side)
-        met = np.flatnonzero(self._acts(self.side, sides)).tolist()
+        small = ZERO * self.sides.faded(last, end[0])
+        behind = self.sides.of(last[: len(small)], small)
+        met = np.flatnonzero(self.sides.acts(behind)).tolist()
         ends = dict.fromkeys(met, (rest, last))
-        for k in self._actions.dipping(first, last, self._small, rest):
+        small = self.sides.small
+        for k in self._actions.dipping(first, last, small, rest):
             if k not in met:
                 lowest = self._actions.lowest(row, k, rest, first, last)
-                if lowest == lowest and (there := row(lowest))[k] < -self._small[k]:
+                if lowest == lowest and (there := row(lowest))[k] < -small[k]:
                     ends[k] = lowest, there
-        sides = self.side.tolist()
+        sides = self.sides.side.tolist()
         roots = {
             k: x
             for k, (until, there) in ends.items()
@@ -305,26 +297,28 @@ class EventRun(Run):
 
     def _act(self, t: float, step: int, state: Any, events: Sequence[int], times: Times) -> Any:
         """Let events act on a state, and keep records; None where the run ends with them."""
-        row, small, given = self._actions.row(t, state), self._small, state
+        row, small, given = self._actions.row(t, state), self.sides.small, state
         allowed = [k for k in events if self._actions.allowed(row, k)]
         for k in events:  # an impact leads back to its side, unless it is not allowed
             if not (k in allowed and self._actions.is_impact(k)):
-                self.side[k] = -self.side[k]
+                self.sides.side[k] = -self.sides.side[k]
         done = list(self._actions.acted(t, state, allowed, small))
         several = len({k for k, *_, impulse in done if impulse}) > 1
         for k, before, behind, impulse in done:
             state = behind
             if self._saltation is not None:
                 self._saltation.act(t, before, k, step)
-            direction = -1 if self._actions.is_impact(k) else int(self.side[k])
+            direction = -1 if self._actions.is_impact(k) else int(self.sides.side[k])
             together = several and self._actions.is_impact(k)
             self.records.append(Record(k, t, step, *before, *behind, direction, impulse, together))
             if self._actions.loses(k, before, behind, t):
                 times.setdefault(k, []).append(t)
         if self._actions.failed:
             return self._fail(Status.BAD_INPUT, self._actions.failed)
-        if not all(np.isfinite(x).all() for x in state):
-            return self._fail(Status.NOT_FINITE)
+        for k, _, (q, p), _ in done:
+            if not (np.isfinite(q).all() and np.isfinite(p).all()):
+                why = f"The change of {self._events.names[k]!r} has no value at t={t:g}. "
+                return self._fail(Status.NOT_FINITE, why)
         if self._look_for_end():
             return None
         if state is not given:
@@ -343,13 +337,15 @@ class EventRun(Run):
 
     def _look_ahead(self, t: float, step: int, state: Any) -> None:
         """Find on which sides expressions are behind an action, of zeros by a look ahead."""
+        if self._actions.impacts.all():
+            return
         values = self._actions.values(t, state)
         begin = float(self.t0 + self.h * step)
         size, share = AHEAD * float(self.h), (t - begin) / float(self.h)
         soon, status = self._parts(state, t, size, step, share)
         ahead = self._actions.values(t + size, soon) if status is Status.SUCCESS else 0 * values
-        fresh = self._sides(values, np.sign(ahead))
-        self.side[:] = np.where(self._actions.impacts, self.side, fresh)
+        fresh = self.sides.of(values, self.sides.small_at(t, state), np.sign(ahead))
+        self.sides.side[:] = np.where(self._actions.impacts, self.sides.side, fresh)
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
@@ -371,10 +367,12 @@ class EventRun(Run):
         return last is not None
 
     def _finish(self) -> None:
-        """Let events act whose zero is the last state."""
+        """Let events act whose zero is the last state, unless they have just done so."""
         t, state = float(self._time()), self._state()
-        here = np.abs(self._actions.values(t, state)) <= self._small
-        events = np.flatnonzero(here & self._acts(self.side, -self.side)).tolist()
+        here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
+        near = TOGETHER * max(abs(t), abs(float(self.h)))
+        here[[one.event for one in self.records if abs(one.t - t) <= near]] = False
+        events = np.flatnonzero(here & self.sides.acts(-self.sides.side)).tolist()
         if events:
             self._act_here(t, self.step, state, events)
 

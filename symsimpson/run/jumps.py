@@ -29,6 +29,7 @@ FUNCTIONS = (
     *("acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "floor", "log"),
     *("sin", "sinh", "sqrt", "tan", "tanh"),
 )
+BUILT_IN = {"abs": abs, "max": max, "min": min}
 
 
 def slope(function: Callable[[Any], Sequence[Any]], at: Any, way: Any) -> list[Any]:
@@ -106,9 +107,28 @@ class Jumps:
                 {"q": q, "v": v}[block][place] = x
         blocks = {block for block, *_ in changes}
         # velocities are kept where positions change, unless momenta are given
-        kept = "p" in blocks and "v" not in blocks
-        moved = p if kept else self._momentum(self._values(t, q, z), v)
-        return [*q, *(momenta.get(a, moved[a]) for a in range(n))]
+        if "p" in blocks and "v" not in blocks:
+            return [*q, *(momenta.get(a, p[a]) for a in range(n))]
+        at = self._values(t, q, z)
+        return [*q, *self._momentum(at, self._with_momenta(at, v, momenta))]
+
+    def _with_momenta(
+        self, at: dict[int, Any], v: Sequence[Any], momenta: dict[int, Any]
+    ) -> list[Any]:
+        """Return velocities of which some are those of given momenta, and the others stay."""
+        given, v = sorted(momenta), list(v)
+        if not given:
+            return v
+        for a in given:
+            v[a] = mp.mpf(0)
+        base, M = self._momentum(at, v), mp.zeros(len(given))
+        for i, j, (c, node) in self._mass:
+            if i in momenta and j in momenta:
+                M[given.index(i), given.index(j)] = _times(c, at[node])
+        found = mp.lu_solve(M, mp.matrix([momenta[a] - base[a] for a in given]))
+        for a, x in zip(given, found, strict=True):
+            v[a] = x
+        return v
 
     def _hit(self, event: int, z: Sequence[Any]) -> list[Any]:
         """Return the momenta behind an impact."""
@@ -189,7 +209,7 @@ class Jumps:
                 names.update({f"v_{i}": x for i, x in enumerate(v)})
                 names.update(kinetic_energy=kinetic, energy=kinetic + _times(c, at[n]))
             try:
-                return [eval(self._texts[k], {"__builtins__": {"abs": abs}}, names) for k in places]
+                return [eval(self._texts[k], {"__builtins__": BUILT_IN}, names) for k in places]
             except (NameError, TypeError, ValueError, ZeroDivisionError) as error:
                 raise InputError(
                     f"the event expression {self._events.watched[places[0]].expression!r} cannot "
