@@ -63,7 +63,7 @@ class Ensemble(Quantities, Differentiated):
     ----------
     t : ndarray, shape (stored,)
         Times of the stored states; of a retimed system those of each member, shape (K, stored), or
-        (K,) where only the last states are stored.
+        (K,) where only the last states are stored, as they are with events that end members.
     q, p : ndarray, shape (K, stored, n), or (K, n) where only the last states are stored
         NaN after the last state of a member that failed. If the ensemble went to a store, they
         are Zarr arrays on disk, which give NumPy arrays when sliced.
@@ -80,6 +80,8 @@ class Ensemble(Quantities, Differentiated):
     store : path of the store, or None
     tau : ndarray in the shape of t, or None
         The time of the steps, if the system is retimed.
+    ended_at : ndarray, shape (K,), or None
+        The time at which each member came to its end, if there are events.
 
     Examples
     --------
@@ -106,6 +108,7 @@ class Ensemble(Quantities, Differentiated):
     variations: NDArray[Any] | None = field(default=None, repr=False)
     tau: Floats | None = None
     recorded: Mapping[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    ended_at: Floats | None = None
 
     @overload
     def __getitem__(self, key: str) -> NDArray[Any]: ...
@@ -133,7 +136,7 @@ class Ensemble(Quantities, Differentiated):
             raise IndexError(f"there is no member {member}: there are {len(self)}, from 0 on")
         n = self.program.n
         t, q, p = self.t, *(np.asarray(x[member]).reshape(-1, n) for x in (self.q, self.p))
-        if self.tau is not None:  # times of its own, up to its end
+        if self.t.shape == self.q.shape[:-1]:  # times of its own, up to its end
             t = self.t[member].reshape(-1)
             t, q, p = (x[: np.isfinite(t).sum()] for x in (t, q, p))
         return States(
@@ -235,8 +238,9 @@ class Ensemble(Quantities, Differentiated):
             variables[f"{RECORDED}{name}"] = ((*dims[:-1], f"{name}_number"), rows)
         for name, values in self.initial.items():
             variables[name] = (("member", "coord"), values)
-        for name in ("status", "steps", "newton_iterations"):
-            variables[name] = (("member",), getattr(self, name))
+        for name in ("status", "steps", "newton_iterations", "ended_at"):
+            if getattr(self, name) is not None:
+                variables[name] = (("member",), getattr(self, name))
         for name, values in self.reduced.items():
             variables[reduced[name]] = (("member",), values)
         named: dict[str, Any] = {name: (("member",), x) for name, x in coordinates.items()}

@@ -94,6 +94,7 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
         found = states[:whole][::stride] if task.every else states[-1:]
         array[member, : len(found)], array[member, len(found) :] = found, np.nan
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
+    results.ended_at[member] = run.t[-1]
 
 
 def _carrying(program: Program, task: Task) -> dict[str, Any]:

@@ -112,6 +112,8 @@ class Results:
         self.recorded = np.full((*shape[:2], sum(one.rows for one in self._recorders)), np.nan)
         #: Of a step that was taken last, in tau.
         self.part = np.zeros(task.members)
+        #: When members came to their ends, where they are known to be run by themselves.
+        self.ended_at = np.full(task.members, np.nan)
         self.seen = np.full((task.members, max(1, 2 * len(task.reductions))), np.nan)
         self._task = task
 
@@ -132,6 +134,11 @@ class Results:
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
         found["variations"], found["recorded"] = split(self._recorders, recorded, q.shape[-1])
+        if task.run_events is not None:
+            whole_steps = task.t0 + task.h * steps
+            found["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
+            if not task.every and not task.retimed:
+                found["t"] = found["ended_at"]
         if task.retimed:
             whole = task.every * np.arange(task.stored) if task.every else steps
             t = recorded[..., 0]  # the clock is the first of recorders
@@ -142,7 +149,7 @@ class Results:
 
 def ensemble_of(program: Program, task: Task, **found: Any) -> Ensemble:
     """Return what a task came to as an ensemble, with what it was asked for."""
-    if not task.retimed:
+    if "t" not in found:
         found["t"] = task.times
     return Ensemble(
         parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),

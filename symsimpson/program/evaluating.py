@@ -57,16 +57,16 @@ def evaluate_members(
 ) -> Reals:
     """Evaluate a kernel of the state at states of many members, each with its own parameters.
 
-    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between;
-    gives shape (K, ..., count).
+    ``q`` and ``p`` have shape (K, ..., n), ``values`` (K, m), ``t`` the shape of the axes between,
+    or that of all but the last; gives shape (K, ..., count).
     """
+    t = np.broadcast_to(t, q.shape[:-1])
     found = np.empty((*q.shape[:-1], count))
     own, group = np.unique(values, axis=0, return_inverse=True)
     for k, parameters in enumerate(own):
         here = np.flatnonzero(group.ravel() == k)
         some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
-        times = np.broadcast_to(t, q[here].shape[:-1]).ravel()
-        rows = evaluate(program, kernel, block, count, times, some_q, some_p, parameters)
+        rows = evaluate(program, kernel, block, count, t[here].ravel(), some_q, some_p, parameters)
         found[here] = rows.reshape(found[here].shape)
     return found
 
