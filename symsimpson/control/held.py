@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from symsimpson.control.points import PointFunctions, lagrange
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
-from symsimpson.graph.nodes import UNIT, Value, exact
+from symsimpson.graph.nodes import UNIT, Value, exact, scaled
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
     from symsimpson.control.reading import Reading
 
-__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected", "resolved"]
+__all__ = ["held_blocks", "held_rates", "implied", "onto", "projected", "resolved", "turned"]
 
 Floats = NDArray[np.float64]
 #: Ends that are given by numbers may be off their constraints by so much.
@@ -199,4 +199,22 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
     except np.linalg.LinAlgError:  # a constraint without a slope, where an iterate stands
         v = (np.linalg.pinv(matrix) @ right[..., None])[:, :n]
     found: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
+    return found
+
+
+def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int, Any]) -> Floats:
+    """Return how the cost changes with q as momenta along the constraints, W^T mu, turn with them.
+
+    Momenta between steps have such parts, which do nothing: the projection of p + W(q)^T mu is that
+    of p. Held fixed while q changes, W^T mu gets a part that does something, - mu dW/dq.
+    """
+    read, graph, count = layout.read, layout.read.graph, len(q)
+    rates = held_rates(read)
+    rest = rebuilt(graph, rates, {v: (exact(Fraction(0)), UNIT) for v in read.v})
+    moved = [graph.add([a, scaled(-1, b)]) for a, b in zip(rates, rest, strict=True)]
+    at = {**values, **dict(zip([*read.q, *read.v], [*q.T, *by_p.T], strict=True))}
+    rows = PointFunctions(graph, read.v, moved).jacobian(at, count)
+    weights = np.einsum("kac,ka->kc", np.linalg.pinv(rows), along)
+    slopes = PointFunctions(graph, read.q, moved).jacobian(at, count)
+    found: Floats = np.einsum("kc,kca->ka", weights, slopes)
     return found

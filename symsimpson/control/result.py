@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.control import figures
 from symsimpson.control.arcs import arcs_of
 from symsimpson.control.forward import gains, simulated, stepper_of
-from symsimpson.control.held import projected, resolved
+from symsimpson.control.held import projected, resolved, turned
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import lagrange
 from symsimpson.control.saving import write_solution
@@ -200,6 +200,9 @@ class ControlResult:
                 np.add.at(by_q.reshape(-1), first[entries.col[own]], values[own])
                 own = (last[entries.col] >= 0) & (k == N - 1)
                 np.add.at(by_q[-1], last[entries.col[own]], -values[own])
+        if layout.read.constraints:
+            at = {**layout.parameter_values(self.x), layout.read.t: self.t}
+            by_q += turned(layout, self.q, self.x[layout.momenta] - self.p, by_p, at)
         return by_q, by_p
 
     @property

@@ -150,6 +150,25 @@ def test_costates_are_derivatives_of_the_least_cost():
         assert abs((by_q @ moved[0] + by_p @ moved[1]) / (2 * d) - right) < 2e-6 * abs(right)
 
 
+@pytest.mark.parametrize("problem", [lambda: swing(start=(0.3, 0.5)), lambda: parked()])
+def test_costates_on_the_way_are_those_of_the_rest_of_the_motion(problem):
+    found = problem().solve("gauss4", steps=12, tolerance=1e-11)
+    k, given = 4, problem()
+    names = given.system.coordinates
+    state = dict(zip(names, found.q[k], strict=True))
+    state |= dict(zip((a.diff() for a in names), found.trajectory.v[k], strict=True))
+    rest = dataclasses.replace(given, start=state, duration=given.duration * 8 / 12)
+    again = rest.solve("gauss4", steps=8, tolerance=1e-11, guess=found)
+    assert again.cost < 0.999 * found.cost
+    (by_q, by_p), (q_again, p_again) = found.costates, again.costates
+    way = np.ones(len(names))
+    if given.system.constraints:  # along the rod
+        way = np.array([-found.q[k, 1], found.q[k, 0]])
+    scale = abs(q_again[0] @ way)
+    assert abs(by_q[k] @ way - q_again[0] @ way) < 1e-7 * scale
+    assert np.abs(by_p[k] - p_again[0]).max() < 1e-7 * np.abs(by_p).max()
+
+
 @pytest.mark.slow
 def test_a_body_turns_over_in_the_least_time():
     """Betts' reorientation, 28.63041 s (J. T. Betts, Practical Methods for Optimal Control, 6.8).

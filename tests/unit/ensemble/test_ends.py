@@ -8,10 +8,7 @@ import symsimpson as ss
 (z,) = ss.coordinates("z")
 #: A mass that grows while it falls.
 GROWING = ss.MechanicalSystem(
-    "growing",
-    coordinates=(z,),
-    kinetic=(1 + ss.time) * z.diff() ** 2 / 2,
-    potential=9.81 * z,
+    "growing", coordinates=(z,), kinetic=(1 + ss.time) * z.diff() ** 2 / 2, potential=9.81 * z
 )
 FLOOR = ss.Event(z, name="floor", terminal=True)
 HEIGHTS = [0.1, 1.0, 90.0]
