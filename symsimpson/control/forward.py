@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.control.given import read_reals
 from symsimpson.control.points import lagrange
 from symsimpson.errors import InputError
 from symsimpson.program.values import read_count
@@ -62,18 +63,37 @@ def refined(result: Any, refine: int) -> dict[str, Floats]:
 def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
     """Return the gains of the linear regulator along a solution."""
     layout, names = result.layout, result.layout.read.inputs
-    sizes = (("Q", Q, 2 * layout.n), ("R", R, len(names)))
-    for name, given, size in sizes:
-        if np.shape(given) != (size, size):
-            raise InputError(f"{name} has shape {np.shape(given)}, not ({size}, {size}).")
-    Q, R = np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
+    Q, R = _weights("Q", Q, 2 * layout.n, "z = (q, p)"), _weights("R", R, len(names), "inputs")
+    if not (np.linalg.eigvalsh(R) > 0).all():
+        raise InputError(
+            f"R is {R.tolist()}, which is not positive definite: inputs would cost nothing, and "
+            "gains have no bound.\nPass a positive definite matrix, as numpy.eye"
+            f"({len(names)})."
+        )
     A, B = (np.concatenate(x) for x in zip(*linearised(result), strict=True))
     P, found = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
     for k in reversed(range(layout.steps)):
         A_k, B_k = A[k], B[k]
-        found[k] = np.linalg.solve(R + B_k.T @ P @ B_k, B_k.T @ P @ A_k)
+        own = R + B_k.T @ P @ B_k
+        if not (np.linalg.eigvalsh(own) > 0).all():  # it is, if Q has no negative eigenvalue
+            raise InputError(
+                f"Q is so negative that no gains are best from step {k} on.\n"
+                "Pass a matrix without negative eigenvalues, or a larger R."
+            )
+        found[k] = np.linalg.solve(own, B_k.T @ P @ A_k)
         P = Q + A_k.T @ P @ (A_k - B_k @ found[k])
     return found
+
+
+def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
+    """Read the matrix of a square sum, of which the symmetric part alone counts."""
+    how = f"Pass a symmetric matrix of shape ({size}, {size}), for {of}."
+    found = read_reals(name, given, how)
+    if found.shape != (size, size):
+        raise InputError(f"{name} has shape {found.shape}, not ({size}, {size}).\n{how}")
+    if not np.isfinite(found).all():
+        raise InputError(f"{name} has an entry that is not finite: {found.tolist()}.\n{how}")
+    return (found + found.T) / 2
 
 
 def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:

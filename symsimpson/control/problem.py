@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["OptimalControl"]
 
 
-@explaining()
+@explaining(also=("__init__",))
 @dataclass(frozen=True, eq=False)
 class OptimalControl:
     """A problem of optimal control: least cost of a motion from a start to an end.
@@ -60,7 +60,8 @@ class OptimalControl:
     signals : mapping from symbol to function or array
         Functions of the time that are known, as motions to be followed or measured ones, by the
         symbols for which they stand in ``cost``, ``bounds`` and ``path``: callables that take an
-        array of times, or arrays over equal times of the whole duration, which is a number then.
+        array of times, expressions of ``symsimpson.time``, or arrays over equal times of the whole
+        duration, which is a number then.
 
     Raises
     ------
@@ -88,7 +89,7 @@ class OptimalControl:
     final_cost: Any = field(default=0, kw_only=True)
     start: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     end: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
-    duration: Any = field(kw_only=True)
+    duration: Any = field(default=None, kw_only=True)  # what is missing is told
     bounds: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
     path: Sequence[Any] = field(default=(), kw_only=True)
     conditions: Mapping[Any, Any] = field(default_factory=dict, kw_only=True)
@@ -131,10 +132,10 @@ class OptimalControl:
         steps : int or sequence of int
             How many; or the number of steps of each phase.
         guess : ControlResult or mapping, optional
-            Another result, of any scheme and grid; or functions of the time, numbers or
-            arrays over equal times, of coordinates and inputs by symbol or by name, and a number
-            for "duration" and parameters that are found. Coordinates go in a straight line from
-            start to end unless given, inputs are 0.
+            Another result, of any scheme and grid; or functions of the time, expressions of
+            ``symsimpson.time``, numbers or arrays over equal times, of coordinates and inputs by
+            symbol or by name, and a number for "duration" and parameters that are found.
+            Coordinates go in a straight line from start to end unless given, inputs are 0.
         error : float, optional
             The number of steps is doubled until the estimated relative error of the cost is below
             this, at most six times.

@@ -12,6 +12,7 @@ import mpmath
 import numpy as np
 import sympy as sp
 
+from symsimpson.control.given import read_duration, read_mapping, read_pair, read_signals
 from symsimpson.errors import InputError
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated
@@ -102,35 +103,13 @@ class Reading:
         self.final = self.value("final_cost", problem.final_cost, ends=True)
         self.ends = tuple(self._end(what, getattr(problem, what)) for what in ("start", "end"))
         self.tied = self._tied(problem.conditions)
-        self.duration = _pair("duration", problem.duration)
-        if not 0 < self.duration[0] <= self.duration[1] < np.inf:
-            raise InputError(
-                f"duration is {problem.duration!r}.\nPass a positive number, or bounds (low, high) "
-                "of it."
-            )
+        self.duration = read_duration(problem.duration)
         if self.signals and self.duration[0] < self.duration[1]:
             raise InputError(
                 f"signals are functions of the time, and duration is {problem.duration!r}.\n"
                 "Pass one number for the duration."
             )
-        for what in ("bounds", "unknowns"):
-            _check_mapping(what, getattr(problem, what), "pairs by symbol: {u: (-1, 1)}")
-        own = {spelled(a): i for i, a in enumerate(system.parameters)}
-        signs = [bool(a.is_positive or a.is_nonnegative) for a in system.parameters]
-        self.found, self.found_bounds = [], []
-        for key, given in problem.unknowns.items():
-            if spelled(key) not in own:
-                raise InputError(
-                    f"unknowns names {spelled(key)!r}, which is no parameter."
-                    f"{did_you_mean(spelled(key), own)}\n{system.name} has {', '.join(own)}."
-                )
-            self.found.append(own[spelled(key)])
-            self.found_bounds.append(_pair(f"unknowns[{spelled(key)}]", given))
-            if signs[self.found[-1]] and self.found_bounds[-1][0] < 0:
-                raise InputError(
-                    f"unknowns lets {spelled(key)} be {given!r}, and it is declared positive.\n"
-                    "Raise the low bound, or declare it with another sign."
-                )
+        self._read_unknowns(problem.unknowns)
         self._read_bounds(problem)
         self.phases = self._phases(problem.phases)
         self._check()
@@ -143,13 +122,14 @@ class Reading:
 
     def value(self, what: str, expression: Any, *, ends: bool = False) -> Value:
         """Read an expression of coordinates, velocities, parameters, t, and inputs within."""
-        expression = self._known.get(expression, expression)
+        if isinstance(expression, str):
+            expression = self._named(what, expression, ends)
         if isinstance(expression, Real) and not isinstance(expression, sp.Basic):
             if not math.isfinite(expression):
                 raise InputError(f"the {what} is {expression!r}.\nPass a finite number.")
             expression = sp.Rational(repr(float(expression)))  # as it is written
         symbols = self.symbols
-        known: set[Any] = getattr(expression, "free_symbols", set()) & self._signals
+        known = expression.free_symbols & self._signals if isinstance(expression, sp.Basic) else ()
         if ends and known:
             raise InputError(
                 f"the {what} contains the signal {min(map(str, known))}, which is known within the "
@@ -165,34 +145,37 @@ class Reading:
         (found,) = rebuilt(symbols.graph, [read], {}, self.graph)
         return found
 
+    def _named(self, what: str, text: str, ends: bool) -> Any:
+        """Return the coordinate, velocity or input of a name; there are no inputs at ends."""
+        name = spelled(text)
+        if name not in self._known:
+            known = [x for x in self._known if not (ends and x in self.inputs)]
+            raise InputError(
+                f"{what} names {text!r}, which is no coordinate{'' if ends else ', input'} or "
+                f"velocity.{did_you_mean(name, known)}\nThe system has {', '.join(known)}. Text "
+                "is never evaluated: expressions are written with the symbols themselves."
+            )
+        return self._known[name]
+
     def _tied(self, given: Mapping[Any, Any]) -> list[tuple[str, Value, Value]]:
         """Read what is at the end what something is at the start, with a minus."""
         how = "expressions at the end by those at the start: {x.diff(): x.diff()}"
-        _check_mapping("conditions", given, how)
         found = []
-        for key, value in given.items():
+        for name, key, value in read_mapping("conditions", given, how):
             last, first = (self.value("conditions", x, ends=True) for x in (key, value))
-            found.append((key if isinstance(key, str) else spelled(key), last, scaled(-1, first)))
+            found.append((name, last, scaled(-1, first)))
         return found
 
     def _end(self, what: str, given: Mapping[Any, Any]) -> list[Limits]:
         """Read what holds at an end."""
-        _check_mapping(what, given, "values by symbol: {x: 0, x.diff(): 0}")
-        found = []
-        for key, value in given.items():
-            name = key if isinstance(key, str) else spelled(key)
-            if isinstance(key, str) and key not in self._known:
-                raise InputError(
-                    f"{what} names {key!r}, which is no coordinate or velocity."
-                    f"{did_you_mean(key, self._known)}\nThe system has "
-                    f"{', '.join(self._known)}."
-                )
+        found, how = [], "values by symbol: {x: 0, x.diff(): 0}"
+        for name, key, value in read_mapping(what, given, how):
             if not isinstance(value, (tuple, str, sp.Basic, Real)):
                 raise InputError(
                     f"{what}[{name}] is {value!r}.\nPass a number, an expression, or (low, high)."
                 )
             if isinstance(value, tuple):
-                low, high = _pair(f"{what}[{name}]", value)
+                low, high = read_pair(f"{what}[{name}]", value)
                 found.append(Limits(name, self.value(what, key, ends=True), low, high))
                 continue
             own, to = self.value(what, key, ends=True), self.value(what, value, ends=True)
@@ -208,13 +191,35 @@ class Reading:
         c, n = value
         return float(c * evaluated(self.graph, [n], {}, mpmath.fp)[n]) if c else 0.0
 
+    def _read_unknowns(self, given: Any) -> None:
+        self.found: list[int] = []
+        self.found_bounds: list[tuple[float, float]] = []
+        symbols = list(self.system.parameters)
+        own = [*map(spelled, symbols)]
+        for name, _, bounds in read_mapping("unknowns", given, "pairs by symbol: {m: (1, 2)}"):
+            if name not in own:
+                raise InputError(
+                    f"unknowns names {name!r}, which is no parameter."
+                    f"{did_you_mean(name, own)}\n{self.system.name} has "
+                    f"{', '.join(own) or 'none'}."
+                )
+            place, pair = own.index(name), read_pair(f"unknowns[{name}]", bounds)
+            sign = symbols[place]
+            if (sign.is_positive or sign.is_nonnegative) and pair[0] < 0:
+                raise InputError(
+                    f"unknowns lets {name} be {bounds!r}, and it is declared positive.\n"
+                    "Raise the low bound, or declare it with another sign."
+                )
+            self.found.append(place)
+            self.found_bounds.append(pair)
+
     def _read_bounds(self, problem: Any) -> None:
         self.of_inputs: dict[int, tuple[float, float]] = {}
         self.of_coordinates: dict[int, tuple[float, float]] = {}
         self.within: list[Limits] = []
-        for key, given in problem.bounds.items():
-            name = key if isinstance(key, str) else spelled(key)
-            pair = _pair(f"bounds[{name}]", given)
+        how = "pairs by symbol: {u: (-1, 1)}"
+        for name, key, given in read_mapping("bounds", problem.bounds, how):
+            pair = read_pair(f"bounds[{name}]", given)
             if name in self.inputs:
                 self.of_inputs[self.inputs.index(name)] = pair
             elif name in self.names:
@@ -229,7 +234,7 @@ class Reading:
             if isinstance(one, (tuple, list)) and len(one) != 3:
                 raise InputError(f"path has {one!r}.\nPass (low, expression, high).")
             low, expression, high = one if isinstance(one, (tuple, list)) else (None, one, 0)
-            pair = _pair(f"path {expression}", (low, high))
+            pair = read_pair(f"path {expression}", (low, high))
             self.within.append(Limits(str(expression), self.value("path", expression), *pair))
 
     def _phases(self, given: Any) -> list[dict[int, tuple[float, float]]]:
@@ -247,17 +252,15 @@ class Reading:
         found: list[dict[int, tuple[float, float]]] = []
         for number, one in enumerate(given):
             what = f"phases[{number}]"
-            _check_mapping(what, one, "numbers or pairs by inputs: {u: 1}")
             found.append({})
-            for key, bounds in one.items():
-                name = key if isinstance(key, str) else spelled(key)
+            for name, _, bounds in read_mapping(what, one, "numbers or pairs by inputs: {u: 1}"):
                 if name not in self.inputs:
                     raise InputError(
                         f"{what} names {name!r}, which is no input."
                         f"{did_you_mean(name, self.inputs)}\nIt bounds inputs: "
                         f"{', '.join(self.inputs) or 'the system has none'}."
                     )
-                place, (low, high) = self.inputs.index(name), _pair(f"{what}[{name}]", bounds)
+                place, (low, high) = self.inputs.index(name), read_pair(f"{what}[{name}]", bounds)
                 least, most = self.of_inputs.get(place, (-np.inf, np.inf))
                 if low > most or high < least:
                     raise InputError(
@@ -270,6 +273,10 @@ class Reading:
     def _check(self) -> None:
         """Refuse ends that cannot be satisfied."""
         n = len(self.q)
+        # by what is bounded, not by its name: x may be given by an equation at an end
+        bounds = [(one.value, one.low, one.high) for one in self.within]
+        for a, pair in self.of_coordinates.items():
+            bounds.append((self.value("bounds", self.names[a], ends=True), *pair))
         for limits, where in zip(self.ends, ("start", "end"), strict=True):
             if len([x for x in limits if x.low == x.high]) > 2 * n:
                 raise InputError(
@@ -277,14 +284,12 @@ class Reading:
                     "as many velocities.\nLeave out those that follow from others."
                 )
             for one in limits:
-                if one.name in self.names:
-                    low, high = self.of_coordinates.get(
-                        self.names.index(one.name), (-np.inf, np.inf)
-                    )
-                    if one.high < low or one.low > high:
+                shown = f"{one.low:g}" if one.low == one.high else f"({one.low:g}, {one.high:g})"
+                for value, low, high in bounds:
+                    if value == one.value and (one.high < low or one.low > high):
                         raise InputError(
-                            f"{where} has {one.name} = {one.low:g}, outside of its bounds "
-                            f"({low:g}, {high:g}).\nWiden them, or begin within."
+                            f"{where} has {one.name} = {shown}, outside of its bounds "
+                            f"({low:g}, {high:g}).\nWiden them, or {where} within."
                         )
 
 
@@ -305,48 +310,3 @@ def read_family(scheme: Any) -> Scheme:
             "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
         )
     return cast("Scheme", found)
-
-
-def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
-    """Read functions of the time by symbols that the system does not have.
-
-    Raises
-    ------
-    InputError
-    """
-    _check_mapping("signals", given, "functions of the time by symbol: {s: numpy.sin}")
-    taken = {*map(spelled, (*system.coordinates, *system.parameters, *system.inputs)), "t"}
-    for key in given:
-        if not isinstance(key, sp.Symbol) or spelled(key) in taken:
-            raise InputError(
-                f"signals names {key!r}, which is "
-                f"{'a name of the system' if isinstance(key, sp.Symbol) else 'no symbol'}.\n"
-                "Take a symbol of its own: s = sympy.Symbol('s', real=True)."
-            )
-    return dict(given)
-
-
-def _check_mapping(what: str, given: Any, how: str) -> None:
-    """Refuse what is no mapping.
-
-    Raises
-    ------
-    InputError
-    """
-    if not isinstance(given, Mapping):
-        shown = None if given is None else type(given).__name__
-        raise InputError(f"{what} is {shown}, not a mapping.\nPass {how}.")
-
-
-def _pair(what: str, given: Any) -> tuple[float, float]:
-    """Read a number, or bounds (low, high) with None for no bound."""
-    low, high = given if isinstance(given, (tuple, list)) and len(given) == 2 else (given, given)
-    try:
-        pair = (-np.inf if low is None else float(low), np.inf if high is None else float(high))
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{what} is {given!r}.\nPass a number, or a pair (low, high) with None for no bound."
-        ) from None
-    if not pair[0] <= pair[1]:
-        raise InputError(f"{what} is {given!r}: low is not below high.\nPass a pair (low, high).")
-    return pair

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.control.functions import read_function, values_at
+from symsimpson.control.given import read_mapping, read_reals
 from symsimpson.control.grid import Grid, read_grid
 from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
@@ -184,16 +184,22 @@ def begin(layout: Layout, guess: Any) -> Floats:
     ]
     if isinstance(guess, ControlResult):
         functions = guess.functions
+        strange = [name for name in functions if name not in (*read.names, *read.inputs)]
+        if strange:
+            raise InputError(
+                f"guess is a result of {guess.layout.read.system.name}, with {', '.join(strange)}; "
+                f"{read.system.name} has {', '.join((*read.names, *read.inputs))}.\nPass those "
+                "that belong to one another by name: {name: result.functions[other]}."
+            )
         whole = guess.duration
         names = [spelled(a) for a in layout.read.system.parameters]
         values = [guess.unknowns.get(names[i], x) for i, x in zip(read.found, values, strict=True)]
     elif guess is not None:
-        if not isinstance(guess, Mapping):
-            raise InputError(
-                f"guess is {type(guess).__name__}.\nPass another result, or a mapping from names "
-                "to functions of the time, numbers, or arrays over equal times."
-            )
-        given = {spelled(key): value for key, value in guess.items()}
+        how = (
+            "another result, or a mapping from names to functions of the time, numbers, or arrays "
+            "over equal times"
+        )
+        given = {name: value for name, _, value in read_mapping("guess", guess, how)}
         own = [spelled(a) for a in layout.read.system.parameters]
         found = {own[i]: k for k, i in enumerate(read.found)}
         allowed = {*read.names, *read.inputs, "duration", *found}
@@ -204,6 +210,8 @@ def begin(layout: Layout, guess: Any) -> Floats:
                     f"It has values of {', '.join(sorted(allowed))}."
                 )
         whole = _number("duration", given.pop("duration", whole))
+        if whole <= 0:
+            raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
         values = [
             _number(own[i], given.pop(own[i], x)) for i, x in zip(read.found, values, strict=True)
         ]
@@ -255,13 +263,19 @@ def begin(layout: Layout, guess: Any) -> Floats:
 
 
 def _given(limits: Any, read: Any) -> dict[str, float]:
-    """Return the coordinates that are given at an end."""
-    return {one.name: one.low for one in limits if one.low == one.high and one.name in read.names}
+    """Return the coordinates that are given at an end, as numbers or as multiples of them."""
+    return {
+        read.names[read.q.index(node)]: one.low / float(factor)
+        for one in limits
+        for factor, node in [one.value]
+        if one.low == one.high and node in read.q
+    }
 
 
 def _number(name: str, given: Any) -> float:
     """Read a number of a guess."""
-    try:
-        return float(given)
-    except (TypeError, ValueError):
-        raise InputError(f"guess[{name!r}] is {given!r}, no number.\nPass one.") from None
+    how = "Pass a finite number."
+    found = read_reals(f"guess[{name!r}]", given, how)
+    if found.ndim or not np.isfinite(found):
+        raise InputError(f"guess[{name!r}] is {given!r}, no finite number.\n{how}")
+    return float(found)
