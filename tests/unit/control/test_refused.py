@@ -239,6 +239,7 @@ def test_times_of_a_motion():
     for given, told in (
         ("a", "t is 'a': not real"),
         ([-1, 5], "t = -1 lies outside of the motion, 0 <= t <= 2"),
+        (2.5, "t = 2.5 lies outside"),
         (np.nan, "t = nan lies outside"),
         (1j, "complex"),
     ):
