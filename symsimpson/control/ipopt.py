@@ -140,6 +140,7 @@ def run_ipopt(
         {
             "ipopt": options,
             "print_time": False,
+            "show_eval_warnings": False,
             "error_on_fail": False,
             "no_nlp_grad": True,
             "iteration_callback": watching,

@@ -14,7 +14,7 @@ from scipy.special import erf, erfc
 from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import Exact, Graph, Value
 
-__all__ = ["PointFunctions", "lagrange"]
+__all__ = ["PointFunctions", "lagrange", "lagrange_slopes"]
 
 Floats = NDArray[np.float64]
 Entries = list[tuple[int, int, Value]]
@@ -152,3 +152,16 @@ def lagrange(places: Floats, at: Floats) -> Floats:
     """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
     found = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
     return np.stack([value + 0 * at for value in found], axis=-1)
+
+
+def lagrange_slopes(places: Floats, at: Floats) -> Floats:
+    """Return the slopes of these polynomials, last axis."""
+    found = []
+    for x in places:
+        others = places[places != x]
+        slope = 0.0 * at
+        for y in others:
+            rest = others[others != y]
+            slope += np.prod([(at - z) / (x - z) for z in rest], axis=0) / (x - y)
+        found.append(slope)
+    return np.stack(found, axis=-1)

@@ -13,21 +13,23 @@ from numpy.typing import ArrayLike, NDArray
 from symsimpson.control import figures
 from symsimpson.control.arcs import arcs_of
 from symsimpson.control.forward import gains, simulated, stepper_of
-from symsimpson.control.held import projected, resolved, turned
+from symsimpson.control.functions import times_within
+from symsimpson.control.held import projected, turned
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import lagrange
 from symsimpson.control.saving import write_solution
-from symsimpson.control.status import STATUSES, ControlStatus
+from symsimpson.control.status import ControlStatus
 from symsimpson.errors import InputError
 
 if TYPE_CHECKING:
-    from symsimpson.control.ipopt import Outcome
     from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["TOLD", "ControlResult", "result_of"]
+__all__ = ["FOUND", "TOLD", "ControlResult"]
 
 Floats = NDArray[np.float64]
 FOUND = (ControlStatus.SOLVED, ControlStatus.ACCEPTABLE)
+#: A cost that falls below that of the guess by so many times is not bounded.
+UNBOUNDED = 1e6
 #: What is told of a solution beside its numbers, as files hold it: the kinds of its parts.
 TOLD: dict[str, Any] = {
     "cost": float,
@@ -87,9 +89,14 @@ class ControlResult:
     @property
     def message(self) -> str:
         """The status as a sentence, with the largest violation if there is one to tell."""
-        silent = self.success or self.status is ControlStatus.NOT_RESOLVED
-        told = "" if silent else f" The {self.worst} is off by {self.violation:.1e}."
-        return self.status.value + told
+        if self.success or self.status is ControlStatus.NOT_RESOLVED:
+            return self.status.value
+        if not np.isfinite(self.violation):
+            return f"{self.status.value} Where the search ended, the {self.worst} has no value."
+        told = f"{self.status.value} The {self.worst} is off by {self.violation:.1e}."
+        if self.cost < -UNBOUNDED * max(1.0, abs(self.history.get("obj", [0.0])[0])):
+            told += f" The cost fell to {self.cost:.1e}: bound what makes it negative."
+        return told
 
     @property
     def duration(self) -> float:
@@ -145,10 +152,19 @@ class ControlResult:
         Returns
         -------
         dict from name to ndarray
+
+        Raises
+        ------
+        InputError
+            If a time lies outside of the motion.
         """
-        basis, k = self._basis(np.asarray(t, dtype=np.float64), self.layout.c)
-        found = np.einsum("...i,...im->...m", basis, self.input_values[k])
+        found = self._inputs(times_within(t, self.duration))
         return {name: found[..., j] for j, name in enumerate(self.layout.read.inputs)}
+
+    def _inputs(self, t: Floats) -> Floats:
+        basis, k = self._basis(t, self.layout.c)
+        found: Floats = np.einsum("...i,...im->...m", basis, self.input_values[k])
+        return found
 
     @property
     def functions(self) -> dict[str, Any]:
@@ -163,8 +179,8 @@ class ControlResult:
             return value
 
         found = {name: coordinate(a) for a, name in enumerate(layout.read.names)}
-        for name in layout.read.inputs:
-            found[name] = lambda t, name=name: self.inputs(t)[name]
+        for j, name in enumerate(layout.read.inputs):
+            found[name] = lambda t, j=j: self._inputs(t)[..., j]
         return found
 
     def _basis(self, t: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
@@ -311,7 +327,7 @@ class ControlResult:
         Raises
         ------
         InputError
-            If Q or R has another shape.
+            If Q or R has another shape, or no finite numbers, or R is not positive definite.
         """
         return gains(self, Q, R)
 
@@ -367,27 +383,3 @@ class ControlResult:
             f"{' + '.join(map(str, layout.grid.steps))} steps, cost {self.cost:.9g}, "
             f"{self.status.name} after {self.iterations} iterations)"
         )
-
-
-def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
-    """Return what a solver came to."""
-    programme, low, high = layout.programme
-    cost, rows = programme.values(outcome.x)
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
-    worst = int(np.argmax(off)) if off.size else 0
-    status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
-    if status in FOUND and not resolved(layout, outcome.x, layout.parameter_values(outcome.x)):
-        status = ControlStatus.NOT_RESOLVED
-    return ControlResult(
-        layout,
-        outcome.x,
-        outcome.multipliers,
-        cost,
-        status,
-        outcome.iterations,
-        outcome.seconds,
-        outcome.in_functions,
-        float(off.max(initial=0.0)),
-        layout.names[worst],
-        outcome.history,
-    )

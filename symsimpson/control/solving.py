@@ -14,11 +14,13 @@ from symsimpson.control.given import read_mapping, read_reals
 from symsimpson.control.grid import Grid, read_grid
 from symsimpson.control.held import onto
 from symsimpson.control.ipopt import run_ipopt
+from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
-from symsimpson.control.result import TOLD, ControlResult, result_of
+from symsimpson.control.result import TOLD, ControlResult
 from symsimpson.control.saving import read_solution
+from symsimpson.control.status import ControlStatus
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
 from symsimpson.support.names import did_you_mean, spelled
@@ -37,7 +39,9 @@ Floats = NDArray[np.float64]
 #: other optima; relaxed bounds would move a minimum time by 1e-8.
 OPTIONS = {"mu_init": 1e-3, "bound_relax_factor": 0.0, "sb": "yes"}
 #: So often steps are halved to make the error small.
-MOST_REFINEMENTS = 6
+MOST_REFINEMENTS, MOST_UNRESOLVED = 6, 3
+#: Costs between these are small: they are scaled to 1.
+SMALL, SMALLEST = 0.1, 1e-12
 #: The cost of a solution in a file is computed again, and may differ by so much, relatively.
 ROUNDED = 1e-9
 
@@ -60,15 +64,16 @@ def solve(
     """
     _look_at_nodes(read, scheme)
     found = _solved(Layout(read, scheme, grid), guess, options, progress)
-    for _ in range(MOST_REFINEMENTS if error is not None else 0):
-        if not found.success:
+    for doubled in range(MOST_REFINEMENTS if error is not None else 0):
+        unresolved = found.status is ControlStatus.NOT_RESOLVED
+        if not found.success and not (unresolved and doubled < MOST_UNRESOLVED):
             break
         layout = Layout(read, scheme, found.layout.grid.halved)
         finer = _solved(layout, found, options, progress)
-        off = abs(finer.cost - found.cost) / max(1.0, abs(finer.cost))
+        off = abs(finer.cost - found.cost) / (abs(finer.cost) or 1.0)
         # what is left behind a change from h to h / 2 of order 2: switches leave no more
         found = replace(finer, error=off / 3)
-        if off / 3 <= (error or 0.0):
+        if found.success and off / 3 <= (error or 0.0):
             return found
     if error is not None and found.success:
         warn(
@@ -103,7 +108,21 @@ def _solved(
             return bool(heard)
 
         outcome = run_ipopt(programme, x0, bounds, (low, high), {**OPTIONS, **options}, look)
-    return result_of(layout, outcome)
+        found = result_of(layout, outcome)
+        # the solver compares with 1: small costs are found once more, in a unit of their own
+        size = max(abs(programme.values(x0)[0]), abs(found.cost))
+        if outcome.said == "Solve_Succeeded" and 0 < size < SMALL:
+            own = {"obj_scaling_factor": 1 / max(size, SMALLEST)}
+            given = {**OPTIONS, **options, **own}
+            outcome = run_ipopt(programme, outcome.x, bounds, (low, high), given, look)
+            again = result_of(layout, outcome)
+            found = replace(
+                again,
+                iterations=found.iterations + again.iterations,
+                seconds=found.seconds + again.seconds,
+                in_functions=found.in_functions + again.in_functions,
+            )
+    return found
 
 
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
@@ -132,7 +151,7 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
                 (layout.bounds[0], x, layout.bounds[1]),
             )
         ]
-        off = abs(cost - told["cost"]) / max(1.0, abs(cost))
+        off = abs(cost - told["cost"]) / (abs(cost) or 1.0)
         own = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
     if not own:
         raise InputError(

@@ -22,9 +22,11 @@ class ControlStatus(Enum):
         "rounding allows; else another guess may help."
     )
     NOT_RESOLVED = (
-        "The equations are solved, but between the points where constraints hold the path leaves "
-        "them: it jumps to another branch, or steps are too long. Give a guess that follows the "
-        "constraints from start to end, or take more steps."
+        "The equations of steps are solved, but between the points at which they see forces and "
+        "constraints the motion is another one: inputs chatter from node to node, steps are too "
+        "long, or the path jumps to another branch of the constraints. Take more steps, a Gauss "
+        "scheme such as 'gauss6' where inputs act on velocities, or a guess that follows the "
+        "constraints from start to end."
     )
     INTERRUPTED = "The search was interrupted; the last iterate is kept."
     NOT_FINITE = "An energy, force or cost had no value on the way. Bound what must not be reached."

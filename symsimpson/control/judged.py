@@ -1,0 +1,46 @@
+"""What a solver came to, judged: whether it is a motion of the system, and what is off most."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from symsimpson.control.balance import balanced
+from symsimpson.control.held import resolved
+from symsimpson.control.result import FOUND, ControlResult
+from symsimpson.control.status import STATUSES, ControlStatus
+
+if TYPE_CHECKING:
+    from symsimpson.control.ipopt import Outcome
+    from symsimpson.control.layout import Layout
+
+__all__ = ["result_of"]
+
+
+def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
+    """Return what a solver came to."""
+    programme, low, high = layout.programme
+    cost, rows = programme.values(outcome.x)
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
+    worst = int(np.argmax(off)) if off.size else 0
+    status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
+    known = layout.parameter_values(outcome.x)
+    if status in FOUND and not (resolved(layout, outcome.x, known) and balanced(layout, outcome.x)):
+        status = ControlStatus.NOT_RESOLVED
+    name, violation = (layout.names[worst], off[worst]) if off.size else ("", 0.0)
+    if np.isfinite(violation) and not np.isfinite(cost):
+        name, violation = "cost", np.nan
+    return ControlResult(
+        layout,
+        outcome.x,
+        outcome.multipliers,
+        cost,
+        status,
+        outcome.iterations,
+        outcome.seconds,
+        outcome.in_functions,
+        float(violation),
+        name,
+        outcome.history,
+    )

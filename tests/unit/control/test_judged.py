@@ -1,0 +1,115 @@
+"""Solutions that are no motions, costs in small units, and what ends a search."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.cases import sweep
+
+import symsimpson as ss
+from symsimpson.control.points import lagrange, lagrange_slopes
+
+pytest.importorskip("casadi")
+
+x, y = ss.coordinates("x y")
+u, N = sp.symbols("u N", real=True)
+CART = ss.MechanicalSystem(
+    "cart", coordinates=(x,), kinetic=x.diff() ** 2 / 2, potential=0, forces={x: u}, inputs=(u,)
+)
+#: A bead on a wire whose shape is found by the force across the motion, which does no work.
+BEAD = ss.MechanicalSystem(
+    "bead",
+    coordinates=(x, y),
+    kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+    potential=9.81 * y,
+    forces={x: -N * y.diff(), y: N * x.diff()},
+    inputs=(N,),
+)
+FALL = ss.OptimalControl(
+    BEAD,
+    cost=1,
+    start={x: 0, y: 10, x.diff() ** 2 + y.diff() ** 2: 1},
+    end={x: 10, y: 5},
+    duration=(0.5, 5),
+    bounds={N: (-100, 100)},
+)
+
+
+def swing(factor=1, **more):
+    cart = ss.systems.driven_cart_pole()
+    (X, th), (U,) = cart.coordinates, cart.inputs
+    rest = {X.diff(): 0, th.diff(): 0}
+    given = {"start": {X: 0, th: 0, **rest}, "end": {X: 1, th: sp.pi, **rest}, "duration": 2}
+    bounds = {U: (-20, 20), X: (-2, 2)}
+    return ss.OptimalControl(cart, cost=factor * U**2, **given, bounds=bounds, **more)
+
+
+@pytest.mark.parametrize("scheme", sweep(["lobatto6", "simpson"]))
+def test_inputs_that_chatter_within_steps_are_no_solution(scheme):
+    """Energy would come from a force that does no work."""
+    found = FALL.solve(scheme, steps=20, guess={"duration": 1.8})
+    assert np.ptp(found.trajectory.energy) > 10
+    assert found.status is ss.ControlStatus.NOT_RESOLVED
+    assert not found.success
+    assert "'gauss6'" in found.message
+
+
+def test_a_bead_falls_along_the_brachistochrone():
+    found = FALL.solve("gauss6", steps=20, guess={"duration": 1.8})
+    assert found.success
+    assert np.ptp(found.trajectory.energy) < 1e-7
+    assert found.duration == pytest.approx(1.69861, abs=2e-5)
+
+
+def test_too_few_steps_are_told():
+    assert swing().solve(steps=2).status is ss.ControlStatus.NOT_RESOLVED
+    found = swing().solve("gauss6", steps=3, error=1e-3)
+    assert found.success
+    assert found.layout.steps > 6
+    assert found.cost == pytest.approx(67.0721, rel=3e-3)
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e-9])
+def test_the_unit_of_the_cost_does_not_matter(factor):
+    right, found = swing().solve(steps=20), swing(factor).solve(steps=20)
+    assert found.cost / factor == pytest.approx(right.cost, rel=1e-7)
+    for one, own in zip(found.costates, right.costates, strict=True):
+        assert np.abs(one / factor - own).max() < 1e-5 * np.abs(own).max()
+
+
+def test_the_error_of_a_small_cost_is_relative(tmp_path):
+    steps = {swing(f).solve("simpson", steps=10, error=1e-3).layout.steps for f in (1, 1e-5)}
+    assert len(steps) == 1
+    found = swing(1e-12).solve("simpson", steps=10)
+    found.save(tmp_path / "a.npz")
+    with pytest.raises(ss.InputError, match="the solution of another problem"):
+        swing(7e-12).open(tmp_path / "a.npz")
+
+
+def test_a_search_that_ends_without_a_value_says_of_what():
+    start = {x: 0, x.diff(): 0}
+    found = ss.OptimalControl(CART, cost=u**2 + 1 / x, start=start, duration=1).solve(steps=4)
+    assert found.status is ss.ControlStatus.NOT_FINITE
+    assert "the cost has no value" in found.message
+
+
+def test_a_cost_without_bound_is_told():
+    problem = ss.OptimalControl(CART, cost=u, start={x: 0, x.diff(): 0}, duration=1)
+    found = problem.solve(steps=4, most_iterations=200)
+    assert not found.success
+    assert "The cost fell to -" in found.message
+
+
+def test_inputs_are_told_within_the_motion():
+    problem = ss.OptimalControl(CART, cost=u**2, start={x: 0}, end={x: 1}, duration=2)
+    found = problem.solve(steps=4)
+    assert found.inputs(2.0)["u"].shape == ()
+    for t, message in (([-1, 1], "t = -1 lies outside"), (2.1, "0 <= t <= 2"), ("a", "t is 'a'")):
+        with pytest.raises(ss.InputError, match=message):
+            found.inputs(t)
+
+
+def test_slopes_of_polynomials():
+    places, at, d = np.array([0.0, 0.3, 0.7, 1.0]), np.array([0.1, 0.5, 1.0]), 1e-6
+    right = (lagrange(places, at + d) - lagrange(places, at - d)) / (2 * d)
+    assert np.abs(lagrange_slopes(places, at) - right).max() < 1e-8
+    assert lagrange_slopes(np.array([0.0, 1.0]), at).tolist() == [[-1.0, 1.0]] * 3
