@@ -220,7 +220,8 @@ def watchers(
     """Return what stops a run behind a step in which an expression changes its sign.
 
     From the ``first`` row on there are four for each: the side of zero on which it is, NaN where
-    that is not known, its size of late, its value, and the value before.
+    that is not known, its size of late, of a gap its largest (bodies that touch for long are apart
+    by rounding of what they moved before), its value, and the value before.
     ``signs`` are those that are waited for, or 0; a gap may also pass through zero and come back
     within a step.
     """
@@ -233,7 +234,7 @@ def watchers(
             f"value_{k} = {one.text}",
             f"side = {side}",
             f"size_{k} = {one.size}",
-            f"least = {FADED} * {size}",
+            f"least = {1.0 if gap else FADED} * {size}",
             f"size_{k} = size_{k} if size_{k} > least else least",
             f"small = {ZERO!r} * size_{k}",
             f"now_{k} = 1.0 if value_{k} > small else (-1.0 if value_{k} < -small else side)",

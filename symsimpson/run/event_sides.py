@@ -45,7 +45,8 @@ class Sides:
 
     def faded(self, row: Floats, q: Floats) -> Floats:
         """Return sizes behind a step: those of terms, or what is left of those before."""
-        return np.fmax(FADED * self.size, self._actions.sizes(row, q))
+        left = np.where(self._actions.impacts, 1.0, FADED) * self.size
+        return np.fmax(left, self._actions.sizes(row, q))
 
     def of(self, values: Floats, small: Floats, before: Floats | None = None) -> Floats:
         """Return on which sides of zero values are; near it they stay where they were."""
