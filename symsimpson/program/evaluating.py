@@ -125,7 +125,8 @@ def watching(
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))
-        states = tuple(np.ascontiguousarray(x, dtype=np.float64) for x in (t, q, p))
+        # copies: what came from a file, or from another process, may be read-only
+        states = tuple(np.array(x, dtype=np.float64, order="C") for x in (t, q, p))
         driver(addresses, 1.0, W, about, states, first, out, NO_INPUTS)
         return out
 

@@ -138,6 +138,7 @@ def gather(run: Stored, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> E
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # where there is no finite value, there is no zero
 def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, ...]:
     """Find times, positions, momenta and directions of the zeros between stored states."""
     wanted, direction = sought

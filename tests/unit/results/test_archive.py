@@ -42,6 +42,8 @@ def test_what_is_opened_is_what_was_saved(tmp_path, name, scheme, options, endin
     assert list(found.invariants) == list(run.invariants)
     if run.every:
         assert (found.sol(0.123) == run.sol(0.123)).all()
+        name = run.program.coordinates[0]
+        assert (found.events(f"v_{name}").t == run.events(f"v_{name}").t).all()
     assert found.program.source == run.program.source
 
 

@@ -292,3 +292,13 @@ def test_a_rest_that_never_changes_its_sign(pendulum, kind):
         ss.InputError, match=r"never changes its sign.*\n.*Mod\(q1 \+ pi, 2\*pi\) - pi"
     ):
         swing(pendulum).events(expression)
+
+
+@pytest.mark.filterwarnings("error")
+def test_values_that_overflow_are_no_zeros_and_do_not_warn():
+    (z,) = ss.coordinates("z")
+    fall = ss.MechanicalSystem("fall", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=z)
+    run = ss.compile(fall).integrate([0.0], v0=[2.0], h=0.01, steps=400)
+    found = run.events(sp.exp(2000 * z) - 2)
+    assert np.abs(found["z"] - np.log(2) / 2000).max() < 1e-12
+    assert len(found) == 2
