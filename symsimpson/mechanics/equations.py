@@ -14,6 +14,7 @@ from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given import read_values, read_vector
 from symsimpson.mechanics.plain import Symbols
+from symsimpson.support.literals import float_literals
 
 __all__ = ["equations", "linearised", "terms"]
 
@@ -93,7 +94,7 @@ def linearised(
     parts = [residual.jacobian(x) for x in (a, plain.q, plain.v)]
     parts += [residual.jacobian(plain.u) if m else sp.zeros(n, 0)]
     arguments = [*plain.q, *plain.v, *a, *plain.a, *plain.u, plain.t]
-    function = sp.lambdify(arguments, [residual, *parts], "numpy", cse=True)
+    function = sp.lambdify(arguments, float_literals([residual, *parts]), "numpy", cse=True)
     rest, mass = (np.asarray(x, float) for x in function(*q, *v, *np.zeros(n), *further, t)[:2])
     there = np.linalg.solve(mass, -rest[:, 0])  # the acceleration
     found = [np.asarray(x, float) for x in function(*q, *v, *there, *further, t)]

@@ -22,6 +22,7 @@ from symsimpson.mechanics.loads import Force, added, generalised, potential_of
 from symsimpson.mechanics.plain import Symbols
 from symsimpson.mechanics.quadratic import rank
 from symsimpson.support.calling import warn
+from symsimpson.support.literals import float_literals
 
 __all__ = ["read_kane"]
 
@@ -127,7 +128,9 @@ class _Identities:
         phi, others = sp.Matrix(self.held), self.others([*force, *self.held])
         own = {x: sp.Dummy() for x in (*self.coordinates, *self.rates, time, *others)}
         parts = sp.Matrix(force), phi.row_join(phi.diff(time)), phi.jacobian(self.coordinates)
-        at = sp.lambdify([*own.values()], [x.xreplace(own) for x in parts], cse=True)
+        at = sp.lambdify(
+            [*own.values()], float_literals([x.xreplace(own) for x in parts]), cse=True
+        )
         state = np.random.default_rng(20).uniform(0.3, 1, len(own))
         for _ in range(ITERATIONS):
             found, gaps, slopes = map(np.asarray, at(*state))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.mechanics.coordinates import time
 from symsimpson.mechanics.declared import Declared
+from symsimpson.support.literals import float_literals
 
 __all__ = ["points_of"]
 
@@ -64,5 +65,7 @@ def _function(system: Declared) -> Callable[..., Any]:
         ]
         for given in (system.positions or {}).values()
     ]
-    made: Callable[..., Any] = sp.lambdify([*plain.values(), *system.parameters], corners, "numpy")
+    made: Callable[..., Any] = sp.lambdify(
+        [*plain.values(), *system.parameters], float_literals(corners), "numpy"
+    )
     return made

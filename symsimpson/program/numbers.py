@@ -14,6 +14,7 @@ from symsimpson.module.header import Header
 from symsimpson.program.compiled import Kernels
 from symsimpson.program.driver import driver
 from symsimpson.program.sets import KernelSets
+from symsimpson.support.literals import float_literals
 
 __all__ = ["FLOAT64", "Numbers"]
 
@@ -88,7 +89,7 @@ class Numbers:
         """Return a function of arrays that evaluates expressions of SymPy, a list of arrays."""
         import sympy as sp
 
-        return sp.lambdify(symbols, expressions, "numpy", cse=True)
+        return sp.lambdify(symbols, float_literals(list(expressions)), "numpy", cse=True)
 
     def kernels(self, text: str, header: Header, lanes: int = 1) -> KernelSets:
         """Return the kernels of a module, for so many trajectories at a time."""

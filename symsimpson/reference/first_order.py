@@ -16,6 +16,7 @@ from symsimpson.graph.share import share
 from symsimpson.mechanics.constraints import accelerations
 from symsimpson.mechanics.plain import Plain
 from symsimpson.mechanics.system import MechanicalSystem
+from symsimpson.support.literals import float_literals
 
 __all__ = ["FirstOrder", "Lines", "canonical", "reduced_top", "second_order"]
 
@@ -173,6 +174,9 @@ def line_function(
     modules: str,
 ) -> Callable[..., Any]:
     """Return a function of numbers for results that are made of definitions."""
+    if modules != "mpmath":  # whole numbers are exact there, however large
+        results = float_literals(list(results))
+        definitions = [(name, float_literals(value)) for name, value in definitions]
     made: Callable[..., Any] = sp.lambdify(
         list(arguments),
         list(results),

@@ -190,10 +190,12 @@ def _function(
     arguments = [*state, *plain.parameters, *plain.u, plain.t]
     function = lines.function(arguments, [lines.value(*key) for key in outputs], "math")
     ends = np.cumsum([math.prod(shape) for shape in shapes])[:-1]
-    return lambda *numbers: [
-        part.reshape(shape)
-        for part, shape in zip(np.split(np.array(function(*numbers)), ends), shapes, strict=True)
-    ]
+
+    def found(*numbers: float) -> list[Reals]:
+        parts = np.split(np.array(function(*numbers), dtype=np.float64), ends)
+        return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+
+    return found
 
 
 @cache
