@@ -15,6 +15,7 @@ from symsimpson.graph.nodes import Value
 from symsimpson.mechanics import constraints
 from symsimpson.mechanics.declared import Declared
 from symsimpson.mechanics.given import read_values, read_vector
+from symsimpson.support.lengths import bending_length
 from symsimpson.support.names import spelled
 
 __all__ = ["consistent"]
@@ -22,6 +23,8 @@ __all__ = ["consistent"]
 Reals = NDArray[np.float64]
 #: Iterations for positions; what is left of constraints, relative to their slopes and to q.
 MOST, NEAR = 200, 1e-15
+#: What rounding leaves of terms that cancel, in units of them.
+CANCELLED = 1e-14
 #: What may be left of constraints of velocities, relative to their rows and to v.
 ALLOWED = 1e-12
 
@@ -65,11 +68,12 @@ def consistent(
     # the nearest of all; where the way to it does not settle, one that Newton's method reaches
     for nearest in (True, False):
         found, left = _followed(of_positions, q, free, metric, nearest=nearest)
-        if left <= 1e-12:
+        met = left <= 1e-12 or _rounded(of_positions, found)
+        if met:
             break
-    if not left <= 1e-12:
+    if not met:
         raise InputError(
-            f"{system.name}: there is no state near q0={np.round(start, 6).tolist()} "
+            f"{system.name}: there is no state near q0={_shown(start)} "
             "that satisfies the constraints"
             + (f" with {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
@@ -80,17 +84,17 @@ def consistent(
     if not all(np.isfinite(x).all() for x in (b, slopes, mass)):
         raise InputError(
             f"{system.name}: constraints or the mass matrix have no finite value at "
-            f"q0={np.round(q, 6).tolist()}, t={t:g}.\nGive a start where they have one."
+            f"q0={_shown(q)}, t={t:g}.\nGive a start where they have one."
         )
-    metric = _positive(mass, slopes)[np.ix_(free, free)]
+    metric, given = _positive(mass, slopes)[np.ix_(free, free)], v.copy()
     for _ in range(2):  # once more, for what rounding has left
         v[free] += _nearest(metric, slopes[:, free], np.zeros(len(free)), b - slopes @ v)
-    size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(v).max())
-    off = np.abs(b - slopes @ v) / np.where(size > 0, size, 1.0)
+    speed = max(np.abs(v).max(), np.abs(given).max())
+    off = _relative(b - slopes @ v, slopes, speed)
     if not off.max() <= ALLOWED:
         names = [*system.constraints, *system.velocity_constraints]
         raise InputError(
-            f"{system.name}: no velocities at q0={np.round(q, 6).tolist()} satisfy the constraint "
+            f"{system.name}: no velocities at q0={_shown(q)} satisfy the constraint "
             f"{names[int(np.argmax(off))]!r}"
             + (f" with those of {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive another start, or hold fewer coordinates fixed."
@@ -112,8 +116,8 @@ def _followed(
         phi, slopes = at(q)
         if not len(phi):
             return q, 0.0
-        size = np.linalg.norm(slopes, axis=1) * max(1.0, np.abs(q).max())
-        off = np.abs(phi) / np.where(size > 0, size, 1.0)
+        reach = max(np.abs(q).max(), np.abs(start).max())
+        off = _relative(phi, slopes, reach)
         if not np.isfinite(off).all():
             return q, np.inf
         worst = float(off.max())
@@ -123,19 +127,43 @@ def _followed(
         back = nearest and worst > 1e-9
         wish = goal - q[free] if back else np.zeros(len(free))
         step = _nearest(metric, slopes[:, free], wish, -phi)
-        if worst <= NEAR and (np.abs(step) <= 1e-15 * max(1.0, np.abs(q).max())).all():
+        if worst <= NEAR and (np.abs(step) <= 1e-15 * reach).all():
             break
         if stalled > 20:
             break
-        share = 1.0
+        share, rest = 1.0, NEAR * reach * np.linalg.norm(slopes)
         while not nearest and share > 1e-3:  # no further than phi falls
             moved = q.copy()
             moved[free] += share * step
-            if np.linalg.norm(at(moved)[0]) <= (1 - share / 4) * np.linalg.norm(phi) + NEAR:
+            if np.linalg.norm(at(moved)[0]) <= (1 - share / 4) * np.linalg.norm(phi) + rest:
                 break
             share /= 2
         q[free] += share * step
     return q, best
+
+
+def _relative(miss: Reals, slopes: Reals, reach: float) -> Reals:
+    """Return by how much constraints are missed, in units of their slopes and of a state.
+
+    What has no size is missed wholly, or not at all.
+    """
+    size = np.linalg.norm(slopes, axis=1) * reach
+    found: Reals = np.abs(miss) / np.where(size > 0, size, np.maximum(np.abs(miss), 1e-300))
+    return found
+
+
+def _rounded(at: Callable[[Reals], tuple[Reals, Reals]], q: Reals) -> bool:
+    """Return whether but rounding is left of constraints, whose terms may be large against q."""
+    phi, slopes = at(q)
+    if not (np.isfinite(phi).all() and np.isfinite(slopes).all()):
+        return False
+    terms = np.linalg.norm(slopes, axis=1) * bending_length(lambda x: at(x)[1], q)
+    return bool((np.abs(phi) <= CANCELLED * terms).all())
+
+
+def _shown(numbers: Reals) -> list[float]:
+    """Round numbers for a message, to digits that say something in any unit."""
+    return [float(f"{x:.6g}") for x in numbers]
 
 
 def _positive(mass: Reals, slopes: Reals) -> Reals:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from symsimpson.errors import InputError, ModelError
 from symsimpson.module.matrices import slopes_of
 from symsimpson.program.evaluating import evaluate, evaluate_members
+from symsimpson.support.lengths import bending_length
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["DEPENDENT", "name_dependent", "project_start"]
 
 Reals = NDArray[Any]
-#: Starts that miss constraints by more than this, relative to their slopes and to q, are refused.
+#: Starts that miss constraints by more than this, relative to their slopes and to q, are refused,
+#: whatever the unit of q. Velocities are held against v, or what the forces make of rest.
 MISSED = 1e-9
 #: Constraints are dependent where INDEPENDENCE, between 0 and 1, is below this.
 DEPENDENT = 1e-10
@@ -26,6 +28,8 @@ DEPENDENT = 1e-10
 MOST = 12
 #: What rounding leaves of a constraint, in units of it, where terms cancel.
 ROUNDED = 1e4
+#: What rounding leaves of terms that are large against q, in units of it, where they cancel.
+CANCELLED = 16.0
 
 
 def project_start(
@@ -49,7 +53,7 @@ def project_start(
         Of parameters.
     t : number
     missed : float
-        By how much a start may miss the constraints, relative to their slopes.
+        By how much a start may miss the constraints, relative to their slopes and to q.
 
     Returns
     -------
@@ -75,37 +79,68 @@ def project_start(
         states = q[:, None, :], p[:, None, :]
         return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
 
+    def slopes_at(some_q: Reals) -> Reals:
+        nonlocal q
+        own, q = q, some_q
+        rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
+        q = own
+        return slopes_of(header, rows)
+
     rest = 0 * q
-    rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
-    slopes = slopes_of(header, rows)
+    slopes = slopes_at(q)
     _check_rank(program, q, slopes, at("INDEPENDENCE", 1, rest)[:, 0])
     size = np.linalg.norm(slopes, axis=2)
-    scale = size * np.maximum(1.0, np.abs(q.astype(np.float64)).max(axis=1))[:, None]
+    reach = np.abs(q.astype(np.float64)).max(axis=1)
+
+    def missed_by(phi: Reals, noise: Reals | float = 0.0) -> Reals:
+        return _relative(np.abs(phi.astype(np.float64)) - noise, size, reach)
+
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
-        off = np.abs(phi.astype(np.float64)) / scale
-        if attempt == 0 and not off.max() <= missed:
-            raise _violation_error(program, t, q, other, given, values, off, "q0 does not satisfy")
+        off = missed_by(phi)
         if off.max() <= 4 * numbers.epsilon:
             break
+        if attempt == 0:
+            noise = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
+            off = missed_by(phi, noise)
+            if not off.max() <= missed:
+                raise _violation_error(
+                    program, t, q, other, given, values, off, "q0 does not satisfy"
+                )
         q = q + at("HELD_CHANGE", n, rest)
     else:
+        off = missed_by(phi, noise)
         if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
             raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
     if not given:
         return q, other
     speeds = other.astype(np.float64)
+    pulled = np.abs(at("VELOCITY", n, rest).astype(np.float64)).max(axis=1)
+    # where the motion turns, v is a rounding: it is held against what an acceleration gains on q
+    gained = np.sqrt(np.nan_to_num(pulled * reach))[:, None]
     if given == "v0":
         asked = at("CURVATURE", m, rest, "start").astype(np.float64)
         taken = (slopes @ speeds[..., None])[..., 0] - asked
     else:  # what the constraints take from p is of no effect, but was surely meant otherwise
         pulls = at("MULTIPLIER", m, other, "start").astype(np.float64)
         taken = pulls * size**2
-    off = np.abs(taken) / (size * np.maximum(1.0, np.abs(speeds).max(axis=1))[:, None])
+        gained = gained * at("CONSTRAINT_WEIGHT", m, rest).astype(np.float64) * size**2  # by M
+    off = _relative(np.abs(taken), size, np.maximum(np.abs(speeds).max(axis=1)[:, None], gained))
     if not off.max() <= missed:
         what = "v0 is not allowed by" if given == "v0" else "p0 has a part that is taken by"
         raise _violation_error(program, t, q, other, given, values, off, what)
     return q, other
+
+
+def _relative(miss: Reals, size: Reals, reach: Reals) -> Reals:
+    """Return what constraints are missed by in units of their slopes and of a state.
+
+    It is 0 where nothing is missed, and infinite where the state is zero and misses something.
+    """
+    miss, scale = np.maximum(miss, 0.0), size * reach.reshape(len(size), -1)
+    off: Reals = np.where(miss > 0, np.inf, 0.0)
+    np.divide(miss, scale, out=off, where=(scale > 0) & (miss != 0))
+    return off
 
 
 def _check_rank(program: Program, q: Reals, slopes: Reals, independence: Reals) -> None:
@@ -168,7 +203,7 @@ def _violation_error(
     which = f" of member {member}" if len(q) > 1 else ""
     text = (
         f"{program.system}: {what} the constraint {name!r}{which}: it is off by "
-        f"{off[member, c]:.2g}, relative to its slope."
+        f"{off[member, c]:.2g}, relative to its slope and the size of the state."
     )
     system = program.declared
     if system is None:
@@ -180,7 +215,7 @@ def _violation_error(
         near = system.consistent(
             q[member].astype(np.float64), velocities.astype(np.float64), (), parameters, float(t)
         )
-        rounded = [np.round(x, 6).tolist() for x in near]
+        rounded = [[float(f"{one:.6g}") for one in x] for x in near]
         shown = f"q0={rounded[0]}, v0={rounded[1]}"
         text += f"\n{call} gives the nearest start" + (f": {shown}." if given == "v0" else ".")
     except InputError:

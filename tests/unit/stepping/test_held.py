@@ -36,7 +36,7 @@ def test_results(stepper):
 
 
 def test_starts_that_miss_are_refused_with_what_would_do(stepper):
-    told = r"q0 does not satisfy the constraint 'rod'.*0\.081(.|\n)*consistent.*q0=\[0\.65"
+    told = r"q0 does not satisfy the constraint 'rod'.*0\.12(.|\n)*consistent.*q0=\[0\.65"
     with pytest.raises(ss.InputError, match=told):
         stepper.integrate([0.6, 0, -0.7], START["v0"], h=0.01, steps=1)
     with pytest.raises(ss.InputError, match="v0 is not allowed by the constraint 'rod'"):
@@ -260,3 +260,57 @@ def test_members_that_fold_are_told_apart():
     assert np.isfinite(many.q[1, :20]).all()
     few = stepper.ensemble(starts, v0=given, h=0.05, steps=50, every=10)
     assert few.status.tolist() == [0, ss.Status.SINGULAR_CONSTRAINTS, 0]
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_starts_are_judged_alike_in_any_unit_of_length(unit):
+    x, y = ss.coordinates("x y")
+    G, r = sp.symbols("G r", positive=True)
+    system = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=G * y,
+        constraints={"rod": x**2 + y**2 - r**2},
+        parameters={r: unit, G: 9.81 * unit},
+    )
+    stepper = ss.compile(system)
+    for q, other, told in (
+        ([1.5, 0], {"v0": [0, 0]}, "q0 does not satisfy"),
+        ([1 + 1e-8, 0], {"v0": [0, 0]}, "q0 does not satisfy"),
+        ([1, 0], {"v0": [0.5, 0]}, "v0 is not allowed by"),
+        ([1, 0], {"v0": [1e-8, 0]}, "v0 is not allowed by"),
+        ([1, 0], {"p0": [0.5, 0]}, "p0 has a part"),
+    ):
+        second = {name: np.multiply(x, unit) for name, x in other.items()}
+        with pytest.raises(ss.InputError, match=told):
+            stepper.integrate(np.multiply(q, unit), **second, h=0.01, steps=1)
+    # at rest, where the motion turns, and beside rounding
+    for q, other in (([0, -1], {"v0": [0, 0]}), ([1, 0], {"v0": [1e-15, 1e-12]})):
+        second = {name: np.multiply(x, unit) for name, x in other.items()}
+        run = stepper.integrate(np.multiply(q, unit), **second, h=0.01, steps=1)
+        assert np.abs(run.q[0] - np.multiply(q, unit)).max() <= 1e-15 * unit
+    q, v = system.consistent([1.5 * unit, 1e-3 * unit], [0.5 * unit, 0.2 * unit])
+    assert abs(q @ q / unit**2 - 1) < 1e-14
+    assert abs(q @ v) < 1e-15 * unit**2
+    stepper.integrate(q, v0=v, h=0.01, steps=1)
+
+
+def test_terms_that_are_large_against_q_and_cancel():
+    """The bob of a rod hangs at the origin, its pivot is elsewhere."""
+    x, y = ss.coordinates("x y")
+    system = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * y,
+        constraints={"rod": x**2 + (y - 0.7) ** 2 - 0.49},
+    )
+    stepper = ss.compile(system)
+    for place in ([0.0, 0.0], [1e-9, 0.0]):
+        q, v = system.consistent(place, [0.1, 0.0])
+        for start in (place, q):
+            stepper.integrate(start, v0=v, h=0.01, steps=1)
+        assert abs(v[0] - 0.1) < 1e-8
+    with pytest.raises(ss.InputError, match="q0 does not satisfy"):
+        stepper.integrate([1e-3, 0.0], v0=[0.0, 0.0], h=0.01, steps=1)
