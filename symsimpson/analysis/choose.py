@@ -103,10 +103,11 @@ def choose(
     t_end : float
         End of the run, which begins at 0.
     error : float
-        The largest error wanted.
+        The largest error wanted, at most 1: it is relative.
     on : {"state", "energy"}
         Which error. "state": of q and p at ``t_end``, relative to the largest coordinate (at least
-        1) and the largest momentum. "energy": the largest :attr:`Trajectory.energy_error`.
+        1) and the largest momentum. "energy": the largest :attr:`Trajectory.energy_error`, which is
+        relative to :attr:`Trajectory.energy_scale`.
     parameters : mapping, optional
         As for :meth:`Stepper.integrate`.
     schemes : sequence of str or Scheme, optional
@@ -146,13 +147,20 @@ def choose(
     for name, value in (("t_end", t_end), ("error", error)):
         if not (isinstance(value, (int, float)) and 0 < value < math.inf):
             raise InputError(f"{name} is {value!r}.\nPass a positive number.")
+    if error > 1:
+        what = "the energy's scale" if on == "energy" else "the largest coordinate and momentum"
+        raise InputError(
+            f"error is {error:g}, relative to {what}: above 1 there is nothing left of what is "
+            "asked for.\nPass a part of it, as error=1e-6."
+        )
     retimed, adapting = _in_other_time(system, schemes)
     original = system.original if isinstance(system, RetimedSystem) else system
     first = compile_system(original, "simpson")
     known = compile_system(system, "simpson").program.free_values(parameters)
     values = {name: known[name] for name in first.parameters}
     q, p = choose_state(first, {"q0": q0, "v0": v0, "p0": p0}, values)
-    h0 = choose_step(first, q, p, values, 64)
+    # of longer ones a pilot run would go beyond the end
+    h0 = choose_step(first, q, p, values, 64, longest=t_end / PILOT)
     span, tau0 = PILOT * h0, 0.0
     if retimed is not None:
         tau0, reached = _first_step(retimed, q, p, known)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from symsimpson.errors import ConvergenceError, InputError, ResolutionWarning, StabilityWarning
+from symsimpson.program.evaluating import evaluate
 from symsimpson.program.status import Status
 
 if TYPE_CHECKING:
@@ -21,6 +22,9 @@ __all__ = ["choose_state", "choose_step", "without_step_warnings"]
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
 
+#: The first step that is tried, unless the time scale of the motion is so many times as long, or as
+#: short: units of time in which 4 means nothing.
+FIRST, FAR = 4.0, 1e3
 #: Largest swing of the energy of a step that is chosen, relative to the kinetic energy.
 MOST_ENERGY_ERROR = 1e-4
 #: Halving the step moves the path of eight steps by at most so much of its length.
@@ -77,40 +81,79 @@ def choose_state(
 
 @without_step_warnings()
 def choose_step(
-    stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int
+    stepper: Stepper,
+    q: Floats,
+    p: Floats,
+    parameters: Mapping[str, float],
+    steps: int,
+    longest: float = 0.0,
 ) -> float:
     """Choose a step size with small errors of energy and path, of which so many steps succeed.
+
+    The first that will do is taken; longer ones are looked at up to ``longest`` alone.
 
     Raises
     ------
     InputError
         If there is none.
     """
-    most = STAGE_ITERATIONS if stepper.program.header.by_stages else NEWTON_ITERATIONS
+    first = _first_step(stepper, q, p, parameters, longest)
     for halvings in range(60):
-        h = 4.0 / 2**halvings  # a power of two: its parts are exact
-        run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
-        if run.steps < 64 or run.newton_iterations.sum() > most * 64:
+        h = first / 2**halvings
+        if not _follows(stepper, q, p, parameters, steps, h):
             continue
-        kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
-        if stepper.program.header.conservative and np.ptp(run.energy) > MOST_ENERGY_ERROR * kinetic:
-            continue
-        # some schemes keep the energy of some systems at any step: the path must be right, too
-        finer = stepper.integrate(
-            q, p0=p, h=h / 2, steps=16, parameters=parameters, every=2, on_failure="return"
-        )
-        if finer.steps < 16:
-            continue
-        # all of it: friction brings every path to rest, so that ends alone say nothing
-        path = run.q[:9]
-        if np.abs(finer.q - path).max() > CLOSE * np.ptp(path, axis=0).max():
-            continue
-        far = stepper.integrate(
-            q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
-        )
-        if far.status is Status.SUCCESS:
-            return h
+        while halvings == 0 and 2 * h <= longest:
+            if not _follows(stepper, q, p, parameters, steps, 2 * h):
+                break
+            h *= 2
+        return h
     raise InputError(
         f"{stepper.system}: no step is small enough at this state.\n"
         "Pass h, or another state: look where T or V are singular."
     )
+
+
+def _first_step(
+    stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], longest: float
+) -> float:
+    """Return a power of two, of which all parts are exact: 4, unless the motion is far from that.
+
+    How far is told by the time in which v moves by q; without one, by the longest step.
+    """
+    values = stepper.program.values(parameters)
+    v = evaluate(
+        stepper.program, "energy", "VELOCITY", len(q), np.zeros(1), q[None], p[None], values
+    )
+    fastest, scale = float(np.abs(v).max()), longest
+    if 0 < fastest < np.inf and q.any():
+        scale = float(np.abs(q).max() / fastest)
+    if not 0 < scale < np.inf or FIRST / FAR <= scale <= FIRST * FAR:
+        return FIRST
+    return 2.0 ** np.round(np.log2(scale))
+
+
+def _follows(
+    stepper: Stepper, q: Floats, p: Floats, parameters: Mapping[str, float], steps: int, h: float
+) -> bool:
+    """Return whether steps of a size follow the motion, and so many of them succeed."""
+    most = STAGE_ITERATIONS if stepper.program.header.by_stages else NEWTON_ITERATIONS
+    run = stepper.integrate(q, p0=p, h=h, steps=64, parameters=parameters, on_failure="return")
+    if run.steps < 64 or run.newton_iterations.sum() > most * 64:
+        return False
+    kinetic = np.abs((run.p[1:] * np.diff(run.q, axis=0)).sum(axis=1) / (2 * h)).max()
+    if stepper.program.header.conservative and np.ptp(run.energy) > MOST_ENERGY_ERROR * kinetic:
+        return False
+    # some schemes keep the energy of some systems at any step: the path must be right, too
+    finer = stepper.integrate(
+        q, p0=p, h=h / 2, steps=16, parameters=parameters, every=2, on_failure="return"
+    )
+    if finer.steps < 16:
+        return False
+    # all of it: friction brings every path to rest, so that ends alone say nothing
+    path = run.q[:9]
+    if np.abs(finer.q - path).max() > CLOSE * np.ptp(path, axis=0).max():
+        return False
+    far = stepper.integrate(
+        q, p0=p, h=h, steps=steps, every=None, parameters=parameters, on_failure="return"
+    )
+    return far.status is Status.SUCCESS

@@ -96,6 +96,8 @@ def test_the_fastest_oscillation_bounds_the_step():
     [
         ({"error": 0.0}, "error is 0.0"),
         ({"error": float("nan")}, "error is nan"),
+        ({"error": 1.5}, "error is 1.5, relative to the largest coordinate"),
+        ({"error": 2, "on": "energy"}, "error is 2, relative to the energy's scale"),
         ({"t_end": -1.0}, "t_end is -1.0"),
         ({"t_end": "long"}, "t_end is 'long'"),
         ({"on": "momentum"}, "on is 'momentum'"),
