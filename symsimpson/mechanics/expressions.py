@@ -259,8 +259,13 @@ def check_content(system: str, what: str, node: sp.Basic) -> None:
             else f"{name}, or its derivatives, are not among the functions of C's mathematics "
             "library, which compiled code calls."
         ),
-        "Use a smooth form, such as sqrt(x**2 + eps**2) for |x| or tanh(x/eps) for its sign (a "
-        "step must then resolve eps), or one of "
+        (
+            "Use a smooth form, such as sqrt(x**2 + eps**2) for |x| or tanh(x/eps) for its sign (a "
+            "step must then resolve eps), or one of "
+            if isinstance(node, ROUGH)
+            else "Approximate it on the range of the motion, by a polynomial, say; or write it by "
+            "powers and "
+        )
         + ", ".join(sorted(f.__name__ for f in SMOOTH))
         + ".",
     )

@@ -174,7 +174,13 @@ def _check_restitution(program: Program, event: Event) -> None:
     ------
     InputError
     """
+    from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
+    from sympy.core.function import AppliedUndef
+
     given = getattr(event.action, "restitution", 1.0)
+    if hasattr(given, "atoms"):  # coordinates and velocities by their names, not by the t in them
+        for kind in (Derivative, AppliedUndef):
+            given = given.xreplace({one: Symbol(spelled(one)) for one in given.atoms(kind)})
     names = {str(symbol) for symbol in getattr(given, "free_symbols", ())}
     strange = sorted(names - {"approach", *program.parameters})
     if strange:

@@ -91,8 +91,19 @@ class Named:
             f"The system has {', '.join(self.shown) or 'none'}."
         )
 
+    def _of_velocity(self, key: Any) -> int | None:
+        """Return the place of the coordinate whose velocity a key names; None if it names none."""
+        if getattr(key, "derivative_count", 0) == 1:
+            return self.place(key.expr)
+        name = spelled(key)
+        if name in self.places or not name.startswith("v_"):  # a coordinate's own name comes first
+            return None
+        return self.places.get(name.removeprefix("v_"))
+
     def in_order(self, what: str, given: Any) -> Any:
         """Return values that are given by name as a list in order; all others as they are.
+
+        Those of "v0" may be given by the names of velocities, too.
 
         Raises
         ------
@@ -103,10 +114,12 @@ class Named:
             return given
         values: dict[int, Any] = {}
         for key, value in given.items():
-            try:
-                place = self.found(key)
-            except InputError as error:
-                raise InputError(f"{what}: {error}") from None
+            place = self._of_velocity(key) if what == "v0" else None
+            if place is None:
+                try:
+                    place = self.found(key)
+                except InputError as error:
+                    raise InputError(f"{what}: {error}") from None
             if place in values:
                 raise InputError(
                     f"{what} gives the {self.what} {self.shown[place]} twice, by name and by "

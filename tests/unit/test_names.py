@@ -37,6 +37,13 @@ def test_a_users_own_names_come_first():
 def test_values_by_name():
     assert COORDINATES.in_order("q0", {"q0": 2, THETA: 1}) == [1, 2]
     assert COORDINATES.in_order("q0", (1, 2)) == (1, 2)
+    for given in ({THETA.diff(): 1, "q0": 2}, {r"v_\theta_1": 1, "v_q0": 2}, {THETA: 1, "v_q0": 2}):
+        assert COORDINATES.in_order("v0", given) == [1, 2]
+    assert Named("coordinate", ("x", "v_x")).in_order("v0", {"v_x": 2, "x": 1}) == [1, 2]
+    with pytest.raises(ss.InputError, match=r"p0: there is no coordinate 'v_"):
+        COORDINATES.in_order("p0", {THETA.diff(): 1, "q0": 2})
+    with pytest.raises(ss.InputError, match=r"v0: there is no coordinate 'v_y'"):
+        COORDINATES.in_order("v0", {"v_y": 1, "q0": 2})
     for given, message in (
         ({"q0": 1}, r"q0 has no number for \\theta_1"),
         ({THETA: 1, r"\theta_1": 1, "q0": 2}, "twice, by name and by symbol"),

@@ -208,6 +208,8 @@ def test_what_no_event_can_be(make, told):
         ([ss.Event(z, name="w", action=ss.Change(velocities={x: 1}))], "names 'x', which is no"),
         ([ss.Event(z + 2, name="w", when="sqrt(q)", action=ss.Impact())], "'q'"),
         ([floor(sp.Symbol("e"))], "the restitution e contains e"),
+        ([floor(1 - z.diff() / 20)], r"the restitution 1 - v_z/20 contains v_z\."),
+        ([floor(1 - z * ss.time)], r"contains t, z\."),
         ([ss.Event(z - 2, name="w", action=ss.Impact())], "the start is behind the wall 'w'"),
         (["floor"], "contains 'floor', which is|events contains 'floor'"),
     ],
