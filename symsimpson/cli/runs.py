@@ -107,6 +107,12 @@ def _steps(options: argparse.Namespace) -> int:
 
 def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[str, Any]:
     """Read inputs that are held over each of so many steps."""
+    if options.inputs is None and stepper.inputs:
+        raise InputError(
+            f"{stepper.system} has the inputs {', '.join(stepper.inputs)}, of which no values are "
+            "given.\nPass --inputs FILE: a .csv file whose first line names the inputs, and each "
+            f"further line has their values over a step; {steps} lines here."
+        )
     if options.inputs is None:
         return {}
     path = Path(options.inputs)

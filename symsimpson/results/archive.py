@@ -27,6 +27,8 @@ READERS = {".npz": "numpy.load", ".csv": "pandas.read_csv", ".parquet": "pandas.
 #: What a file must hold: variables, and attributes beside the dataset's own.
 VARIABLES = ("q", "p", "newton_iterations", "module")
 ATTRIBUTES = ("h", "steps", "every", "status", "message", "parameter_values", "sha256")
+#: Attributes that every result of a run has, also one that is no trajectory.
+RESULT = ("system", "scheme", "message")
 
 
 def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -86,6 +88,13 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         ) from None
     missing = [name for name in VARIABLES if name not in found]
     missing += [name for name in ATTRIBUTES if name not in found.attrs]
+    if missing and all(name in found.attrs for name in RESULT):
+        raise StorageError(
+            f"{where}: this is a result of symsimpson, but no run that could go on: states at "
+            f"chosen times, chosen quantities or zeros. It has no {missing[0]!r}.\nRead it with "
+            f"xarray.open_{'zarr' if kind == '.zarr' else 'dataset'}. To open a run again, "
+            "integrate without t_eval= and save=, and save that."
+        )
     if missing:
         raise StorageError(
             f"{where}: this is no trajectory that symsimpson saved: it has no {missing[0]!r}.\n"

@@ -93,7 +93,8 @@ class Sampled(WithEvents, Outcome, States):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the states in a file, of the kind that its ending says.
 
-        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file.
+        The kinds are those of :meth:`Trajectory.save`. No run goes on from such a file, which
+        :func:`symsimpson.open_trajectory` refuses: numpy, pandas or xarray read it.
 
         Raises
         ------

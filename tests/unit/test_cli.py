@@ -215,6 +215,11 @@ def test_parameters_and_inputs(tmp_path, capsys):
         assert np.array_equal(found["q"], run.q)
     assert main([*asked, "--steps", "9"]) == 1
     assert "has 8 rows for 9 steps" in capsys.readouterr().err
+    assert main(["run", "driven_cart_pole", "--steps", "9"]) == 1
+    told = capsys.readouterr().err
+    assert "driven_cart_pole has the inputs u, of which no values are given.\n" in told
+    assert "Pass --inputs FILE" in told
+    assert "9 lines" in told
     path.write_text("v\n1\n2\n")
     assert main([*asked, "--steps", "2"]) == 1
     assert "its columns are v; the inputs of driven_cart_pole are u" in capsys.readouterr().err

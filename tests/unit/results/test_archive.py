@@ -54,6 +54,15 @@ def test_times_of_any_kind(tmp_path, t0, h):
     assert (ss.open_trajectory(tmp_path / "run.nc").t == run.t).all()
 
 
+@pytest.mark.parametrize("ending", ["nc", "zarr"])
+def test_results_that_are_no_runs_are_told(tmp_path, ending):
+    stepper, path = ss.compile(ss.systems.pendulum()), tmp_path / f"run.{ending}"
+    stepper.integrate([1.0], v0=[0.0], h=0.1, t_eval=[0.0, 0.25]).save(path)
+    opener = {"nc": "open_dataset", "zarr": "open_zarr"}[ending]
+    with pytest.raises(ss.StorageError, match=rf"no run that could go on.*\n.*{opener}.*t_eval="):
+        ss.open_trajectory(path)
+
+
 def test_others_can_read_it(tmp_path):
     run = run_of("lagrange_top", "simpson")
     run.save(tmp_path / "run.nc")
