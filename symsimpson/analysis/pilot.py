@@ -129,7 +129,7 @@ def _first_step(
         scale = float(np.abs(q).max() / fastest)
     if not 0 < scale < np.inf or FIRST / FAR <= scale <= FIRST * FAR:
         return FIRST
-    return 2.0 ** np.round(np.log2(scale))
+    return float(2.0 ** np.round(np.log2(scale)))
 
 
 def _follows(

@@ -73,18 +73,18 @@ def project_start(
     m, n, header = len(held), program.n, program.header
     times = numbers.read([t])
 
-    def at(block: str, count: int, p: Reals, kernel: str = "multipliers") -> Reals:
+    def at(
+        block: str, count: int, p: Reals, kernel: str = "multipliers", places: Reals | None = None
+    ) -> Reals:
+        here = q if places is None else places
         if len(values) == 1:
-            return evaluate(program, kernel, block, count, times, q, p, values[0])
-        states = q[:, None, :], p[:, None, :]
+            return evaluate(program, kernel, block, count, times, here, p, values[0])
+        states = here[:, None, :], p[:, None, :]
         return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
 
-    def slopes_at(some_q: Reals) -> Reals:
-        nonlocal q
-        own, q = q, some_q
-        rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest).astype(np.float64)
-        q = own
-        return slopes_of(header, rows)
+    def slopes_at(places: Reals) -> Reals:
+        rows = at("CONSTRAINT_QQ", header.layout["HELD_SIZE"], rest, places=places)
+        return slopes_of(header, rows.astype(np.float64))
 
     rest = 0 * q
     slopes = slopes_at(q)
@@ -95,21 +95,24 @@ def project_start(
     def missed_by(phi: Reals, noise: Reals | float = 0.0) -> Reals:
         return _relative(np.abs(phi.astype(np.float64)) - noise, size, reach)
 
+    def rounded() -> Reals:
+        found: Reals = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
+        return found
+
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
         off = missed_by(phi)
         if off.max() <= 4 * numbers.epsilon:
             break
-        if attempt == 0:
-            noise = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
-            off = missed_by(phi, noise)
+        if attempt == 0 and not off.max() <= missed:
+            off = missed_by(phi, rounded())
             if not off.max() <= missed:
                 raise _violation_error(
                     program, t, q, other, given, values, off, "q0 does not satisfy"
                 )
         q = q + at("HELD_CHANGE", n, rest)
     else:
-        off = missed_by(phi, noise)
+        off = missed_by(phi, rounded())
         if not off.max() <= max(missed**2, ROUNDED * numbers.epsilon):
             raise _violation_error(program, t, q, other, given, values, off, "q0 is not led to")
     if not given:

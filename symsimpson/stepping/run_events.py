@@ -177,7 +177,7 @@ def _check_restitution(program: Program, event: Event) -> None:
     from sympy import Derivative, Symbol  # SymPy is slow to import, and is there by now
     from sympy.core.function import AppliedUndef
 
-    given = getattr(event.action, "restitution", 1.0)
+    given: Any = getattr(event.action, "restitution", 1.0)
     if hasattr(given, "atoms"):  # coordinates and velocities by their names, not by the t in them
         for kind in (Derivative, AppliedUndef):
             given = given.xreplace({one: Symbol(spelled(one)) for one in given.atoms(kind)})
