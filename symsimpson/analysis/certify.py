@@ -72,6 +72,7 @@ def certify(
     precise = Precise(own, exact, DIGITS)
     held = bool(stepper.program.header.constraints)
     subject = Subject(own, precise, precise.placed(z) if held else z, step, timed)
+    precise.sizes = subject.sizes
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
         stepper.system,
@@ -203,9 +204,10 @@ def _equations(s: Subject) -> Iterator[Check]:
     columns = []
     for k in range(d * n):
         move = np.zeros((d, n), dtype=object)
-        move[k // n, k % n] = precise.small
+        size = precise.small * precise.sizes[k % n]
+        move[k // n, k % n] = size
         up, down = (evaluate(nodes + x)[0] for x in (move, -move))
-        columns.append((up - down) / (2 * precise.small))
+        columns.append((up - down) / (2 * size))
     difference = max(map(abs, (exact - np.array(columns, dtype=object).T).ravel()))
     yield Check.at_most(
         "equations",
@@ -287,7 +289,8 @@ def _constraints(s: Subject) -> Iterator[Check]:
         ("rolling", "A v - b", run.velocity_constraint_error / size[:, m:], "v"),
     ):
         if error.size:
-            reach = np.maximum(1.0, np.abs(getattr(run, states)).max(axis=1))[:, None]
+            reach = np.abs(getattr(run, states)).max(axis=1)[:, None]
+            reach = np.maximum(reach, min(1.0, reach.max()) or 1.0)
             yield Check.at_most(
                 what,
                 float((np.abs(error) / reach).max()),

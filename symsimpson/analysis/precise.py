@@ -54,6 +54,8 @@ class Precise:
         self._numbers, self.context = numbers, numbers.context
         #: A displacement whose square and whose inverse cost a third of the digits each.
         self.small = self.context.mpf(10) ** -(digits // 3)
+        #: Sizes of q and p, of which displacements for differences are a small part.
+        self.sizes: Vector = np.array([self.context.mpf(1)] * (2 * stepper.n), dtype=object)
 
     def run(
         self, z: Vector, h: Any, steps: int, *, every: int | None = 1, t0: Any = 0
@@ -125,8 +127,9 @@ class Precise:
         """
         starts = [(self.placed(up), self.placed(down)) for up, down in self._moved(z)]
         ends = [(self.flow(up, h, steps), self.flow(down, h, steps)) for up, down in starts]
+        moves = 2 * self.small * self.sizes
         of_end, of_start = (
-            np.array([(up - down) / (2 * self.small) for up, down in pairs], dtype=object).T
+            np.array([up - down for up, down in pairs], dtype=object).T / moves
             for pairs in (ends, starts)
         )
         return of_end, of_start
@@ -142,7 +145,8 @@ class Precise:
         with numbers.working():
             W = self._prepared
             here, up, down = (
-                numbers.read([x + move for x in point]) for move in (0, self.small, -self.small)
+                numbers.read([x + move * size for x, size in zip(point, self.sizes, strict=True)])
+                for move in (0, self.small, -self.small)
             )
             W[rows, 0] = here
             found = numbers.zeros(2 * n)
@@ -151,9 +155,9 @@ class Precise:
                 self._call("energy", W)
                 found[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
                 moved = rows[:n]
-            half = numbers.read(1 / (2 * self.small)).item()
+            halves = numbers.read([1 / (2 * self.small * size) for size in self.sizes])
             for k, row in enumerate(moved):
-                for sign, there in ((half, up), (-half, down)):
+                for sign, there in ((halves[k], up), (-halves[k], down)):
                     W[row, 0] = there[k]
                     self._call("energy", W)
                     found[k] += sign * W[at["ENERGY"], 0]
@@ -253,6 +257,6 @@ class Precise:
         pairs = []
         for k in range(2 * self.n):
             move = np.zeros(2 * self.n, dtype=object)
-            move[k] = self.small
+            move[k] = self.small * self.sizes[k]
             pairs.append((point + move, point - move))
         return pairs

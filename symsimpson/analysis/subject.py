@@ -74,7 +74,16 @@ class Subject:
         """Sizes of the coordinates and the momenta, to measure errors by."""
         run = self.compiled(100, every=1)
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
-        return np.concatenate([np.maximum(q, 1.0), np.full(self.n, p.max() or 1.0)])
+        # a coordinate that hardly moves has no size of its own: that of others, in small units
+        least = min(1.0, q.max() or 1.0)
+        return np.concatenate([np.maximum(q, least), np.full(self.n, p.max() or 1.0)])
+
+    @cached_property
+    def sizes(self) -> NDArray[Any]:
+        """The same in many digits, as powers of two, by which nothing is rounded."""
+        context = self.precise.context
+        powers = np.round(np.log2(self.scale)).astype(int).tolist()
+        return np.array([context.ldexp(1, power) for power in powers], dtype=object)
 
     @cached_property
     def path(self) -> Trajectory:
@@ -106,7 +115,7 @@ class Subject:
         if timed:
             rates_and_t = self.precise.rates_and_time
             start = [*(mpmath.mpf(x) for x in self.z), mpmath.mpf(0)]
-            return list(extrapolate(rates_and_t, start, [end], local, MOST)[0])
+            return self._extrapolated(rates_and_t, start, end, local)
         start = [mpmath.mpf(x) for x in self.z]
         rates: Callable[[Any], list[Any]] = self.precise.rates
         declared = self.stepper.program.declared
@@ -127,8 +136,23 @@ class Subject:
 
             rates = forced
         # with constraints p has a part that has no effect, of which the last line gets rid
-        found = extrapolate(rates, start, [end], local, MOST)[0][: 2 * self.n]
+        found = self._extrapolated(rates, start, end, local)[: 2 * self.n]
         return list(self.precise.placed(found, end))
+
+    def _extrapolated(
+        self, rates: Callable[[Any], list[Any]], start: list[Any], end: Any, local: Any
+    ) -> list[Any]:
+        """Solve in units of the sizes of q and p, by which errors are judged; the time has none."""
+        units = [mpmath.mpf(x) for x in self.sizes]
+        units += [mpmath.mpf(1)] * (len(start) - len(units))
+
+        def in_units(y: Any) -> list[Any]:
+            found = rates([x * unit for x, unit in zip(y, units, strict=True)])
+            return [x / unit for x, unit in zip(found, units, strict=True)]
+
+        first = [x / unit for x, unit in zip(start, units, strict=True)]
+        found = extrapolate(in_units, first, [end], local, MOST)[0]
+        return [x * unit for x, unit in zip(found, units, strict=True)]
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:
         """Integrate in double precision."""

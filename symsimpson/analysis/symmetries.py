@@ -69,8 +69,10 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     """
     n = precise.n
     middle = np.array([float(x) for x in z])
-    size = 0.2 * (1 + np.abs(middle))
-    size[n:] = 0.2 * (np.abs(middle[n:]).max() or 1.0)
+    # b stands beside A q: in a unit in which q is not much smaller than 1
+    unit = float(min(1, *precise.sizes[:n]))
+    size = 0.2 * (unit + np.abs(middle))
+    size[n:] = 0.2 * (np.abs(middle[n:]).max() or float(max(precise.sizes[n:])))
     random = np.random.default_rng(1)
     rows: list[NDArray[Any]] = []
     for _ in range(MOST * (n * n + n + 4)):
@@ -82,9 +84,10 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
             continue
         q, p, H_q, H_p = point[:n], point[n:], gradient[:n], gradient[n:]
         turning = np.outer(H_q, q) - np.outer(p, H_p)
-        rows.append(np.concatenate([H_q, turning.ravel()]))
-    rows += _of_constraints(precise, middle, random)
-    exact = np.array(rows)
+        rows.append(np.concatenate([H_q * unit, turning.ravel()]))
+    rows += _of_constraints(precise, middle, random, unit)
+    # energies and constraints have units of their own
+    exact = np.array([row / (np.abs(row).max() or 1) for row in rows])
     matrix = exact.astype(np.float64)
     scale = np.abs(matrix).max(axis=0)
     scale[scale < RANK * scale.max()] = scale.max()
@@ -94,21 +97,26 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     found = []
     for row in _reduced(null):
         full = _refined(row, exact, precise.context)
+        if row[n:].any():  # else it is a displacement, of any length
+            row[:n], full[:n] = row[:n] * unit, full[:n] * unit
         generator = np.column_stack([full[n:].reshape(n, n), full[:n]])
         found.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
     return found
 
 
 def _of_constraints(
-    precise: Precise, z: NDArray[np.float64], random: np.random.Generator
+    precise: Precise, z: NDArray[np.float64], random: np.random.Generator, unit: float
 ) -> list[NDArray[Any]]:
     """Ask that a symmetry moves along the constraints: Phi (A q + b) = 0 where phi = 0."""
     n, held = precise.n, len(precise.stepper.program.header.constraints)
     rows = []
     for _ in range(n * (n + 1) // held + 4 if held else 0):
-        point = z + NEARBY * (1 + np.abs(z)) * random.uniform(-1, 1, 2 * n)
+        point = z + NEARBY * (unit + np.abs(z)) * random.uniform(-1, 1, 2 * n)
         q = precise.placed(point)[:n]
-        rows += [np.concatenate([slope, np.outer(slope, q).ravel()]) for slope in precise.slopes(q)]
+        rows += [
+            np.concatenate([slope * unit, np.outer(slope, q).ravel()])
+            for slope in precise.slopes(q)
+        ]
     return rows
 
 

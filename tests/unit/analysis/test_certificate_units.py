@@ -1,0 +1,45 @@
+"""Certificates in units in which all numbers are small, or large."""
+
+import pytest
+import sympy as sp
+
+import symsimpson as ss
+
+x, y = ss.coordinates("x y")
+m, r, G = sp.symbols("m r G", positive=True)
+
+
+@pytest.mark.parametrize(
+    ("length", "mass"), [(1e-9, 1e-26), pytest.param(1e8, 5e24, marks=pytest.mark.slow)]
+)
+def test_what_is_measured_does_not_depend_on_units(length, mass):
+    def certified(length, mass):
+        system = ss.MechanicalSystem(
+            "swing",
+            coordinates=(x,),
+            kinetic=m * x.diff() ** 2 / 2,
+            potential=m * r**2 * (1 - sp.cos(x / r)),
+            parameters={m: mass, r: length},
+        )
+        found = ss.compile(system).certify(q0=[2.8 * length], v0=[0.0], h=0.25)
+        return {check.name: check for check in found.checks}
+
+    plain, other = certified(1.0, 1.0), certified(length, mass)
+    assert [name for name, check in other.items() if not check.passed] == []
+    assert other["order"].measured == pytest.approx(plain["order"].measured, abs=1e-3)
+    assert other["shadow"].measured == pytest.approx(plain["shadow"].measured, rel=1e-2)
+
+
+@pytest.mark.slow
+def test_constraints_and_momenta_in_small_units():
+    unit = 1e-9
+    rod = ss.MechanicalSystem(
+        "rod",
+        coordinates=(x, y),
+        kinetic=m * (x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=0,
+        constraints={"rod": x**2 + y**2 - r**2},
+        parameters={m: 1e-20, r: unit},
+    )
+    found = ss.compile(rod).certify(q0=[unit, 0.0], v0=[0.0, 0.7 * unit], h=0.1)
+    assert [check.name for check in found.checks if not check.passed] == []
