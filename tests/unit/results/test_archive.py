@@ -54,7 +54,7 @@ def test_times_of_any_kind(tmp_path, t0, h):
     assert (ss.open_trajectory(tmp_path / "run.nc").t == run.t).all()
 
 
-@pytest.mark.parametrize("ending", ["nc", "zarr"])
+@pytest.mark.parametrize("ending", sweep(["nc", "zarr"]))
 def test_opened_runs_have_the_same_events(tmp_path, ending):
     """Arrays of files may be read-only: in a fresh process, as Numba remembers what it has seen."""
     run, path = run_of("double_pendulum", "simpson"), tmp_path / f"run.{ending}"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import sympy as sp
+from support.cases import sweep
 
 import symsimpson as ss
 
@@ -16,7 +17,7 @@ def run_with(system, start, rate, *events, **how):
     return ss.compile(system).integrate([start], v0=[rate], events=[*events], **how)
 
 
-@pytest.mark.parametrize("action", [None, ss.Switch(), STAY])
+@pytest.mark.parametrize("action", sweep([STAY, None, ss.Switch()]))
 @pytest.mark.parametrize(
     ("expression", "h", "end", "times"),
     [
