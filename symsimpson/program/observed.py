@@ -108,8 +108,12 @@ class Reduction(Observed):
         return self.kind in OF_STATES
 
 
-def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] = ()) -> Observed:
+def read_expression(
+    program: Program, expression: Any, wrapped: tuple[int, ...] = (), what: str = "the expression"
+) -> Observed:
     """Read an expression, a text or of SymPy; an equation means the difference of its sides.
+
+    Errors tell ``what`` it is.
 
     Raises
     ------
@@ -117,7 +121,7 @@ def read_expression(program: Program, expression: Any, wrapped: tuple[int, ...] 
         If it contains something else than arithmetic, functions and the names of coordinates,
         momenta, velocities, parameters, t, energy and kinetic_energy.
     """
-    reader = Reader(program, "the expression")
+    reader = Reader(program, what)
     text = reader.read_any(expression)
     return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
 

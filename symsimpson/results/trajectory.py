@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from symsimpson.errors import InputError
 from symsimpson.program.status import Status
 from symsimpson.program.values import read_array
 from symsimpson.results.differentiated import Differentiated
 from symsimpson.results.energies import Energies
 from symsimpson.results.states import States
 from symsimpson.support.calling import explaining
+from symsimpson.support.names import did_you_mean
 
 if TYPE_CHECKING:
     from symsimpson.plotting.animate import Animation
@@ -202,7 +204,16 @@ class Trajectory(Energies, Differentiated):
             return actions_of(self, expression)
         from symsimpson.results.events import find_events
 
-        return find_events(self, expression, direction, wrap)
+        try:
+            return find_events(self, expression, direction, wrap)
+        except InputError as error:
+            if not (isinstance(expression, str) and self.event_names):
+                raise
+            meant = did_you_mean(expression, self.event_names)
+            raise InputError(
+                f"{error}\nOr is it the name of an event?{meant} Those of this run are "
+                f"{', '.join(self.event_names)}."
+            ) from None
 
     def animate(self, *, seconds: float | None = None, fps: int = 20) -> Animation:
         """Film the system's ``positions``: points, and lines where their distance is constant.

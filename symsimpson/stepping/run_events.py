@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -116,18 +116,30 @@ def read_events(program: Program, given: Any) -> RunEvents:
     _check_names(program, events)
     for one in events:
         _check_restitution(program, one)
-    watched = [read_expression(program, one.expression) for one in events]
-
-    def place(expression: Any) -> int:
-        watched.append(read_expression(program, expression))
-        return len(watched) - 1
-
-    when = tuple(None if one.when is None else place(_positive(one.when)) for one in events)
-    gaps = [
-        _of_gap(program, one, place) if isinstance(one.action, Impact) else (None, None)
+    watched = [
+        read_expression(program, one.expression, what=f"the expression of the event {one.key!r}")
         for one in events
     ]
-    changes = tuple(_changes(program, one, place) for one in events)
+
+    def placed(what: str, event: Event) -> Callable[[Any], int]:
+        def place(expression: Any) -> int:
+            told = f"the {what} of the event {event.key!r}"
+            watched.append(read_expression(program, expression, what=told))
+            return len(watched) - 1
+
+        return place
+
+    when = tuple(
+        None if one.when is None else placed("condition", one)(_positive(one.when))
+        for one in events
+    )
+    gaps = [
+        _of_gap(program, one, placed("gap", one))
+        if isinstance(one.action, Impact)
+        else (None, None)
+        for one in events
+    ]
+    changes = tuple(_changes(program, one, placed("change", one)) for one in events)
     rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
     sizes = tuple(range(len(watched), len(watched) + len(events)))
     watched += [replace(one, text=one.size) for one in watched[: len(events)]]
@@ -228,6 +240,8 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
     for what, block in CHANGED.items():
         for coordinate, expression in getattr(event.action, what).items():
             number = names.place(coordinate)
+            if number is None and what == "velocities":
+                number = names.place_of_velocity(coordinate)
             if number is None:
                 raise InputError(
                     f"Change names {spelled(coordinate)!r}, which is no coordinate.\n"

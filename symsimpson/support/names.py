@@ -91,7 +91,7 @@ class Named:
             f"The system has {', '.join(self.shown) or 'none'}."
         )
 
-    def _of_velocity(self, key: Any) -> int | None:
+    def place_of_velocity(self, key: Any) -> int | None:
         """Return the place of the coordinate whose velocity a key names; None if it names none."""
         if getattr(key, "derivative_count", 0) == 1:
             return self.place(key.expr)
@@ -114,7 +114,7 @@ class Named:
             return given
         values: dict[int, Any] = {}
         for key, value in given.items():
-            place = self._of_velocity(key) if what == "v0" else None
+            place = self.place_of_velocity(key) if what == "v0" else None
             if place is None:
                 try:
                     place = self.found(key)

@@ -135,3 +135,32 @@ def test_a_change_without_a_value_is_named():
     event = ss.Event(z - 0.5, name="bad", action=ss.Change(velocities={z: 1 / (z - 0.5)}))
     with pytest.raises(ss.ConvergenceError, match=r"The change of 'bad' has no value at t=0\.319"):
         run_with(BALL, 1.0, 0.0, event, h=0.01, t_end=2)
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        (ss.Event("Hmax - z", name="top"), "the expression of the event 'top'"),
+        (ss.Event("z", name="low", when="Hmax - z"), "the condition of the event 'low'"),
+        (
+            ss.Event("z", name="low", action=ss.Change(velocities={z: "Hmax"})),
+            "the change of the event 'low'",
+        ),
+    ],
+)
+def test_what_of_which_event_makes_no_sense_is_told(event, message):
+    with pytest.raises(ss.InputError, match=message):
+        run_with(BALL, 1.0, 0.0, ss.Event(z - 5, name="other"), event, h=0.01, steps=5)
+
+
+def test_names_of_events_are_proposed():
+    floor = ss.Event(z, name="floor", action=ss.Impact())
+    run = run_with(BALL, 1.0, 0.0, floor, h=0.01, steps=50)
+    with pytest.raises(ss.InputError, match="Did you mean floor"):
+        run.events("flor")
+
+
+def test_changes_of_velocities_may_name_these():
+    change = ss.Change(velocities={z.diff(): -z.diff()})
+    run = run_with(BALL, 1.0, 0.0, ss.Event(z, name="floor", action=change), h=0.01, steps=50)
+    assert run.events("floor").after.v[0, 0] == pytest.approx(np.sqrt(2 * 9.81), rel=1e-12)
