@@ -59,6 +59,8 @@ class Layout:
         Those of constraints at all control points of a step but the last, times h.
     at_end : ndarray of int
         Those of the momenta at the end, which are no multipliers of a step.
+    shared : bool
+        Whether the last node of a step is the first of the next one.
     size : int
         Number of unknowns.
     scale : float
@@ -88,7 +90,7 @@ class Layout:
         self.momenta: Ints = np.arange(N + 1)[:, None] * block + d * n + np.arange(n)
         self.momenta[-1] = N * block + n + np.arange(n)
         size = N * block + 2 * n
-        shared = self.c[0] == 0 and self.c[-1] == 1 and s > 1
+        shared = self.shared = bool(self.c[0] == 0 and self.c[-1] == 1 and s > 1)
         each = s - 1 if shared else s
         # an input may jump where a phase ends
         before = np.arange(N) * each + grid.phase * shared
@@ -296,9 +298,13 @@ class Layout:
                 at = steps[k, :, a].ravel()
                 parts.append((at, np.repeat(np.arange(count), d + 1), weights[i].ravel()))
         parts.insert(n, (np.zeros(count, int), np.arange(count), self.b[i]))
+        before = np.append(-1, self.grid.phase[:-1])
+        again = self.shared & (i == 0) & (self.grid.phase == before)[k]
         for one in read.within:
-            at = rows.add(count, one.low, one.high, one.name)
-            parts.append((at, np.arange(count), np.ones(count)))
+            moving = not read.graph.nodes[one.value[1]].symbols.isdisjoint(read.v)
+            some = np.flatnonzero(~again | moving)  # what is without v is the same at shared nodes
+            at = rows.add(len(some), one.low, one.high, one.name)
+            parts.append((at, some, np.ones(len(some))))
         for a, (low, high) in here.items():
             some = np.flatnonzero(~self._alone[i])
             at = rows.add(len(some), low, high, read.names[a])

@@ -113,3 +113,17 @@ def test_slopes_of_polynomials():
     right = (lagrange(places, at + d) - lagrange(places, at - d)) / (2 * d)
     assert np.abs(lagrange_slopes(places, at) - right).max() < 1e-8
     assert lagrange_slopes(np.array([0.0, 1.0]), at).tolist() == [[-1.0, 1.0]] * 3
+
+
+@pytest.mark.parametrize("scheme", sweep(["lobatto6", "gauss6", "simpson"]))
+def test_inputs_may_be_given_by_the_state(scheme):
+    """At a node of two steps the row of a path stands once, unless velocities are in it."""
+    given = {"cost": u**2, "start": {x: 1, x.diff(): 0}, "duration": 2}
+    found = ss.OptimalControl(CART, **given, path=[(0, u + x, 0)]).solve(scheme, steps=10)
+    assert found.success
+    assert found.q[-1, 0] == pytest.approx(np.cos(2), abs=1e-4)
+    rows = found.layout.names.count("u + x(t)")
+    assert rows == {"lobatto6": 31, "simpson": 21, "gauss6": 30}[scheme]
+    moving = ss.OptimalControl(CART, **given, path=[(-9, u + x.diff(), 9)])
+    names = moving.solve("lobatto6", steps=10).layout.names
+    assert names.count("u + Derivative(x(t), t)") == 40
