@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.errors import InputError
+from symsimpson.errors import InputError, ModelError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP
 from symsimpson.run.zeros import ridders, zero_of_cubic
 from symsimpson.stepping.event import Impact
+from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
 
@@ -29,8 +30,6 @@ State = tuple[Floats, Floats]
 STILL = 1e-12
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500
-#: A state that an event leads to may miss constraints by so much.
-ALLOWED = 1e-9
 #: Newton's method for the time of an event ends with corrections below this part of the span.
 EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
 #: States at an event are known to so much of themselves.
@@ -335,22 +334,17 @@ class EventActions:
 
     def _check_allowed(self, t: float, state: State, v: Floats | None, k: int) -> None:
         """Say so where a state that was changed is none that constraints allow."""
-        header, (q, p) = self._program.header, state
-        if not header.constraints:
-            return
-        place = np.array([t]), q[None], p[None]
-        count = len(header.constraints)
-        phi = evaluate(self._program, "multipliers", "CONSTRAINT", count, *place, self._values)
-        off = float(np.abs(phi).max())
-        what = f"{header.constraints[int(np.abs(phi).argmax())]!r}"
-        if off <= ALLOWED * max(1.0, float(np.abs(q).max())) and v is not None:
-            off = float(np.abs(self._velocities(t, q, p[None])[0] - v).max())
-            off, what = off / max(1.0, float(np.abs(v).max())), "the rate of one of them"
-        if not off <= ALLOWED:
+        q, other = state[0][None], (state[1] if v is None else v)[None]
+        try:
+            given = "" if v is None else "v0"
+            project_start(self._program, q, other, given, self._values[None], t)
+        except (InputError, ModelError) as error:
+            why = str(error).split("\n")[0].removeprefix(f"{self._program.system}: ")
+            why = why.replace("q0", "its position").replace("v0", "its velocity")
             self.failed = (
                 f"The event {self._events.names[k]!r} changes the state to one that constraints do "
-                f"not allow: {what} is off by {off:.2g}. Change all that hang together, as "
-                "system.consistent(q0, v0) finds it. "
+                f"not allow: {why} Change all that hang together, as system.consistent(q0, v0) "
+                "finds it. "
             )
 
 

@@ -164,3 +164,29 @@ def test_changes_of_velocities_may_name_these():
     change = ss.Change(velocities={z.diff(): -z.diff()})
     run = run_with(BALL, 1.0, 0.0, ss.Event(z, name="floor", action=change), h=0.01, steps=50)
     assert run.events("floor").after.v[0, 0] == pytest.approx(np.sqrt(2 * 9.81), rel=1e-12)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda unit: {"positions": {x: 2 * x}}, "its position does not satisfy .* 'rod'"),
+        (
+            lambda unit: {"velocities": {y: y.diff() + unit}},
+            "its velocity is not allowed by .*'rod'",
+        ),
+    ],
+)
+def test_changes_that_constraints_do_not_allow_are_told(unit, change, message):
+    l = sp.Symbol("l", positive=True)
+    bob = ss.MechanicalSystem(
+        "bob",
+        coordinates=(x, y),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
+        potential=9.81 * l * y,
+        constraints={"rod": x**2 + y**2 - l**2},
+        parameters={l: unit},
+    )
+    event = ss.Event(y + l / 2, name="low", action=ss.Change(**change(unit)))
+    with pytest.raises(ss.ConvergenceError, match=message):
+        ss.compile(bob).integrate([unit, 0.0], v0=[0.0, 0.0], h=0.02, steps=60, events=[event])
