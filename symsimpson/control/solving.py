@@ -117,7 +117,7 @@ def _solved(
             outcome = run_ipopt(programme, outcome.x, bounds, (low, high), given, look)
             again = result_of(layout, outcome)
             found = replace(
-                again,
+                again if again.success else found,
                 iterations=found.iterations + again.iterations,
                 seconds=found.seconds + again.seconds,
                 in_functions=found.in_functions + again.in_functions,
