@@ -22,6 +22,7 @@ def run_with(system, start, rate, *events, **how):
     ("expression", "h", "end", "times"),
     [
         (sp.sin(sp.pi * ss.time), 0.05, 60.0, np.arange(1, 61)),
+        (sp.sin(sp.pi * ss.time), 0.01, 100.0, np.arange(1, 101)),
         (sp.cos(2 * sp.pi * ss.time), 0.25, 20.1, np.arange(0.25, 20.1, 0.5)),
         (sp.sin(th), 0.05, 50.0, np.arange(1, 16) * np.pi - 0.1),
         (sp.sin(th) + sp.cos(th), 0.05, 40.0, np.arange(1, 14) * np.pi - np.pi / 4 - 0.1),
