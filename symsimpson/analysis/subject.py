@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from symsimpson.analysis.precise import Precise
 from symsimpson.analysis.symmetries import Symmetry, linear_symmetries
 from symsimpson.api.stepper import Stepper
-from symsimpson.errors import InputError
+from symsimpson.errors import ConvergenceError, InputError
 from symsimpson.program.program import Findings
 from symsimpson.program.values import read_number
 from symsimpson.reference.extrapolation import extrapolate
@@ -72,7 +72,9 @@ class Subject:
     @cached_property
     def scale(self) -> NDArray[np.float64]:
         """Sizes of the coordinates and the momenta, to measure errors by."""
-        run = self.compiled(100, every=1)
+        return self._scale_of(self.compiled(100, every=1))
+
+    def _scale_of(self, run: Trajectory) -> NDArray[np.float64]:
         q, p = (np.abs(x).max(axis=0) for x in (run.q, run.p))
         # a coordinate that hardly moves has no size of its own: that of others, in small units
         least = min(1.0, q.max() or 1.0)
@@ -80,9 +82,16 @@ class Subject:
 
     @cached_property
     def sizes(self) -> NDArray[Any]:
-        """The same in many digits, as powers of two, by which nothing is rounded."""
+        """The same in many digits, as powers of two, by which nothing is rounded.
+
+        Of a run that fails they are those of its states up to there.
+        """
         context = self.precise.context
-        powers = np.round(np.log2(self.scale)).astype(int).tolist()
+        try:
+            scale = self.scale
+        except ConvergenceError as error:
+            scale = self._scale_of(error.trajectory)
+        powers = np.round(np.log2(scale)).astype(int).tolist()
         return np.array([context.ldexp(1, power) for power in powers], dtype=object)
 
     @cached_property
