@@ -24,12 +24,13 @@ MORE, OFF = 4, 0.05
 
 def balanced(layout: Any, x: Floats) -> bool:
     """Return whether equations of steps are satisfied with more nodes, for the same polynomials."""
-    u = x[layout.inputs]
-    found, done = _rows(layout, x, layout.c, layout.b, u)
+    read, u = layout.read, x[layout.inputs]
+    functions = PointFunctions(read.graph, [], [*read.forces, *read.momenta])
+    found, done = _rows(layout, functions, x, layout.c, layout.b, u)
     places, weights = np.polynomial.legendre.leggauss(layout.nodes + MORE)
     places = (places + 1) / 2
     inputs = np.einsum("ij,kjm->kim", lagrange(layout.c, places), u)
-    finer, _ = _rows(layout, x, places, weights / 2, inputs)
+    finer, _ = _rows(layout, functions, x, places, weights / 2, inputs)
     # by the speeds of coordinates all are of one unit
     speeds = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=1)
     off = (np.abs(finer - found).max(axis=1) * speeds).sum()
@@ -37,7 +38,12 @@ def balanced(layout: Any, x: Floats) -> bool:
 
 
 def _rows(
-    layout: Any, x: Floats, places: Floats, weights: Floats, inputs: Floats
+    layout: Any,
+    functions: PointFunctions,
+    x: Floats,
+    places: Floats,
+    weights: Floats,
+    inputs: Floats,
 ) -> tuple[Floats, Floats]:
     """Return sums over nodes in the equations of steps, (N, d + 1, n), and the sizes of forces."""
     read, q = layout.read, x[layout.points]
@@ -52,7 +58,6 @@ def _rows(
     times = layout.grid.before(k, places[i]) @ sizes
     point = {node: one.ravel() for node, one in zip(known, at, strict=True)}
     point |= {**layout.parameter_values(x), read.t: times}
-    functions = PointFunctions(read.graph, [], [*read.forces, *read.momenta])
     F, P = functions.values(point, N * s).reshape(2, n, N, s)
     F = F * h[:, None]
     rows = np.einsum("i,ij,aki->kja", weights, values, F)

@@ -1,4 +1,4 @@
-"""What is done with a solution: its inputs run forward, gains that hold a run near it."""
+"""Uses of a solution: its inputs run forward, gains that hold a run near it."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ def simulated(result: Any, refine: int) -> tuple[Any, float]:
     layout, refine = result.layout, read_count("refine", refine, least=1)
     stepper, inputs = stepper_of(layout), refined(result, refine)
     sizes, (q, p), runs = layout.sizes(result.x), (result.q[0], result.p[0]), []
+    t = result.t
     for own, h in zip(layout.grid.slices, sizes, strict=True):
         first, last = own.start * refine, own.stop * refine
         run = stepper.integrate(
@@ -41,7 +42,7 @@ def simulated(result: Any, refine: int) -> tuple[Any, float]:
             p0=p,
             h=float(h) / refine,
             steps=last - first,
-            t0=float(result.t[own.start]),
+            t0=float(t[own.start]),
             inputs={name: values[first:last] for name, values in inputs.items()} or None,
             parameters=result.unknowns or None,
         )
@@ -99,13 +100,14 @@ def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
 def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
     """Give how the states at the ends of steps depend on those before, and on inputs held."""
     layout, names, q, p = result.layout, result.layout.read.inputs, result.q, result.p
+    stepper, t = stepper_of(layout), result.t
     for own, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
-        linear = stepper_of(layout).linearise(
+        linear = stepper.linearise(
             q[own.start],
             p0=p[own.start],
             h=float(h),
             steps=own.stop - own.start,
-            t0=float(result.t[own.start]),
+            t0=float(t[own.start]),
             inputs={name: result.input_values[own, :, j] for j, name in enumerate(names)},
             parameters=result.unknowns or None,
             wrt=list(layout.read.system.inputs),

@@ -60,11 +60,9 @@ class Grid:
 
         The time at a place is that times the sizes of steps.
         """
-        first = np.array([own.start for own in self.slices])
-        whole = np.clip(np.asarray(k)[..., None] - first, 0, self.steps)
-        inside = np.asarray(k)[..., None] - first
-        within = (inside >= 0) & (inside < self.steps)
-        found: Floats = whole + within * np.asarray(place)[..., None]
+        own = k[..., None] - [steps.start for steps in self.slices]
+        within = (own >= 0) & (own < self.steps)
+        found: Floats = np.clip(own, 0, self.steps) + within * place[..., None]
         return found
 
     def times(self, sizes: Floats) -> Floats:

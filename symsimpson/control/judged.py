@@ -1,4 +1,4 @@
-"""What a solver came to, judged: whether it is a motion of the system, and what is off most."""
+"""Judgement of what a solver came to: whether it is a motion of the system, what is off most."""
 
 from __future__ import annotations
 

@@ -245,6 +245,8 @@ class ControlResult:
 
         layout, t, q, p = self.layout, self.t, self.q, self.p
         sizes, found = layout.sizes(self.x).tolist(), []
+        program = stepper_of(layout).program
+        values = np.array([*layout.parameter_values(self.x).values()])
         for own, h in zip(layout.grid.slices, sizes, strict=True):
             ends = slice(own.start, own.stop + 1)
             found.append(
@@ -258,8 +260,8 @@ class ControlResult:
                     every=1,
                     status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
                     message=self.message,
-                    program=stepper_of(layout).program,
-                    parameter_values=np.array([*layout.parameter_values(self.x).values()]),
+                    program=program,
+                    parameter_values=values,
                     input_values=self.input_values[None, own],
                 )
             )

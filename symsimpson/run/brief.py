@@ -153,15 +153,13 @@ def room(last: int, n: int) -> Stored:
 
 def read_state(name: str, value: Any, coordinates: Named) -> Floats:
     """Read a number for each coordinate; quickly, if these are floats in their order."""
-    if type(value) is np.ndarray and value.dtype == np.float64:
-        found = value.copy()
-    elif type(value) in (list, tuple) and all(type(x) is float for x in value):
-        found = np.array(value)
+    if type(value) is np.ndarray:
+        plain = value.dtype == np.float64 and value.shape == (len(coordinates),)
     else:
-        return read_vector(name, value, coordinates, FLOAT64)
+        plain = type(value) in (list, tuple) and len(value) == len(coordinates)
+        plain = plain and all(type(x) is float for x in value)
     # what is not finite is told of where the run ends
-    good = found.shape == (len(coordinates),)
-    return found if good else read_vector(name, value, coordinates, FLOAT64)
+    return np.array(value) if plain else read_vector(name, value, coordinates, FLOAT64)
 
 
 def read_brief_request(program: Program, request: Request) -> BriefRequest | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
@@ -121,25 +122,21 @@ def read_events(program: Program, given: Any) -> RunEvents:
         for one in events
     ]
 
-    def placed(what: str, event: Event) -> Callable[[Any], int]:
-        def place(expression: Any) -> int:
-            told = f"the {what} of the event {event.key!r}"
-            watched.append(read_expression(program, expression, what=told))
-            return len(watched) - 1
-
-        return place
+    def place(what: str, event: Event, expression: Any) -> int:
+        told = f"the {what} of the event {event.key!r}"
+        watched.append(read_expression(program, expression, what=told))
+        return len(watched) - 1
 
     when = tuple(
-        None if one.when is None else placed("condition", one)(_positive(one.when))
-        for one in events
+        None if one.when is None else place("condition", one, _positive(one.when)) for one in events
     )
     gaps = [
-        _of_gap(program, one, placed("gap", one))
+        _of_gap(program, one, partial(place, "gap", one))
         if isinstance(one.action, Impact)
         else (None, None)
         for one in events
     ]
-    changes = tuple(_changes(program, one, placed("change", one)) for one in events)
+    changes = tuple(_changes(program, one, partial(place, "change", one)) for one in events)
     rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
     sizes = tuple(range(len(watched), len(watched) + len(events)))
     watched += [replace(one, text=one.size) for one in watched[: len(events)]]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.rods import rod_of
 
 import symsimpson as ss
 from symsimpson.stepping.run import Run
@@ -264,16 +265,7 @@ def test_members_that_fold_are_told_apart():
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
 def test_starts_are_judged_alike_in_any_unit_of_length(unit):
-    x, y = ss.coordinates("x y")
-    G, r = sp.symbols("G r", positive=True)
-    system = ss.MechanicalSystem(
-        "rod",
-        coordinates=(x, y),
-        kinetic=(x.diff() ** 2 + y.diff() ** 2) / 2,
-        potential=G * y,
-        constraints={"rod": x**2 + y**2 - r**2},
-        parameters={r: unit, G: 9.81 * unit},
-    )
+    system = rod_of(unit)
     stepper = ss.compile(system)
     for q, other, told in (
         ([1.5, 0], {"v0": [0, 0]}, "q0 does not satisfy"),
