@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import statistics
 import threading
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -70,15 +71,23 @@ def report(members: int = MEMBERS) -> Iterator[str]:
     truth = peers[0].make(0.0)()
     apart = _error(ours("gauss12", 1600)(), truth)
     yield f"truth: heyoka at full accuracy; gauss12 with 1600 steps differs by {apart:.0e}"
-    contenders += peers
+    errors = {one.name: _Errors(one, truth) for one in (*contenders, peers[0])}
     for level in LEVELS:
         yield f"median error of the angles at t = {T_END:g} at most {level:g}:"
-        chosen = {one.name: _coarsest(one, truth, level) for one in contenders}
+        chosen = {name: one.coarsest(level) for name, one in errors.items()}
+        # the same method with the same tolerances: the same errors
+        chosen |= {one.name: chosen[peers[0].name] for one in peers[1:]}
         chosen = {name: found for name, found in chosen.items() if found[1] <= level}
-        medians = _medians({name: run for name, (_, _, run) in chosen.items()})
+        medians = _medians(
+            {
+                one.name: one.make(chosen[one.name][0])
+                for one in (*contenders, *peers)
+                if one.name in chosen
+            }
+        )
         best = min((name for name in SCHEMES if name in medians), key=medians.__getitem__)
         fastest = medians[best]
-        for name, (choice, error, _) in chosen.items():
+        for name, (choice, error) in chosen.items():
             ratio = medians[name] / fastest
             yield (
                 f"  {name:<40}{rate(medians[name])}, {ratio:5.2f} of the time of {best}"
@@ -86,17 +95,18 @@ def report(members: int = MEMBERS) -> Iterator[str]:
             )
 
 
-def _coarsest(one: Contender[Run], truth: Floats, level: float) -> tuple[Any, float, Run]:
-    """Find the coarsest choice that reaches an error, by bisection."""
-    low, high = 0, len(one.choices) - 1
-    while low < high:
-        middle = (low + high) // 2
-        if _error(one.make(one.choices[middle])(), truth) <= level:
-            high = middle
-        else:
-            low = middle + 1
-    run = one.make(one.choices[low])
-    return one.choices[low], _error(run(), truth), run
+class _Errors:
+    """Errors of a contender by its choices, each measured once and when it is asked for."""
+
+    def __init__(self, one: Contender[Run], truth: Floats) -> None:
+        self.one = one
+        self.of = cache(lambda k: _error(one.make(one.choices[k])(), truth))
+
+    def coarsest(self, level: float) -> tuple[float, float]:
+        """Find the coarsest choice that reaches an error, by bisection; return it and its error."""
+        last = len(self.one.choices) - 1
+        place = bisect_left(range(last), True, key=lambda k: self.of(k) <= level)
+        return self.one.choices[place], self.of(place)
 
 
 def _error(found: Floats, truth: Floats) -> float:

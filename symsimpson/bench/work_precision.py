@@ -31,6 +31,10 @@ LEAST_SECONDS = 1e-3
 MOST_SECONDS = 2.0
 #: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
 MOST_SLOW, LEAP = 3, 3
+#: A run that takes this long is not run twice to be warm, and every other choice is enough.
+LONG_SECONDS = 0.1
+#: What has been timed for so long is timed no more: noise is short against it.
+ENOUGH_SECONDS = 0.5
 #: A run over this part of the time measures the cost of a call alone.
 CALL_FRACTION = 1e-6
 #: Errors are not followed below this: it is rounding.
@@ -118,9 +122,10 @@ def work_precision(
             for _ in range(2):  # once more, when nothing is made or loaded any longer
                 one = _once(contender, coarsest, brief)
             calls += [] if one is None else [one]
-        for _ in range(repeats):
+        for turn in range(repeats):
             for entry in (*entries, *calls):
-                entry.times.append(_timed(entry.run, entry.number))
+                if turn == 0 or sum(entry.times) < ENOUGH_SECONDS:
+                    entry.times.append(_timed(entry.run, entry.number))
     points = [
         Point(
             e.contender.name,
@@ -165,13 +170,15 @@ def _contenders(
 
 
 def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _Entry | None:
-    """Run a choice twice, the second time with a clock; None if it raised an error."""
+    """Run a choice, the second time with a clock if it is short; None if it raised an error."""
     run, read = contender.make(choice)
     try:
-        found = run()
-        begin = time.perf_counter()
-        found = run()
-        spent = time.perf_counter() - begin
+        spent = 0.0
+        for _ in range(2):
+            if spent < LONG_SECONDS:
+                begin = time.perf_counter()
+                found = run()
+                spent = time.perf_counter() - begin
     except (SymsimpsonError, ArithmeticError, ValueError):
         return None
     outcome = read(found)
@@ -192,6 +199,7 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
         if entry.error < 1:
             found.append(entry)
         best = min((e.error for e in found), default=1.0)
+        place += entry.times[0] > LONG_SECONDS
         if entry.times[0] > MOST_SECONDS:
             slow += 1
             place += 0 if found else LEAP  # a coarse run may go astray and take long

@@ -12,53 +12,60 @@ from symsimpson.control.given import read_reals
 from symsimpson.control.points import lagrange
 from symsimpson.errors import InputError
 from symsimpson.program.values import read_count
+from symsimpson.support.names import spelled
 
 if TYPE_CHECKING:
-    from symsimpson.api.stepper import Stepper
     from symsimpson.control.layout import Layout
+    from symsimpson.results.trajectory import Trajectory
 
-__all__ = ["gains", "simulated", "stepper_of"]
+__all__ = ["gains", "motions", "simulated"]
 
 Floats = NDArray[np.float64]
 
 
-def stepper_of(layout: Layout) -> Stepper:
-    """Return the stepper of a problem's system and scheme."""
-    from symsimpson.api.compiling import compile as compile_stepper  # solving compiles nothing
+def motions(
+    layout: Layout, x: Floats, state: tuple[Floats, Floats], inputs: Floats, **how: Any
+) -> Iterator[Trajectory]:
+    """Run a stepper from (q, p) through phase after phase, with inputs at the nodes of steps.
 
-    return compile_stepper(layout.read.system, layout.scheme)
-
-
-def simulated(result: Any, refine: int) -> tuple[Any, float]:
-    """Run the inputs of a solution with finer steps; return the runs, and how far off they end."""
-    layout, refine = result.layout, read_count("refine", refine, least=1)
-    stepper, inputs = stepper_of(layout), refined(result, refine)
-    sizes, (q, p), runs = layout.sizes(result.x), (result.q[0], result.p[0]), []
-    t = result.t
+    There may be several steps for each of the layout, inputs for each of them.
+    """
+    read, refine = layout.read, len(inputs) // layout.steps
+    stepper, sizes = layout.stepper, layout.sizes(x) / refine
+    names = [spelled(a) for a in read.system.parameters]
+    found = dict(zip([names[i] for i in read.found], x[layout.parameters].tolist(), strict=True))
+    begin, (q, p) = layout.grid.times(layout.sizes(x)), state
     for own, h in zip(layout.grid.slices, sizes, strict=True):
         first, last = own.start * refine, own.stop * refine
         run = stepper.integrate(
             q,
             p0=p,
-            h=float(h) / refine,
+            h=float(h),
             steps=last - first,
-            t0=float(t[own.start]),
-            inputs={name: values[first:last] for name, values in inputs.items()} or None,
-            parameters=result.unknowns or None,
+            t0=float(begin[own.start]),
+            inputs={name: inputs[first:last, :, j] for j, name in enumerate(read.inputs)} or None,
+            parameters=found or None,
+            **how,
         )
+        yield run
         q, p = run.q[-1], run.p[-1]
-        runs.append(run)
-    found: Any = runs[0] if len(runs) == 1 else tuple(runs)
-    return found, float(np.abs(q - result.q[-1]).max())
 
 
-def refined(result: Any, refine: int) -> dict[str, Floats]:
+def simulated(result: Any, refine: int) -> tuple[Any, float]:
+    """Run the inputs of a solution with finer steps; return the runs, and how far off they end."""
+    layout, refine = result.layout, read_count("refine", refine, least=1)
+    start = result.q[0], result.p[0]
+    runs = tuple(motions(layout, result.x, start, refined(result, refine)))
+    found: Any = runs[0] if len(runs) == 1 else runs
+    return found, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
+
+
+def refined(result: Any, refine: int) -> Floats:
     """Return inputs at the nodes of finer steps, each by the polynomial of its own step."""
     layout = result.layout
     places = (np.arange(refine)[:, None] + layout.c) / refine
     values = np.einsum("rsi,kim->krsm", lagrange(layout.c, places), result.input_values)
-    shape = layout.steps * refine, layout.nodes
-    return {name: values[..., j].reshape(shape) for j, name in enumerate(layout.read.inputs)}
+    return values.reshape(layout.steps * refine, layout.nodes, -1)
 
 
 def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
@@ -100,7 +107,7 @@ def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
 def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
     """Give how the states at the ends of steps depend on those before, and on inputs held."""
     layout, names, q, p = result.layout, result.layout.read.inputs, result.q, result.p
-    stepper, t = stepper_of(layout), result.t
+    stepper, t = layout.stepper, result.t
     for own, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
         linear = stepper.linearise(
             q[own.start],

@@ -5,17 +5,42 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.control.transcription import Programme
 from symsimpson.support.extras import library
 
-__all__ = ["Outcome", "run_ipopt"]
+__all__ = ["Outcome", "Solvable", "run_ipopt"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Solvable(Protocol):
+    """A programme as a solver sees it: see :class:`transcription.Programme`."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and of unknowns."""
+
+    @property
+    def jacobian_places(self) -> tuple[Ints, Ints]:
+        """Rows and columns of the entries of the Jacobian."""
+
+    @property
+    def hessian_places(self) -> tuple[Ints, Ints]:
+        """Rows and columns of the entries of the Hessian, on and above the diagonal."""
+
+    def values(self, x: Floats) -> tuple[float, Floats]:
+        """Return the cost and the rows."""
+
+    def slopes(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return the gradient of the cost, and the entries of the Jacobian."""
+
+    def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
+        """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +57,7 @@ class Outcome:
 
 
 def run_ipopt(
-    programme: Programme,
+    programme: Solvable,
     x0: Floats,
     bounds: tuple[Floats, Floats],
     limits: tuple[Floats, Floats],

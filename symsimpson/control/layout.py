@@ -20,6 +20,7 @@ from symsimpson.graph.nodes import Value, scaled
 from symsimpson.graph.rebuild import rebuilt
 
 if TYPE_CHECKING:
+    from symsimpson.api.stepper import Stepper
     from symsimpson.control.reading import Reading
     from symsimpson.schemes.scheme import Scheme
 
@@ -111,6 +112,13 @@ class Layout:
         self.size = size + (N * d + 1) * held
         self.scale = (low if low == high else np.sqrt(low * high)) / N
         self.end_scale = END_SCALE * self.scale * N
+
+    @cached_property
+    def stepper(self) -> Stepper:
+        """The stepper of the system and the scheme; it compiles nothing until it runs."""
+        from symsimpson.api.compiling import compile as compile_stepper  # which solving needs not
+
+        return compile_stepper(self.read.system, self.scheme)
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:

@@ -121,6 +121,7 @@ class OptimalControl:
         error: float | None = None,
         tolerance: float = 1e-9,
         most_iterations: int = 500,
+        condensed: bool = False,
         progress: bool | None = None,
     ) -> ControlResult:
         """Solve the problem for the motions of a scheme.
@@ -142,6 +143,10 @@ class OptimalControl:
         tolerance : float
             Of the optimality conditions, scaled.
         most_iterations : int
+        condensed : bool
+            Whether states follow from inputs, step by step, and are no unknowns: few unknowns, for
+            motions that are not unstable, of systems without constraints. The motion of the
+            guess begins as ``start`` says.
         progress : bool, optional
             Whether to show the cost and the iterations (needs tqdm); None shows them after a
             second. What the solver tells of each stands in the result's ``history``.
@@ -166,11 +171,13 @@ class OptimalControl:
                 raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
         if progress not in (None, True, False):
             raise InputError(f"progress is {progress!r}.\nPass True, False or None.")
+        if condensed not in (True, False):
+            raise InputError(f"condensed is {condensed!r}.\nPass True or False.")
         whole = isinstance(most_iterations, (int, np.integer))
         if not whole or isinstance(most_iterations, bool) or most_iterations < 0:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
-        return solve(self.reading, found, grid, guess, error, options, progress)
+        return solve(self.reading, found, grid, guess, error, options, progress, bool(condensed))
 
     def open(
         self, path: str | os.PathLike[str], scheme: str | Scheme | None = None

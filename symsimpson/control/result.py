@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symsimpson.control import figures
 from symsimpson.control.arcs import arcs_of
-from symsimpson.control.forward import gains, simulated, stepper_of
+from symsimpson.control.forward import gains, simulated
 from symsimpson.control.functions import times_within
 from symsimpson.control.held import projected, turned
 from symsimpson.control.layout import Layout
@@ -245,7 +245,7 @@ class ControlResult:
 
         layout, t, q, p = self.layout, self.t, self.q, self.p
         sizes, found = layout.sizes(self.x).tolist(), []
-        program = stepper_of(layout).program
+        program = layout.stepper.program
         values = np.array([*layout.parameter_values(self.x).values()])
         for own, h in zip(layout.grid.slices, sizes, strict=True):
             ends = slice(own.start, own.stop + 1)

@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.control.condensed import Condensed, at_start, moved
 from symsimpson.control.functions import read_function, values_at
 from symsimpson.control.given import read_mapping, read_reals
 from symsimpson.control.grid import Grid, read_grid
 from symsimpson.control.held import onto
-from symsimpson.control.ipopt import run_ipopt
+from symsimpson.control.ipopt import Outcome, run_ipopt
 from symsimpson.control.judged import result_of
 from symsimpson.control.layout import Layout
 from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
 from symsimpson.control.result import TOLD, ControlResult
 from symsimpson.control.saving import read_solution
+from symsimpson.control.scaling import Scaled, scaled
 from symsimpson.control.status import ControlStatus
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
@@ -54,6 +56,7 @@ def solve(
     error: float | None,
     options: dict[str, Any],
     progress: bool | None,
+    condensed: bool = False,
 ) -> ControlResult:
     """Solve a problem for the motions of a scheme; with more steps, until the error is small.
 
@@ -63,13 +66,13 @@ def solve(
         If the guess does not fit, conditions are too many, or casadi is not installed.
     """
     _look_at_nodes(read, scheme)
-    found = _solved(Layout(read, scheme, grid), guess, options, progress)
+    found = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
     for doubled in range(MOST_REFINEMENTS if error is not None else 0):
         unresolved = found.status is ControlStatus.NOT_RESOLVED
         if not found.success and not (unresolved and doubled < MOST_UNRESOLVED):
             break
         layout = Layout(read, scheme, found.layout.grid.halved)
-        finer = _solved(layout, found, options, progress)
+        finer = _solved(layout, found, options, progress, condensed)
         off = abs(finer.cost - found.cost) / (abs(finer.cost) or 1.0)
         # what is left behind a change from h to h / 2 of order 2: switches leave no more
         found = replace(finer, error=off / 3)
@@ -86,7 +89,7 @@ def solve(
 
 
 def _solved(
-    layout: Layout, guess: Any, options: dict[str, Any], progress: bool | None
+    layout: Layout, guess: Any, options: dict[str, Any], progress: bool | None, condensed: bool
 ) -> ControlResult:
     """Solve a problem once."""
     programme, low, high = layout.programme
@@ -96,26 +99,40 @@ def _solved(
             f"{layout.read.system.name}: {equations} equations for {size} unknowns: there are more "
             "conditions than inputs can satisfy.\nLeave conditions out, or add inputs or steps."
         )
-    bounds = layout.bounds
-    x0 = np.clip(begin(layout, guess), *bounds)
+    x0 = np.clip(begin(layout, guess), *layout.bounds)
+    own = scaled(programme, layout, x0)
+    x0 = moved(layout, at_start(layout, x0)) if condensed else x0
+    bounds, limits = own.bounds(layout.bounds, (low, high))
+    form: Scaled | Condensed = own
+    begun = own.inside(x0)
+    if condensed:
+        form = Condensed(
+            own, layout, lambda x: own.inside(moved(layout, own.outside(x))), begun, bounds
+        )
+        begun = form.inside(begun)
+        bounds, limits = form.bounds(bounds, limits)
+
+    def told(outcome: Outcome) -> ControlResult:
+        outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
+        return result_of(layout, own.outcome(outcome))
+
     name = f"{layout.read.system.name}, {layout.steps} steps"
     bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)
     with listening() as heard, bar:
 
         def look(cost: float) -> bool:
-            bar.say(f"{name}: cost {cost:.6g}, {bar.count} iterations")
+            bar.say(f"{name}: cost {cost * own.of_cost:.6g}, {bar.count} iterations")
             bar.add(1)
             return bool(heard)
 
-        outcome = run_ipopt(programme, x0, bounds, (low, high), {**OPTIONS, **options}, look)
-        found = result_of(layout, outcome)
+        outcome = run_ipopt(form, begun, bounds, limits, {**OPTIONS, **options}, look)
+        found = told(outcome)
         # the solver compares with 1: small costs are found once more, in a unit of their own
-        size = max(abs(programme.values(x0)[0]), abs(found.cost))
+        size = max(abs(form.values(begun)[0]), abs(found.cost) / own.of_cost)
         if outcome.said == "Solve_Succeeded" and 0 < size < SMALL:
-            own = {"obj_scaling_factor": 1 / max(size, SMALLEST)}
-            given = {**OPTIONS, **options, **own}
-            outcome = run_ipopt(programme, outcome.x, bounds, (low, high), given, look)
-            again = result_of(layout, outcome)
+            given = {**OPTIONS, **options, "obj_scaling_factor": 1 / max(size, SMALLEST)}
+            outcome = run_ipopt(form, outcome.x, bounds, limits, given, look)
+            again = told(outcome)
             found = replace(
                 again if again.success else found,
                 iterations=found.iterations + again.iterations,

@@ -180,7 +180,10 @@ class Programme:
         ]
         self._jacobian = _Pattern(slopes, (g, x), linear)
         self._rest = self._jacobian.row > 0
-        self.jacobian_places = self._jacobian.row[self._rest] - 1, self._jacobian.column[self._rest]
+        self.jacobian_places: tuple[Ints, Ints] = (
+            self._jacobian.row[self._rest] - 1,
+            self._jacobian.column[self._rest],
+        )
         curved = []
         for one in self.blocks:
             number, row, column, part = one.curvature_places()
@@ -188,8 +191,8 @@ class Programme:
             size = len(one.functions.curved) * one.count
             curved.append((number[upper], row[upper], column[upper], part[upper], size))
         self._hessian = _Pattern(curved, (x, x))
-        self.hessian_places = self._hessian.row, self._hessian.column
-        self.shape = g - 1, x
+        self.hessian_places: tuple[Ints, Ints] = (self._hessian.row, self._hessian.column)
+        self.shape: tuple[int, int] = (g - 1, x)
         self._last: Any = None
 
     def values(self, x: Floats) -> tuple[float, Floats]:

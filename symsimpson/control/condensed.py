@@ -1,0 +1,243 @@
+"""The condensed form of a programme: states follow from inputs, step by step.
+
+Of the full form the states are eliminated: for inputs that are given, a stepper finds the motion;
+its slopes are those of the equations, and multipliers of the steps their adjoint. What is
+left is small and dense: inputs, what is free of the start, durations and parameters.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from symsimpson.control.forward import motions
+from symsimpson.control.points import PointFunctions
+from symsimpson.errors import InputError, SymsimpsonError
+
+if TYPE_CHECKING:
+    from symsimpson.control.ipopt import Outcome, Solvable
+    from symsimpson.control.layout import Layout
+
+__all__ = ["Condensed", "at_start", "moved"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+#: Equations of steps hold when they are off by no more than this; or not by less any longer.
+CLOSE = 1e-14
+HOW = "Take the full form, condensed=False, in which states are unknowns."
+
+
+class Condensed:
+    """A programme whose states are eliminated.
+
+    Parameters
+    ----------
+    programme : Solvable
+        The full form.
+    layout : Layout
+        Where its unknowns stand.
+    motion : callable
+        Gives its unknowns with states that move as the others say.
+    x : ndarray
+        Its unknowns at a guess.
+    bounds : pair of ndarray
+        Of its unknowns: those of states become rows.
+
+    Attributes
+    ----------
+    unknowns : ndarray of int
+        Those that are left.
+    """
+
+    def __init__(
+        self,
+        programme: Solvable,
+        layout: Layout,
+        motion: Callable[[Floats], Floats],
+        x: Floats,
+        bounds: tuple[Floats, Floats],
+    ) -> None:
+        rows, size = programme.shape
+        self._full, self._motion, self._x = programme, motion, x.copy()
+        self._states = np.unique([*layout.points[:, 1:].ravel(), *layout.momenta[1:].ravel()])
+        self._steps = layout.step_rows.ravel() - 1
+        self._rest = np.setdiff1d(np.arange(rows), self._steps)
+        self.unknowns: Ints = np.setdiff1d(np.arange(size), self._states)
+        finite = np.isfinite(bounds[0]) | np.isfinite(bounds[1])
+        self._bounded = np.flatnonzero(finite[self._states])
+        left, kept = len(self._rest) + len(self._bounded), len(self.unknowns)
+        self.shape: tuple[int, int] = left, kept
+        column, row = (k.ravel() for k in np.mgrid[:kept, :left])
+        self.jacobian_places: tuple[Ints, Ints] = row, column
+        self._upper = np.tril_indices(kept)  # by columns: rows and columns changed places
+        self.hessian_places: tuple[Ints, Ints] = self._upper[1], self._upper[0]
+        self._last: dict[str, Any] = {}
+
+    def inside(self, x: Floats) -> Floats:
+        """Return the unknowns that are left."""
+        return x[self.unknowns]
+
+    def bounds(self, of_unknowns: Any, of_rows: Any) -> tuple[Any, Any]:
+        """Return bounds of unknowns and of rows, of those of the full form."""
+        states = self._states[self._bounded]
+        return (
+            tuple(x[self.unknowns] for x in of_unknowns),
+            tuple(
+                np.concatenate([y[self._rest], x[states]])
+                for x, y in zip(of_unknowns, of_rows, strict=True)
+            ),
+        )
+
+    def values(self, w: Floats) -> tuple[float, Floats]:
+        """Return the cost and the rows; NaN where no motion was found."""
+        at = self._at(w)
+        if "x" not in at:
+            return np.nan, np.full(self.shape[0], np.nan)
+        cost, rows = self._full.values(at["x"])
+        return cost, np.concatenate([rows[self._rest], at["x"][self._states[self._bounded]]])
+
+    def slopes(self, w: Floats) -> tuple[Floats, Floats]:
+        """Return the gradient of the cost, and the entries of the Jacobian."""
+        at = self._at(w)
+        if "x" not in at:
+            return np.full(len(w), np.nan), np.full(self.shape[0] * len(w), np.nan)
+        gradient, jacobian = self._slopes(at["x"])
+        Z = self._moved(at, jacobian)
+        rest = jacobian[self._rest]
+        own = rest[:, self.unknowns].toarray() + rest[:, self._states] @ Z
+        found = np.concatenate([own, Z[self._bounded]])
+        return gradient[self.unknowns] + gradient[self._states] @ Z, found.ravel(order="F")
+
+    def curvatures(self, w: Floats, cost: float, multipliers: Floats) -> Floats:
+        """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
+        at = self._at(w)
+        if "x" not in at:
+            return np.full(len(self._upper[0]), np.nan)
+        all_rows = self._multipliers(at, cost, multipliers)
+        size = len(at["x"])
+        upper = sparse.csc_matrix(
+            (self._full.curvatures(at["x"], cost, all_rows), self._full.hessian_places),
+            shape=(size, size),
+        )
+        H = upper + upper.T - sparse.diags(upper.diagonal())
+        Z, u, y = self._moved(at), self.unknowns, self._states
+        crossed = H[u][:, y] @ Z
+        found = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)
+        lower: Floats = found[self._upper]
+        return lower
+
+    def outcome(self, found: Outcome) -> Outcome:
+        """Return what a solver came to, with all unknowns and multipliers of the full form."""
+        at = self._at(found.x)
+        if "x" not in at:  # the last motion that was found
+            at = self._at(self._x[self.unknowns])
+        return replace(found, x=at["x"], multipliers=self._multipliers(at, 1.0, found.multipliers))
+
+    def _slopes(self, x: Floats) -> tuple[Floats, Any]:
+        gradient, entries = self._full.slopes(x)
+        return gradient, sparse.csr_matrix(
+            (entries, self._full.jacobian_places), shape=self._full.shape
+        )
+
+    def _at(self, w: Floats) -> dict[str, Any]:
+        """Return the motion of unknowns; none if it ends early."""
+        if self._last and np.array_equal(self._last["w"], w):
+            return self._last
+        self._last, x = {"w": w.copy()}, self._x.copy()
+        x[self.unknowns] = w
+        try:
+            x[self._states] = self._motion(x)[self._states]
+            # between ends of steps it is not their own polynomial, but near it
+            off, before, factors = self._off(x), np.inf, self._factors(x)
+            while CLOSE < (size := np.abs(off).max()) < before / 2:
+                x[self._states] -= factors.solve(off)
+                off, before, factors = self._off(x), size, self._factors(x)
+            self._last["factors"] = factors
+        except (SymsimpsonError, RuntimeError):  # of a stepper, of a matrix without an inverse
+            return self._last
+        self._x = self._last["x"] = x
+        return self._last
+
+    def _off(self, x: Floats) -> Floats:
+        """Return by how much equations of steps are off."""
+        return self._full.values(x)[1][self._steps]
+
+    def _factors(self, x: Floats) -> Any:
+        return splu(self._slopes(x)[1][self._steps][:, self._states].tocsc())
+
+    def _moved(self, at: dict[str, Any], jacobian: Any = None) -> Floats:
+        """Return how states move with the unknowns."""
+        if "moved" not in at:
+            jacobian = self._slopes(at["x"])[1] if jacobian is None else jacobian
+            at["moved"] = -at["factors"].solve(jacobian[self._steps][:, self.unknowns].toarray())
+        moved: Floats = at["moved"]
+        return moved
+
+    def _multipliers(self, at: dict[str, Any], cost: float, own: Floats) -> Floats:
+        """Return the multipliers of all rows: those of steps follow from the others."""
+        gradient, jacobian = self._slopes(at["x"])
+        rest, of_bounds = np.split(own, [len(self._rest)])
+        by_states = cost * gradient[self._states] + rest @ jacobian[self._rest][:, self._states]
+        by_states[self._bounded] += of_bounds
+        found = np.zeros(self._full.shape[0])
+        found[self._rest] = rest
+        found[self._steps] = -at["factors"].solve(by_states, trans="T")
+        return found
+
+
+def at_start(layout: Layout, x: Floats) -> Floats:
+    """Return the unknowns of a guess, with a start that has the velocities that are given.
+
+    Raises
+    ------
+    InputError
+        If the system has constraints.
+    """
+    read, x = layout.read, x.copy()
+    if read.constraints:
+        raise InputError(
+            f"{read.system.name} has constraints, and their multipliers are unknowns.\n{HOW}"
+        )
+    q, v = x[layout.points[0, 0]], x[layout.velocities[0]]
+    for one in read.ends[0]:
+        factor, node = one.value
+        if one.low == one.high and node in read.v:
+            v[read.v.index(node)] = one.low / float(factor)
+    at = {**layout.parameter_values(x), **dict(zip([*read.q, *read.v], [*q, *v], strict=True))}
+    momenta = PointFunctions(read.graph, read.q, read.momenta)
+    x[layout.velocities[0]] = v
+    x[layout.momenta[0]] = momenta.values({**at, read.t: 0.0}, 1)[:, 0]
+    return x
+
+
+def moved(layout: Layout, x: Floats) -> Floats:
+    """Return unknowns with states that move from the start as the inputs say.
+
+    Raises
+    ------
+    InputError
+        If the motion ends early.
+    """
+    x = x.copy()
+    start = x[layout.points[0, 0]], x[layout.momenta[0]]
+    with warnings.catch_warnings():  # this is the way to a solution, which is judged
+        warnings.simplefilter("ignore")
+        runs = [*motions(layout, x, start, x[layout.inputs], on_failure="return")]
+    for own, run in zip(layout.grid.slices, runs, strict=True):
+        if not run.success:
+            raise InputError(
+                f"the motion of the guess ends early, at t = {run.t[-1]:.6g}: {run.message}\n{HOW}"
+            )
+        within = run.t[:-1, None] + run.h * layout.places
+        states = run.at(np.minimum(within, run.t[-1]).ravel())
+        x[layout.points[own]] = states.q.reshape(*within.shape, layout.n)
+        x[layout.momenta[own.start : own.stop + 1]] = run.p
+        x[layout.velocities[1]] = run.v[-1]
+    return x

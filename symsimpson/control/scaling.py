@@ -1,0 +1,170 @@
+"""Units in which a solver sees a programme: masses of 1e-15 kg are as good as others.
+
+Solvers compare with 1. Unknowns and rows are divided by their sizes: those of coordinates stand in
+conditions and bounds, that of the time is the duration; masses, and with them momenta, inputs and
+multipliers, follow from the equations at the guess.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+if TYPE_CHECKING:
+    from symsimpson.control.ipopt import Outcome, Solvable
+    from symsimpson.control.layout import Layout
+    from symsimpson.control.reading import Reading
+
+__all__ = ["Scaled", "scaled"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+#: Sizes up to this, and down to its inverse, are 1: ordinary problems are solved as they are.
+ORDINARY = 1e4
+#: What is given of an end is 0 below this: the sine of pi.
+NOTHING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """A programme in units of the sizes of its unknowns, rows and cost."""
+
+    programme: Solvable
+    of_unknowns: Floats
+    of_rows: Floats
+    of_cost: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and of unknowns."""
+        return self.programme.shape
+
+    @property
+    def jacobian_places(self) -> tuple[Ints, Ints]:
+        """Rows and columns of the entries of the Jacobian."""
+        return self.programme.jacobian_places
+
+    @property
+    def hessian_places(self) -> tuple[Ints, Ints]:
+        """Rows and columns of the entries of the Hessian, on and above the diagonal."""
+        return self.programme.hessian_places
+
+    def values(self, x: Floats) -> tuple[float, Floats]:
+        """Return the cost and the rows."""
+        cost, rows = self.programme.values(x * self.of_unknowns)
+        return cost / self.of_cost, rows / self.of_rows
+
+    def slopes(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return the gradient of the cost, and the entries of the Jacobian."""
+        gradient, entries = self.programme.slopes(x * self.of_unknowns)
+        rows, columns = self.jacobian_places
+        sizes = self.of_unknowns[columns] / self.of_rows[rows]
+        return gradient * self.of_unknowns / self.of_cost, entries * sizes
+
+    def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
+        """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
+        found = self.programme.curvatures(
+            x * self.of_unknowns, cost / self.of_cost, multipliers / self.of_rows
+        )
+        rows, columns = self.hessian_places
+        return found * self.of_unknowns[rows] * self.of_unknowns[columns]
+
+    def inside(self, x: Floats) -> Floats:
+        """Return unknowns in these units."""
+        return x / self.of_unknowns
+
+    def outside(self, x: Floats) -> Floats:
+        """Return unknowns in the units of the programme."""
+        return x * self.of_unknowns
+
+    def bounds(self, of_unknowns: Any, of_rows: Any) -> tuple[Any, Any]:
+        """Return bounds of unknowns and of rows in these units."""
+        return (
+            tuple(x / self.of_unknowns for x in of_unknowns),
+            tuple(x / self.of_rows for x in of_rows),
+        )
+
+    def outcome(self, found: Outcome) -> Outcome:
+        """Return what a solver came to in the units of the programme."""
+        costs = [x * self.of_cost for x in found.history.get("obj", [])]
+        return replace(
+            found,
+            x=found.x * self.of_unknowns,
+            multipliers=found.multipliers * self.of_cost / self.of_rows,
+            history={**found.history, "obj": costs} if costs else found.history,
+        )
+
+
+def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
+    """Return the programme of a layout in units of its sizes at a guess."""
+    rows, size = programme.shape
+    gradient, entries = programme.slopes(x)
+    entries = np.where(np.isfinite(entries), np.abs(entries), 0.0)
+    matrix = sparse.csc_matrix((entries, programme.jacobian_places), shape=(rows, size))
+    columns = _unknowns(layout, matrix, x)
+    lines = _rounded(_largest(matrix @ sparse.diags(columns), 1))
+    own = Scaled(programme, columns, lines, 1.0)
+    # a cost that is square in inputs has no slope where they are 0
+    curved = own.curvatures(x / columns, 1.0, np.zeros(rows))
+    parts = np.concatenate([gradient * columns, curved])
+    largest = np.abs(parts[np.isfinite(parts)]).max(initial=0.0)
+    return replace(own, of_cost=float(_rounded(largest)))
+
+
+def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
+    """Return the sizes of unknowns: those of lengths, times and masses, and what follows."""
+    found, steps, whole = np.ones(layout.size), layout.step_rows - 1, layout.scale * layout.steps
+    time, lengths = _rounded(whole), _lengths(layout.read)
+    moved = np.ones(layout.n)  # mass times length, of each coordinate
+    for a in range(layout.n):
+        points = layout.points[..., a].ravel()
+        found[points] = length = _rounded(lengths[a])
+        mass = matrix[steps[..., a].ravel()][:, points].max()
+        moved[a] = _rounded(mass) * length
+        found[layout.velocities[:, a]] = length / time
+        found[layout.momenta[:, a]] = moved[a] / time
+    found[layout.parameters] = _rounded(np.abs(x[layout.parameters]))
+    found[layout.h] = time
+    for j in range(layout.inputs.shape[-1]):
+        # that which moves a coordinate by its size, held for the whole time
+        own = matrix[:, np.unique(layout.inputs[..., j])].sum(axis=1)
+        done = np.asarray(own).ravel()[steps[:, -1]].sum(axis=0) * whole / layout.end_scale
+        size = (moved[done > 0] / done[done > 0]).min(initial=np.inf)
+        bound = max(map(abs, layout.read.of_inputs.get(j, (np.inf,))))
+        found[layout.inputs[..., j]] = _rounded(bound if np.isfinite(bound) else size)
+    of_rows = np.ones(matrix.shape[0])
+    of_rows[steps] = moved
+    turned = _largest(sparse.diags(1 / of_rows) @ matrix, 0)
+    for held in (*np.moveaxis(layout.multipliers, -1, 0), *layout.at_end[:, None]):
+        found[held] = 1 / (_rounded(turned[held].max(initial=0.0)))
+    return found
+
+
+def _lengths(read: Reading) -> list[float]:
+    """Return the largest numbers that ends and bounds give of coordinates; 0 if there are none."""
+    found: dict[int, list[float]] = {q: [0.0] for q in read.q}
+    for one in (*read.ends[0], *read.ends[1]):
+        factor, node = one.value
+        if node in found:
+            found[node] += [one.low / float(factor), one.high / float(factor)]
+    for a, pair in read.of_coordinates.items():
+        found[read.q[a]] += pair
+    sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in found.values()]
+    return [size if size > NOTHING else 0.0 for size in sizes]
+
+
+def _largest(matrix: Any, axis: int) -> Floats:
+    """Return the largest entry of each row (axis 1) or column (0)."""
+    return np.asarray(matrix.max(axis=axis).todense()).ravel()
+
+
+def _rounded(sizes: Any) -> Any:
+    """Return the nearest powers of 2; 1 of what is ordinary, or has no size."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.round(np.log2(sizes))
+    ordinary = ~np.isfinite(power) | (np.abs(power) < np.log2(ORDINARY))
+    return 2.0 ** np.where(ordinary, 0.0, power)
