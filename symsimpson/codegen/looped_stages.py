@@ -20,7 +20,8 @@ __all__ = ["LoopedStages"]
 
 _HERE = ("W", "node", "lane")
 _ENTER = Call("enter_node", _HERE)
-_NODES = "range(NODES)"
+#: A single run has vectors of nodes, of which the last may be none.
+_NODES = "range(STRIDE if LANES == 1 else NODES)"
 
 
 @dataclass(frozen=True)

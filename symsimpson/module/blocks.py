@@ -8,7 +8,7 @@ from itertools import pairwise
 from symsimpson.module.dimensions import Sizes
 from symsimpson.module.table import TABLE
 
-__all__ = ["ADJACENT", "BLOCKS", "TOLD", "layout", "scratch"]
+__all__ = ["ADJACENT", "BLOCKS", "TOLD", "layout", "rows_of_blocks", "scratch"]
 
 BLOCKS = {block.name: block for block in TABLE}
 
@@ -38,18 +38,23 @@ TOLD = {
 }
 
 
-def scratch(first: Mapping[str, int]) -> dict[str, range]:
-    """Return the rows of each block that is scratch, by where the blocks of a module begin.
+def rows_of_blocks(first: Mapping[str, int]) -> dict[str, range]:
+    """Return the rows of each block, by where the blocks of a module begin.
 
-    Behind the last block are rows that the module knows nothing of, so it is none.
+    Behind the last block are rows that the module knows nothing of, so it has none.
     """
     known = sorted({first[name] for name in BLOCKS if name in first})
     ends = dict(pairwise(known))
     return {
         block.name: range(first[block.name], ends.get(first[block.name], first[block.name]))
         for block in TABLE
-        if block.scratch and block.name in first
+        if block.name in first
     }
+
+
+def scratch(first: Mapping[str, int]) -> dict[str, range]:
+    """Return the rows of each block in which no kernel leaves anything to others."""
+    return {name: rows for name, rows in rows_of_blocks(first).items() if BLOCKS[name].scratch}
 
 
 def layout(sizes: Sizes) -> tuple[dict[str, int], int]:

@@ -157,7 +157,7 @@ def read_state(name: str, value: Any, coordinates: Named) -> Floats:
         plain = value.dtype == np.float64 and value.shape == (len(coordinates),)
     else:
         plain = type(value) in (list, tuple) and len(value) == len(coordinates)
-        plain = plain and all(type(x) is float for x in value)
+        plain = plain and set(map(type, value)) == {float}
     # what is not finite is told of where the run ends
     return np.array(value) if plain else read_vector(name, value, coordinates, FLOAT64)
 

@@ -17,7 +17,7 @@ from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.calls import Calls
 from symsimpson.walk.text import Text
 from symsimpson.walk.trees import must_wait, used_once
-from symsimpson.walk.values import Refused, known
+from symsimpson.walk.values import Own, Refused, known
 
 __all__ = ["Ahead", "Env", "Expressions", "Frame", "Product"]
 
@@ -84,6 +84,8 @@ class Expressions(ABC):
         #: Functions that stay functions, and the attributes that they have for LLVM.
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
+        #: Scratch of which each lane has rows of its own.
+        self._own: dict[str, Own] = {}
         self._frames: list[Frame] = []
         #: The statements that are being walked, each in one of the one before.
         self._ahead: list[Ahead] = []
@@ -140,6 +142,8 @@ class Expressions(ABC):
             if isinstance(value, Product):
                 return self._values.multiply(value.a, value.b)
             return self._values.read(value) if isinstance(value, Slot) else value
+        if name in self._own:
+            return self._own[name]
         try:
             return self._text.constants[name]
         except KeyError:

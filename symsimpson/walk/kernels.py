@@ -84,13 +84,12 @@ def walking(text: str, name: str, lanes: int, bits: int) -> Any:
 def function(
     context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
 ) -> ir.Function:
-    """Write a kernel into a module of LLVM: lanes as one vector, or one after the other."""
-    if lanes > 1:
-        try:
-            return _walked(context, module, text, name, lanes, bits, vector=True)
-        except Refused:  # lanes that go different ways
-            pass
-    return _walked(context, module, text, name, lanes, bits, vector=False)
+    """Write a kernel into a module of LLVM: lanes, or nodes, as one vector, or one by one."""
+    ways = {"vector": lanes > 1, "own": lanes == 1}
+    try:
+        return _walked(context, module, text, name, lanes, bits, **ways)
+    except Refused:  # lanes that go different ways
+        return _walked(context, module, text, name, lanes, bits, vector=False, own=False)
 
 
 def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
@@ -116,7 +115,15 @@ def wide(bits: int) -> str:
 
 
 def _walked(
-    context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int, *, vector: bool
+    context: Any,
+    module: ir.Module,
+    text: Text,
+    name: str,
+    lanes: int,
+    bits: int,
+    *,
+    vector: bool,
+    own: bool,
 ) -> ir.Function:
     kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
     made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
@@ -129,7 +136,7 @@ def _walked(
     rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
     walker = Walker(text, Calls(builder), library(context))
     try:
-        walker.kernel(name, h, t, rows, vector=vector)
+        walker.kernel(name, h, t, rows, vector=vector, own=own)
     except (Refused, GenerationError):
         module.globals.pop(made.name)
         raise

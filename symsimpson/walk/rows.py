@@ -14,7 +14,7 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.walk.arrays import Array, Arrays
-from symsimpson.walk.values import DOUBLE, Along, known
+from symsimpson.walk.values import DOUBLE, INT, Along, Own, known
 
 __all__ = ["BlockBuilder", "Rows"]
 
@@ -68,6 +68,8 @@ class Rows(Arrays):
 
     def load(self, array: Array, places: list[Any], width: int) -> Any:
         """Return a number, or part of an array where there are fewer places, or ranges."""
+        if isinstance(places[0], Own):
+            return self._own(places[0])
         first, rows = self._range(array, places, width)
         if first is None:
             if array.values:
@@ -94,6 +96,9 @@ class Rows(Arrays):
 
     def store(self, array: Array, places: list[Any], value: Any, width: int) -> None:
         """Put a number into an array, or a vector along it."""
+        if isinstance(places[0], Own):
+            self.builder.store(self.spread(self.real(value), width), self._place_of(places[0]))
+            return
         first, rows = self._range(array, places, width)
         store = super().store
         if first is None:
@@ -111,6 +116,17 @@ class Rows(Arrays):
             self._rows[first] = _Row(value, rows, lambda: store(array, places, value, width))
         else:
             store(array, places, value, width)
+
+    def own_rows(self, rows: int, width: int) -> Any:
+        """Return memory for rows of each lane."""
+        with self.builder.goto_entry_block():
+            return self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows))
+
+    def _own(self, row: Own) -> Any:
+        return self.builder.load(self._place_of(row))
+
+    def _place_of(self, row: Own) -> Any:
+        return self.builder.gep(row.memory, [self.whole(row.place)], inbounds=True)
 
     def _range(self, array: Array, places: list[Any], width: int) -> tuple[int | None, int]:
         """Return the first number that is meant, and how many; None if it is not known."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from symsimpson.module.blocks import scratch
+from symsimpson.module.blocks import rows_of_blocks, scratch
 from symsimpson.module.definitions import syntax
 
 __all__ = ["ARGUMENTS", "Text", "read_text"]
@@ -31,12 +31,15 @@ class Text:
         Kernels, and what they call.
     constants : mapping from str to number, tuple or ndarray
         Everything else that has a name, functions of ``math`` among it.
+    blocks : mapping from str to range
+        Rows of the blocks of the workspace.
     scratch : mapping from str to range
-        Rows of blocks in which no kernel leaves anything to others.
+        Of those in which no kernel leaves anything to others.
     """
 
     functions: Mapping[str, ast.FunctionDef]
     constants: Mapping[str, Any]
+    blocks: Mapping[str, range] = field(default_factory=dict)
     scratch: Mapping[str, range] = field(default_factory=dict)
 
 
@@ -57,7 +60,7 @@ def read_text(text: str) -> Text:
     constants: dict[str, Any] = {}
     exec(compile(ast.Module(others, []), "<constants of a module>", "exec"), constants)
     tables = {k: np.asarray(v) for k, v in constants.items() if isinstance(v, list)}
-    return Text(functions, constants | tables, scratch(constants))
+    return Text(functions, constants | tables, rows_of_blocks(constants), scratch(constants))
 
 
 def _walked(node: ast.FunctionDef) -> bool:

@@ -105,6 +105,10 @@ def _turns(source: ast.expr, text: Text) -> int:
     return TURNS
 
 
+#: Rows from one to before another; of those that are somewhere in a block, as what.
+_Rows = tuple[int, int, str]
+
+
 def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[str, int]) -> bool:
     """Return whether the turns of a loop may be done at once, with vectors.
 
@@ -112,18 +116,25 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
     the turn in it has it as a last summand; and where no row that one turn writes is another's.
     """
     set_here: set[str] = set()
-    written: list[tuple[int, int]] = []
-    read: list[tuple[int, int]] = []
+    written: list[_Rows] = []
+    read: list[_Rows] = []
 
-    def rows(place: ast.expr, into: list[tuple[int, int]]) -> bool:
+    def rows(place: ast.expr, into: list[_Rows]) -> bool:
         base = _base(place, name)
         free = base is place
         if free and _names(place) & {name}:
             return False
         first = 0 if base is None else _number(base, text, known)
-        if first is None:
+        if first is not None:
+            last = first + 1 if free else first + turns.stop
+            into.append((first if free else first + turns.start, last, ""))
+            return True
+        block = (
+            _block(base, text, known) if turns == range(text.constants.get("STRIDE", 0)) else None
+        )
+        if block is None or free:
             return False
-        into.append((first, first + 1) if free else (first + turns.start, first + turns.stop))
+        into.append((block.start, block.stop, ast.dump(place)))
         return True
 
     def fine(expression: ast.AST) -> bool:
@@ -192,6 +203,17 @@ def _base(place: ast.expr, name: str) -> ast.expr | None:
 @lru_cache(maxsize=65536)
 def _names(node: ast.AST) -> frozenset[str]:
     return frozenset(part.id for part in ast.walk(node) if isinstance(part, ast.Name))
+
+
+def _block(place: ast.expr | None, text: Text, known: Mapping[str, int]) -> range | None:
+    """Return the block in which a row stands that is its first and so many times STRIDE."""
+    match place:
+        case ast.BinOp(
+            left=left, op=ast.Add(), right=ast.BinOp(op=ast.Mult(), right=ast.Name(id="STRIDE"))
+        ):
+            first = _number(left, text, known)
+            return next((rows for rows in text.blocks.values() if rows and first == rows[0]), None)
+    return None
 
 
 def _number(node: ast.expr, text: Text, known: Mapping[str, int]) -> int | None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-__all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Refused", "Values", "known"]
+__all__ = ["BIT", "DOUBLE", "FLAGS", "INT", "KNOWN", "Along", "Own", "Refused", "Values", "known"]
 
 DOUBLE, INT, BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: What is left of fast arithmetic: tests for NaN and compensated sums stay what they are. A product
@@ -31,6 +31,14 @@ class Along:
     """A whole number that counts the lanes of a vector, from ``first`` on."""
 
     first: Any
+
+
+@dataclass(frozen=True)
+class Own:
+    """A row of scratch of which each lane of a vector has one: its vector is at a place."""
+
+    memory: Any
+    place: Any
 
 
 def known(value: Any) -> bool:
@@ -113,6 +121,9 @@ class Values:
 
     def add(self, a: Any, b: Any) -> Any:
         """Return a + b."""
+        if isinstance(a, Own) or isinstance(b, Own):
+            own, more = (a, b) if isinstance(a, Own) else (b, a)
+            return Own(own.memory, self.add(own.place, more))
         if isinstance(a, Along) or isinstance(b, Along):
             return self._along(a, b, self.add)
         if known(a) and known(b):
@@ -151,7 +162,7 @@ class Values:
     def fused(self, a: Any, b: Any, c: Any) -> Any:
         """Return a b + c, rounded once where the machine can."""
         values = (a, b, c)
-        plain = not self._flags or any(isinstance(x, Along) for x in values)
+        plain = not self._flags or any(isinstance(x, (Along, Own)) for x in values)
         if plain or sum(map(known, values)) > 1 or not any(map(self._is_real, values)):
             return self.add(self.multiply(a, b), c)
         if any(known(x) and x in (0, 1, -1) for x in values):

@@ -18,20 +18,29 @@ from symsimpson.walk.arrays import Array
 from symsimpson.walk.blocks import Loop, Slot
 from symsimpson.walk.called import Functions
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
+from symsimpson.walk.own import own_blocks
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
-from symsimpson.walk.values import Along, Refused, known
+from symsimpson.walk.values import Along, Own, Refused, known
 
 __all__ = ["Walker"]
 
 #: As many turns are made to one vector.
 WIDTHS = (4, 8, 16)
+#: Lanes have no more scratch of their own, in numbers: it stands on the stack.
+MOST_OWN = 16_384
 
 
 class Walker(Functions):
     """Walks functions of a text."""
 
-    def kernel(self, name: str, h: Any, t: Any, workspace: Array, *, vector: bool) -> None:
+    _lanes_own = False
+
+    def kernel(
+        self, name: str, h: Any, t: Any, workspace: Array, *, vector: bool, own: bool = False
+    ) -> None:
         """Walk a kernel for all lanes, as one vector if that is wanted.
+
+        Loops may be vectors of which each lane has scratch of its own, if that is.
 
         Raises
         ------
@@ -40,7 +49,7 @@ class Walker(Functions):
         Refused
             If lanes cannot be one vector.
         """
-        lanes = workspace.shape[1]
+        lanes, self._lanes_own = workspace.shape[1], own
         if name not in LOOKED_AT:
             self._values.wanted = lambda place: self._wanted(place // lanes)
         if name in self._text.constants.get("STRAIGHT", ()):
@@ -261,7 +270,9 @@ class Walker(Functions):
             turns = range(first, end, step)
             if not turns:
                 return
-            if step == 1 and self._as_vector(node, name, turns, env):
+            if step == 1 and (
+                self._as_vector(node, name, turns, env) or self._with_own(node, name, turns, env)
+            ):
                 return
             few = len(turns) == 1 or len(turns) * self._weight(node.body) <= self._few
             if few and not leaves(node):
@@ -316,6 +327,29 @@ class Walker(Functions):
             self._block(node.body, own)
         finally:
             self._width = 0
+        return True
+
+    def _with_own(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
+        """Walk a loop with vectors, of which each lane has scratch of its own."""
+        width, text = len(turns), self._text
+        if self._width or not self._lanes_own or not self._single(env):
+            return False
+        if width not in WIDTHS or turns != range(text.constants.get("STRIDE", 0)):
+            return False
+        blocks = own_blocks(node, name, text)
+        if not blocks or sum(len(text.blocks[x]) for x in blocks) * width > MOST_OWN:
+            return False
+        values = self._values
+        rows = {x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)}
+        self._own = {x: Own(memory, 0) for x, memory in rows.items()}
+        self._width = width
+        self._block(node.body, env | {name: Along(turns.start)})
+        self._width, self._own = 0, {}
+        left = {x for x in blocks if x not in text.scratch or x in self._ahead[-1].after}
+        for block in sorted(left):  # as the last turn leaves it
+            for k, row in enumerate(text.blocks[block]):
+                last = values.element(values.load(env["W"], [Own(rows[block], k), 0], 0), width - 1)
+                values.store(env["W"], [row, 0], last, 0)
         return True
 
     @staticmethod

@@ -18,13 +18,12 @@ def begin_stages(W, lane):
 def sum_stages(W, out, factors, values, lane):
     """Sum what all nodes have of each coordinate, by the factors of each node."""
     for a in range(DIMENSION):
-        first = out + a * STRIDE
         for node in range(STRIDE):
-            W[first + node, lane] = real(0)
+            W[out + a * STRIDE + node, lane] = real(0)
         for j in range(NODES):
             value = W[values + a * STRIDE + j, lane]
             for node in range(STRIDE):
-                W[first + node, lane] += W[factors + j * STRIDE + node, lane] * value
+                W[out + a * STRIDE + node, lane] += W[factors + j * STRIDE + node, lane] * value
 
 
 @compiled

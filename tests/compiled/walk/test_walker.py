@@ -337,3 +337,58 @@ def test_rows_behind_a_module_are_no_scratch():
     # what expressions of users come to stands there, and ROWS is another number then
     found, wanted = run("W[40, lane] = W[1, lane] + 1.0", "NODE_POSITION = 10\nJACOBIAN = 20\n")
     assert found[40, 0] == wanted[40, 0] == 2
+
+
+#: Rows of each turn, and rows that all turns use.
+NODES = """\
+POSITION, NODE_POSITION, NODE_VELOCITY, NODE_L_Q = 0, 10, 14, 18
+STAGE_V, STAGE_Q, STAGE_P, STRIDE = 32, 48, 60, 8
+
+
+@compiled
+def enter(W, k, lane):
+    for i in range(2):
+        W[NODE_POSITION + i, lane] = W[STAGE_V + i * STRIDE + k, lane] + W[POSITION + i, lane]
+
+
+@compiled
+def force(W, lane):
+    for i in range(TABLE[1]):
+        W[NODE_VELOCITY + i, lane] = real(0)
+    for term in range(4):
+        W[NODE_VELOCITY + TABLE[term] // 4, lane] += exp(-W[NODE_POSITION + term // 2, lane])
+
+
+"""
+TURNS = """\
+for k in range(STRIDE):
+    enter(W, k, lane)
+    force(W, lane)
+    W[STAGE_Q + k, lane] = W[NODE_VELOCITY, lane] / W[STAGE_V + k, lane]
+W[POSITION + 5, lane] = W[NODE_POSITION + 1, lane]
+"""
+ALONE = """\
+for k in range(STRIDE):
+    W[STAGE_Q + k, lane] = W[NODE_POSITION, lane]
+    W[NODE_POSITION, lane] = W[STAGE_V + k, lane]
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "vector"),
+    [
+        (TURNS, True),
+        (TURNS.replace("range(STRIDE)", "range(1, 8)"), False),
+        (TURNS.replace("enter(W, k, lane)", "enter(W, (k + 1) % 8, lane)"), False),
+        (TURNS.replace("W[STAGE_V + k", "W[STAGE_Q + 8 + k"), False),
+        (TURNS.replace("W[STAGE_V + k", "W[STAGE_Q + 1"), False),
+        (ALONE, False),  # what one turn leaves is read by the next
+        ("x = 1.0\n" + ALONE.replace("STRIDE):", "STRIDE):\n    x = 2.0 * x"), False),
+    ],
+)
+def test_turns_may_have_rows_of_their_own(body, vector):
+    found, wanted = run(body, NODES)
+    kept = [*range(10), *range(32, 64)]  # scratch is not stored
+    np.testing.assert_allclose(found[kept], wanted[kept], rtol=1e-15)
+    made = walked(text_of(body, NODES), ["kernel"])["kernel"].inspect_llvm()
+    assert ("<8 x double>" in made) is vector

@@ -1,0 +1,148 @@
+"""Loops whose turns could be done at once, were there not rows that all of them use.
+
+A node's positions and forces stand in the same rows for all nodes. Where each turn sets such rows
+before it reads them, each lane of a vector may have rows of its own.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterable, Mapping
+
+from symsimpson.walk.text import Text
+from symsimpson.walk.trees import assigned
+
+__all__ = ["own_blocks"]
+
+#: Names that a value comes from; that of the turn among them.
+Origins = Mapping[str, frozenset[str]]
+_TURN, _OF_TURN = "the number of the turn", "a number that follows from it"
+_MOVING = frozenset({_TURN, _OF_TURN})
+
+
+def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
+    """Return the blocks of which each turn of a loop needs rows of its own.
+
+    None if turns depend on each other, or branch.
+    """
+    found = _Accesses(text, node)
+    fine = found.follow(node.body, {name: frozenset({_TURN})})
+    # what stands in rows by the number of the turn stands elsewhere for all
+    apart = not found.first.keys() & found.along
+    set_first = all(found.first[block] == "set" for block in found.written)
+    return frozenset(found.written) if fine and apart and set_first else None
+
+
+class _Accesses:
+    """What statements do with rows, in their order.
+
+    Attributes
+    ----------
+    first : dict from str to str
+        Whether a block that all turns share is "set" or "read" first.
+    written : set of str
+        Those of them that are set.
+    along : set of str
+        Blocks with rows of each turn.
+    """
+
+    def __init__(self, text: Text, loop: ast.For) -> None:
+        self._text, self._depth = text, 0
+        #: Variables of the loop that the turn has not set yet: the one before did.
+        self._unset = set(assigned(loop.body))
+        self.first: dict[str, str] = {}
+        self.written: set[str] = set()
+        self.along: set[str] = set()
+
+    def follow(self, body: Iterable[ast.stmt], origins: Origins) -> bool:
+        """Follow statements; returns whether all of them are of kinds that are known here."""
+        own = dict(origins)
+        return all(self._statement(statement, own) for statement in body)
+
+    def _statement(self, node: ast.stmt, own: dict[str, frozenset[str]]) -> bool:
+        match node:
+            case ast.Expr(value=ast.Constant()):
+                return True
+            case ast.Expr(value=value):
+                return self._read(value, own)
+            case ast.Assign(targets=[target], value=value):
+                return self._read(value, own) and self._set(target, self._names(value, own), own)
+            case ast.AugAssign(target=target, value=value):
+                read = self._read(value, own) and self._read(target, own)
+                return read and self._set(target, self._names(node, own), own)
+            case ast.For(target=ast.Name(id=name), iter=source, body=body):
+                own[name] = self._names(source, own)
+                return not own[name] & _MOVING and self.follow(body, own)
+            case ast.Return(value=ast.expr() as value):
+                return self._read(value, own)
+        return False
+
+    def _called(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
+        self._depth += 1
+        names = [one.arg for one in function.args.args]
+        fine = self.follow(function.body, dict(zip(names, given, strict=True)))
+        self._depth -= 1
+        return fine
+
+    def _set(self, target: ast.expr, value: frozenset[str], own: dict[str, frozenset[str]]) -> bool:
+        match target:
+            case ast.Name(id=name):
+                own[name] = value
+                self._unset -= set() if self._depth else {name}
+            case ast.Tuple(elts=parts):
+                return all(self._set(part, value, own) for part in parts)
+            case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
+                return self._access(row, own, "set")
+            case _:
+                return False
+        return True
+
+    def _read(self, node: ast.AST, own: dict[str, frozenset[str]]) -> bool:
+        match node:
+            case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
+                return self._access(row, own, "read")
+            case ast.IfExp(test=test) if self._names(test, own) & _MOVING:
+                return False
+            case ast.Call(func=ast.Name(id=called), args=arguments):
+                if not all(self._read(one, own) for one in arguments):
+                    return False
+                function = self._text.functions.get(called)
+                given = [self._names(one, own) for one in arguments]
+                return function is None or self._called(function, given)
+            case ast.Name(id=name) if not self._depth and name in self._unset:
+                return False
+        return all(self._read(child, own) for child in ast.iter_child_nodes(node))
+
+    def _access(self, row: ast.expr, own: dict[str, frozenset[str]], how: str) -> bool:
+        blocks = self._names(row, own) & self._text.blocks.keys()
+        if self._names(row, own) & _MOVING:
+            self.along |= blocks
+            return self._by_turn(row, own)
+        for block in blocks:
+            self.first.setdefault(block, how)
+        if how == "set":
+            self.written |= blocks
+        return bool(blocks)
+
+    def _by_turn(self, row: ast.expr, own: dict[str, frozenset[str]]) -> bool:
+        """Return whether a row is BLOCK + turn, or BLOCK + k * STRIDE + turn."""
+        match row:
+            case ast.BinOp(left=first, op=ast.Add(), right=ast.Name(id=last)):
+                match first:
+                    case ast.BinOp(
+                        left=ast.Name() as base,
+                        op=ast.Add(),
+                        right=ast.BinOp(op=ast.Mult(), right=ast.Name(id="STRIDE")),
+                    ):
+                        first = base
+                block = isinstance(first, ast.Name) and first.id in self._text.blocks
+                return block and own.get(last) == frozenset({_TURN})
+        return False
+
+    @staticmethod
+    def _names(node: ast.AST, own: dict[str, frozenset[str]]) -> frozenset[str]:
+        if isinstance(node, ast.Name):
+            return own.get(node.id, frozenset({node.id}))
+        names = [part.id for part in ast.walk(node) if isinstance(part, ast.Name)]
+        found = frozenset[str]().union(*(own.get(name, frozenset({name})) for name in names))
+        return found - _MOVING | {_OF_TURN} if found & _MOVING else found
