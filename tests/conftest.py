@@ -53,8 +53,12 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item, nextitem):
-    """Let nothing be compiled for a test, unless it is slow or stands in tests/compiled."""
-    if item.get_closest_marker("slow") or TESTS / "compiled" in item.path.parents:
+    """Let nothing be compiled for a test, unless it is slow or stands in tests/compiled.
+
+    Those are plain that take a few steps of a large system: compiling it takes longer.
+    """
+    slow = item.get_closest_marker("slow") and not item.get_closest_marker("plain")
+    if slow or TESTS / "compiled" in item.path.parents:
         return (yield)
     with pytest.MonkeyPatch.context() as patch, plain(patch):
         return (yield)

@@ -126,7 +126,7 @@ def test_a_drift_may_end_where_all_coordinates_are_zero():
     ],
 )
 def test_certificates_of_compositions(name, scheme):
-    system = getattr(ss.systems, name)(*([3] if name == "hanging_chain" else []))
+    system = getattr(ss.systems, name)(*([2] if name == "hanging_chain" else []))
     certificate = ss.compile(system, scheme).certify(h=0.05)
     assert certificate.passed, certificate
 

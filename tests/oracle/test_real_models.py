@@ -3,6 +3,7 @@
 import pickle
 import time
 from fractions import Fraction
+from functools import cache
 
 import mpmath as mp
 import numpy as np
@@ -42,6 +43,7 @@ def test_bodies_on_a_polygon_stay_there():
     assert abs(radius - 1).max() < 1e-9
 
 
+@cache
 def dh_arm(joints):
     """The same arm from matrices of Denavit and Hartenberg multiplied out by SymPy."""
     q = ss.coordinates(f"q1:{joints + 1}")

@@ -56,6 +56,7 @@ def test_tangent_and_adjoint_of_a_pendulum_in_many_digits():
     assert np.abs(gradient - truth).max() < 1e-25 * np.abs(truth).max()
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES, 0))
 def test_derivatives_by_the_state(name, scheme):
     """And with their symplectic form: on the constraints it is kept."""
@@ -71,6 +72,7 @@ def test_derivatives_by_the_state(name, scheme):
     assert np.abs(defect).max() < 1e-13 * np.abs(found).max() ** 2
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES[:5], 0))
 def test_derivatives_by_parameters(name, scheme):
     """Also by those of constraints, where the start must move with them."""
@@ -78,6 +80,7 @@ def test_derivatives_by_parameters(name, scheme):
     check_parameters(stepper, values, z, H, STEPS, DIGITS)
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(("name", "scheme"), sweep(CASES[:5], 0))
 def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     """By the state, and by parameters of energies and of constraints."""
@@ -111,6 +114,7 @@ def test_a_running_cost_of_a_motion_on_constraints():
     assert abs(gradient(9.81).gradient[0] - slope) < 1e-8 * abs(slope)
 
 
+@pytest.mark.plain
 @pytest.mark.slow
 def test_derivatives_in_bands_are_those_of_the_whole_matrix():
     chain = ss.systems.hanging_chain(6)

@@ -9,6 +9,7 @@ from support.tangents import carried, check_adjoint, check_parameters
 import symsimpson as ss
 from symsimpson.analysis.precise import Precise
 
+pytestmark = pytest.mark.plain
 H, STEPS, DIGITS = 0.05, 2, 30
 
 

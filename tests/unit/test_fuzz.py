@@ -84,7 +84,7 @@ def test_any_name_is_text(first, second):
             "named",
             coordinates=[q],
             kinetic=mass * q.diff() ** 2 / 2,
-            potential=sp.cos(q),
+            potential=mass * q,
             parameters={mass: 1.0},
         )
     except ss.ModelError:

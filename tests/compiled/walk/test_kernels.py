@@ -113,7 +113,7 @@ def check(system, scheme, lanes=1):
 
 @pytest.mark.parametrize(("lanes", "name"), sweep([(1, "pendulum"), (8, "double_pendulum")], 0))
 def test_numba_makes_the_same_of_the_file_as_it_stands(lanes, name):
-    text = source(EVERY[name](), "simpson")
+    text = source(EVERY[name](), "midpoint")
     text = redefined(text, {"LANES": f"LANES = {lanes}"})
     module = {}
     exec(text, module)

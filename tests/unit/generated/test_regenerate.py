@@ -60,17 +60,13 @@ def test_numbers_are_compared_where_bytes_are_not():
 
 @pytest.mark.slow
 def test_same_bytes_for_every_hash_seed():
+    """Of systems that are not among the committed ones, which have another seed each time."""
     code = textwrap.dedent("""
         import hashlib, symsimpson as ss
         from symsimpson.codegen.pipeline import source
-        made = [
-            source(make(), scheme)
-            for make in (ss.systems.harmonic_oscillator, ss.systems.kepler,
-                         ss.systems.double_pendulum, ss.systems.torus_geodesic)
-            for scheme in ("simpson", "midpoint")
-        ] + [source(ss.systems.fermi_pasta_ulam(8)), source(ss.systems.puma560(3), "midpoint"),
-             source(ss.systems.water(), "midpoint"), source(ss.systems.argon(), "gauss4"),
-             source(ss.systems.n_body(4), "kahan_li6")]
+        made = [source(ss.systems.fermi_pasta_ulam(8)), source(ss.systems.puma560(3), "midpoint"),
+                source(ss.systems.water(), "midpoint"), source(ss.systems.argon(), "gauss4"),
+                source(ss.systems.n_body(4), "kahan_li6")]
         print(hashlib.sha256("".join(made).encode()).hexdigest())
     """)
     running = [
