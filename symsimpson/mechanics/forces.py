@@ -78,7 +78,15 @@ def read_forces(
                 "The forces are its derivatives, f = -dR/dv: write R = c*q.diff()**2/2 for f = -c "
                 "v, or give the force itself with forces={q: -c*q.diff()}.",
             )
-        found[DISSIPATION] = [(-c, n) for c, n in gradient(symbols.graph, value, v)]
+        slopes = gradient(symbols.graph, value, v)
+        if value[0] and all(symbols.graph.nodes[n].symbols.isdisjoint(v) for _, n in slopes):
+            raise fail(
+                name,
+                f"the dissipation {spell(dissipation)} is linear in velocities: its forces -dR/dv "
+                "do not depend on them, and damp nothing.",
+                "Write R = c*q.diff()**2/2 for f = -c v, or a constant force in forces=.",
+            )
+        found[DISSIPATION] = [(-c, n) for c, n in slopes]
     rows = {key: tuple(row) for key, row in found.items()}
     return {key: row for key, row in rows.items() if any(c for c, _ in row)}
 

@@ -69,6 +69,14 @@ class Observed:
     rest: bool = False
 
     @property
+    def constant(self) -> bool:
+        """Whether numbers and parameters alone stand in it: it never changes."""
+        parts = list(ast.walk(ast.parse(self.text, mode="eval")))
+        called = {id(part.func) for part in parts if isinstance(part, ast.Call)}
+        names = (x.id for x in parts if isinstance(x, ast.Name) and id(x) not in called)
+        return all(name.startswith("a_") for name in names)
+
+    @property
     def size(self) -> str:
         """The sizes of the terms of a sum, added up, as an expression: what is rounded in it."""
         terms: list[str] = []

@@ -103,6 +103,11 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
         )
     wrapped = tuple(place for place in places if place is not None)
     found = read_expression(program, expression, wrapped)
+    if found.constant:
+        raise InputError(
+            f"{found.expression} has no coordinate, velocity or time in it: it never changes.\n"
+            "Write what is zero where the event takes place."
+        )
     if found.rest:
         raise InputError(
             f"{found.expression} is a rest alone, which jumps back to 0 and never changes its sign."

@@ -121,6 +121,12 @@ def read_events(program: Program, given: Any) -> RunEvents:
         read_expression(program, one.expression, what=f"the expression of the event {one.key!r}")
         for one in events
     ]
+    for event, expression in zip(events, watched, strict=True):
+        if expression.constant:
+            raise InputError(
+                f"the expression of the event {event.key!r} has no coordinate, velocity or time in "
+                "it: it never changes.\nWrite what is zero where the event takes place."
+            )
 
     def place(what: str, event: Event, expression: Any) -> int:
         told = f"the {what} of the event {event.key!r}"

@@ -32,6 +32,7 @@ WRONG = {
     "sign": ({"forces": {x: -sp.sign(x.diff())}}, r"sign(.|\n)*tanh\(x/eps\)"),
     "abs": ({"forces": {x: -sp.Abs(x.diff()) * x.diff()}}, r"Abs(.|\n)*sqrt\(x\*\*2 \+ eps"),
     "no velocity": ({"dissipation": x**2}, "depends on no velocity"),
+    "linear": ({"dissipation": x.diff() * x}, "linear in velocities"),
     "text": ({"forces": {x: "-c*v"}}, "the force on x is the string"),
     "without coordinates": ({"forces": {"drag": -x.diff()}}, "not a mapping from coordinates"),
     "taken": ({"forces": {"total": {x: 1}}}, "two forces would have the name 'total'"),

@@ -294,6 +294,12 @@ def test_a_rest_that_never_changes_its_sign(pendulum, kind):
         swing(pendulum).events(expression)
 
 
+def test_what_never_changes_has_no_zeros(pendulum):
+    for constant in ("g - 9.81", sp.Integer(0)):
+        with pytest.raises(ss.InputError, match="has no coordinate, velocity or time in it"):
+            swing(pendulum).events(constant)
+
+
 @pytest.mark.filterwarnings("error")
 def test_values_that_overflow_are_no_zeros_and_do_not_warn():
     (z,) = ss.coordinates("z")
