@@ -20,8 +20,8 @@ __all__ = ["LoopedStages"]
 
 _HERE = ("W", "node", "lane")
 _ENTER = Call("enter_node", _HERE)
-#: A single run has vectors of nodes, of which the last may be none.
-_NODES = "range(STRIDE if LANES == 1 else NODES)"
+#: A single run has vectors of nodes, of which the last may be none: these have no time or input.
+_VECTORS = "range(STRIDE if LANES == 1 else NODES)"
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,12 @@ class LoopedStages:
     def _iterate(self) -> Kernel:
         """One iteration: positions, forces; momenta, velocities."""
         time = self.loops.time_at_node()
+        nodes = "range(NODES)" if time else _VECTORS
         body = (
             Call("sum_stages", ("W", "STAGE_Q", "STAGE_MU", "STAGE_V", "lane")),
-            Loop("node", _NODES, (_ENTER, *time, Call("gradient"), Call("leave_force", _HERE))),
+            Loop("node", nodes, (_ENTER, *time, Call("gradient"), Call("leave_force", _HERE))),
             Call("sum_stages", ("W", "STAGE_P", "STAGE_NU", "STAGE_F", "lane")),
-            Loop("node", _NODES, (Call("leave_velocity", _HERE),)),
+            Loop("node", _VECTORS, (Call("leave_velocity", _HERE),)),
             Call("check_stage_convergence"),
         )
         doc = "One iteration for the velocities and forces at all nodes."
