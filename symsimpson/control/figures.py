@@ -8,7 +8,7 @@ import numpy as np
 
 from symsimpson.plotting.axes import axes
 
-__all__ = ["motion", "sparsity"]
+__all__ = ["iterations", "motion", "sparsity"]
 
 
 def motion(result: Any) -> Any:
@@ -28,6 +28,17 @@ def motion(result: Any) -> Any:
     for ax in (upper, lower)[: 1 + bool(layout.read.inputs)]:
         ax.legend()
     return upper.figure
+
+
+def iterations(result: Any) -> Any:
+    """Draw by how much rows are violated, and optimality is missed, in each iteration."""
+    ax = axes(None, (6.4, 3.2))
+    for name, key in (("violation of rows", "inf_pr"), ("optimality", "inf_du")):
+        values = np.array(result.history.get(key, []))
+        ax.semilogy(np.where(values > 0, values, np.nan), label=name)
+    ax.set(xlabel="iteration", ylabel="largest, in the solver's units")
+    ax.legend()
+    return ax.figure
 
 
 def sparsity(result: Any) -> Any:

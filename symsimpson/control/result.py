@@ -364,6 +364,10 @@ class ControlResult:
         """
         return figures.motion(self)
 
+    def plot_iterations(self) -> Any:
+        """Draw how far rows and optimality are off in each iteration, as a matplotlib Figure."""
+        return figures.iterations(self)
+
     def plot_sparsity(self) -> Any:
         """Draw where the Jacobian of the rows and the Hessian of the Lagrangian have entries.
 

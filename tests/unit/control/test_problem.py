@@ -421,4 +421,6 @@ def test_figures():
     programme, *_ = found.layout.programme
     assert left.get_title() == f"Jacobian: {len(programme.jacobian_places[0])} entries"
     assert right.get_ylim()[0] == found.layout.size - 0.5
+    (searched,) = found.plot_iterations().axes
+    assert len(searched.get_lines()[0].get_xdata()) == found.iterations + 1
     pyplot.close("all")
