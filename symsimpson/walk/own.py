@@ -7,7 +7,7 @@ before it reads them, each lane of a vector may have rows of its own.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from symsimpson.walk.text import Text
 from symsimpson.walk.trees import assigned
@@ -15,7 +15,8 @@ from symsimpson.walk.trees import assigned
 __all__ = ["own_blocks"]
 
 #: Names that a value comes from; that of the turn among them.
-Origins = Mapping[str, frozenset[str]]
+Origins = dict[str, frozenset[str]]
+_WHOLE = "set as a whole"
 _TURN, _OF_TURN = "the number of the turn", "a number that follows from it"
 _MOVING = frozenset({_TURN, _OF_TURN})
 
@@ -29,7 +30,7 @@ def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
     fine = found.follow(node.body, {name: frozenset({_TURN})})
     # what stands in rows by the number of the turn stands elsewhere for all
     apart = not found.first.keys() & found.along
-    set_first = all(found.first[block] == "set" for block in found.written)
+    set_first = all(found.first[block] == _WHOLE for block in found.written)
     return frozenset(found.written) if fine and apart and set_first else None
 
 
@@ -39,7 +40,7 @@ class _Accesses:
     Attributes
     ----------
     first : dict from str to str
-        Whether a block that all turns share is "set" or "read" first.
+        What is done first with a block that all turns share: "read", "set", or "set as a whole".
     written : set of str
         Those of them that are set.
     along : set of str
@@ -50,16 +51,17 @@ class _Accesses:
         self._text, self._depth = text, 0
         #: Variables of the loop that the turn has not set yet: the one before did.
         self._unset = set(assigned(loop.body))
+        #: Variables that count from 0 to before a number.
+        self._counts: dict[str, int] = {}
         self.first: dict[str, str] = {}
         self.written: set[str] = set()
         self.along: set[str] = set()
 
-    def follow(self, body: Iterable[ast.stmt], origins: Origins) -> bool:
+    def follow(self, body: Iterable[ast.stmt], own: Origins) -> bool:
         """Follow statements; returns whether all of them are of kinds that are known here."""
-        own = dict(origins)
         return all(self._statement(statement, own) for statement in body)
 
-    def _statement(self, node: ast.stmt, own: dict[str, frozenset[str]]) -> bool:
+    def _statement(self, node: ast.stmt, own: Origins) -> bool:
         match node:
             case ast.Expr(value=ast.Constant()):
                 return True
@@ -70,21 +72,38 @@ class _Accesses:
             case ast.AugAssign(target=target, value=value):
                 read = self._read(value, own) and self._read(target, own)
                 return read and self._set(target, self._names(node, own), own)
-            case ast.For(target=ast.Name(id=name), iter=source, body=body):
+            case ast.For(target=ast.Name(id=name), iter=source):
                 own[name] = self._names(source, own)
-                return not own[name] & _MOVING and self.follow(body, own)
+                return not own[name] & _MOVING and self._inner(node, name, own)
             case ast.Return(value=ast.expr() as value):
                 return self._read(value, own)
         return False
 
+    def _inner(self, node: ast.For, name: str, own: Origins) -> bool:
+        """Follow a loop in the loop, until it is known where all that it carries comes from."""
+        match node.iter:
+            case ast.Call(func=ast.Name(id="range"), args=[ast.Name(id=size)]):
+                count = self._text.constants.get(size)
+                self._counts[name] = count if isinstance(count, int) else 0
+            case _:
+                self._counts.pop(name, None)
+        while True:
+            before = dict(own)
+            if not self.follow(node.body, own):
+                return False
+            for key in own:
+                own[key] |= before.get(key, frozenset())
+            if own == before:
+                return True
+
     def _called(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
         self._depth += 1
-        names = [one.arg for one in function.args.args]
+        names, counts, self._counts = [one.arg for one in function.args.args], self._counts, {}
         fine = self.follow(function.body, dict(zip(names, given, strict=True)))
-        self._depth -= 1
+        self._depth, self._counts = self._depth - 1, counts
         return fine
 
-    def _set(self, target: ast.expr, value: frozenset[str], own: dict[str, frozenset[str]]) -> bool:
+    def _set(self, target: ast.expr, value: frozenset[str], own: Origins) -> bool:
         match target:
             case ast.Name(id=name):
                 own[name] = value
@@ -97,7 +116,7 @@ class _Accesses:
                 return False
         return True
 
-    def _read(self, node: ast.AST, own: dict[str, frozenset[str]]) -> bool:
+    def _read(self, node: ast.AST, own: Origins) -> bool:
         match node:
             case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
                 return self._access(row, own, "read")
@@ -119,12 +138,21 @@ class _Accesses:
             self.along |= blocks
             return self._by_turn(row, own)
         for block in blocks:
-            self.first.setdefault(block, how)
+            whole = how == "set" and self._whole(row, block)
+            self.first.setdefault(block, _WHOLE if whole else how)
         if how == "set":
             self.written |= blocks
         return bool(blocks)
 
-    def _by_turn(self, row: ast.expr, own: dict[str, frozenset[str]]) -> bool:
+    def _whole(self, row: ast.expr, block: str) -> bool:
+        """Return whether a row goes through a whole block, in a loop of so many turns."""
+        match row:
+            case ast.BinOp(left=ast.Name(id=first), op=ast.Add(), right=ast.Name(id=name)):
+                size = len(self._text.blocks[block])
+                return first == block and size > 0 and self._counts.get(name) == size
+        return False
+
+    def _by_turn(self, row: ast.expr, own: Origins) -> bool:
         """Return whether a row is BLOCK + turn, or BLOCK + k * STRIDE + turn."""
         match row:
             case ast.BinOp(left=first, op=ast.Add(), right=ast.Name(id=last)):
@@ -140,7 +168,7 @@ class _Accesses:
         return False
 
     @staticmethod
-    def _names(node: ast.AST, own: dict[str, frozenset[str]]) -> frozenset[str]:
+    def _names(node: ast.AST, own: Origins) -> frozenset[str]:
         if isinstance(node, ast.Name):
             return own.get(node.id, frozenset({node.id}))
         names = [part.id for part in ast.walk(node) if isinstance(part, ast.Name)]

@@ -14,7 +14,7 @@ from typing import Any
 from llvmlite import ir
 
 from symsimpson.walk.arrays import Array, Arrays
-from symsimpson.walk.values import DOUBLE, INT, Along, Own, known
+from symsimpson.walk.values import DOUBLE, INT, Along, Own, Refused, known
 
 __all__ = ["BlockBuilder", "Rows"]
 
@@ -117,15 +117,17 @@ class Rows(Arrays):
         else:
             store(array, places, value, width)
 
-    def own_rows(self, rows: int, width: int) -> Any:
-        """Return memory for rows of each lane."""
+    def own_rows(self, rows: int, width: int) -> Own:
+        """Return the first of so many rows of each lane."""
         with self.builder.goto_entry_block():
-            return self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows))
+            return Own(self.builder.alloca(ir.VectorType(DOUBLE, width), INT(rows)), rows, 0)
 
     def _own(self, row: Own) -> Any:
         return self.builder.load(self._place_of(row))
 
     def _place_of(self, row: Own) -> Any:
+        if known(row.place) and not 0 <= row.place < row.rows:
+            raise Refused("a row outside of its block")
         return self.builder.gep(row.memory, [self.whole(row.place)], inbounds=True)
 
     def _range(self, array: Array, places: list[Any], width: int) -> tuple[int | None, int]:

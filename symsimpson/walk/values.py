@@ -35,9 +35,10 @@ class Along:
 
 @dataclass(frozen=True)
 class Own:
-    """A row of scratch of which each lane of a vector has one: its vector is at a place."""
+    """A row of which each lane of a vector has one: its vector is at a place of so many."""
 
     memory: Any
+    rows: int
     place: Any
 
 
@@ -94,6 +95,8 @@ class Values:
 
     def alike(self, *values: Any) -> list[Any]:
         """Return values of one type: vectors if one is a vector, doubles if one is a double."""
+        if any(isinstance(value, (Along, Own)) for value in values):
+            raise Refused("a row as a number")
         kinds = {value.type for value in values if not known(value)}
         width = next((kind.count for kind in kinds if isinstance(kind, ir.VectorType)), 0)
         elements = {kind.element if isinstance(kind, ir.VectorType) else kind for kind in kinds}
@@ -123,7 +126,7 @@ class Values:
         """Return a + b."""
         if isinstance(a, Own) or isinstance(b, Own):
             own, more = (a, b) if isinstance(a, Own) else (b, a)
-            return Own(own.memory, self.add(own.place, more))
+            return Own(own.memory, own.rows, self.add(own.place, more))
         if isinstance(a, Along) or isinstance(b, Along):
             return self._along(a, b, self.add)
         if known(a) and known(b):
@@ -319,6 +322,8 @@ class Values:
     def _is_real(value: Any) -> bool:
         if known(value):
             return isinstance(value, float)
+        if isinstance(value, (Along, Own)):
+            raise Refused("a row as a number")
         kind = value.type
         return (kind.element if isinstance(kind, ir.VectorType) else kind) == DOUBLE
 

@@ -20,7 +20,7 @@ from symsimpson.walk.called import Functions
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
 from symsimpson.walk.own import own_blocks
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
-from symsimpson.walk.values import Along, Own, Refused, known
+from symsimpson.walk.values import Along, Refused, known
 
 __all__ = ["Walker"]
 
@@ -327,6 +327,8 @@ class Walker(Functions):
             self._block(node.body, own)
         finally:
             self._width = 0
+        for one in assigned(node.body):  # they have no one value behind it
+            env.pop(one, None)
         return True
 
     def _with_own(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
@@ -340,15 +342,19 @@ class Walker(Functions):
         if not blocks or sum(len(text.blocks[x]) for x in blocks) * width > MOST_OWN:
             return False
         values = self._values
-        rows = {x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)}
-        self._own = {x: Own(memory, 0) for x, memory in rows.items()}
+        self._own = own = {x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)}
         self._width = width
         self._block(node.body, env | {name: Along(turns.start)})
         self._width, self._own = 0, {}
-        left = {x for x in blocks if x not in text.scratch or x in self._ahead[-1].after}
+        for one in assigned(node.body):  # they have no one value behind it
+            env.pop(one, None)
+        around = [*(ahead.here for ahead in self._ahead[:-1]), *(x.after for x in self._ahead)]
+        left = {x for x in blocks if x not in text.scratch or any(x in names for names in around)}
         for block in sorted(left):  # as the last turn leaves it
             for k, row in enumerate(text.blocks[block]):
-                last = values.element(values.load(env["W"], [Own(rows[block], k), 0], 0), width - 1)
+                last = values.element(
+                    values.load(env["W"], [values.add(own[block], k), 0], 0), width - 1
+                )
                 values.store(env["W"], [row, 0], last, 0)
         return True
 
