@@ -31,7 +31,7 @@ LEAST_SECONDS = 1e-3
 MOST_SECONDS = 2.0
 #: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
 MOST_SLOW, LEAP = 3, 3
-#: A run that takes this long is not run twice to be warm, and every other choice is enough.
+#: A run that takes this long is not run twice to be warm.
 LONG_SECONDS = 0.1
 #: What has been timed for so long is timed no more: noise is short against it.
 ENOUGH_SECONDS = 0.5
@@ -124,7 +124,9 @@ def work_precision(
             calls += [] if one is None else [one]
         for turn in range(repeats):
             for entry in (*entries, *calls):
-                if turn == 0 or sum(entry.times) < ENOUGH_SECONDS:
+                if turn == 0:
+                    entry.times.clear()  # that of the sweep
+                if sum(entry.times) < ENOUGH_SECONDS:
                     entry.times.append(_timed(entry.run, entry.number))
     points = [
         Point(
@@ -199,7 +201,6 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
         if entry.error < 1:
             found.append(entry)
         best = min((e.error for e in found), default=1.0)
-        place += entry.times[0] > LONG_SECONDS
         if entry.times[0] > MOST_SECONDS:
             slow += 1
             place += 0 if found else LEAP  # a coarse run may go astray and take long

@@ -193,7 +193,7 @@ class Condensed:
 
 
 def at_start(layout: Layout, x: Floats) -> Floats:
-    """Return the unknowns of a guess, with a start that has the velocities that are given.
+    """Return the unknowns of a guess, with a start that has what is given of it by numbers.
 
     Raises
     ------
@@ -208,11 +208,12 @@ def at_start(layout: Layout, x: Floats) -> Floats:
     q, v = x[layout.points[0, 0]], x[layout.velocities[0]]
     for one in read.ends[0]:
         factor, node = one.value
-        if one.low == one.high and node in read.v:
-            v[read.v.index(node)] = one.low / float(factor)
+        for names, values in ((read.q, q), (read.v, v)):
+            if one.low == one.high and node in names:
+                values[names.index(node)] = one.low / float(factor)
     at = {**layout.parameter_values(x), **dict(zip([*read.q, *read.v], [*q, *v], strict=True))}
     momenta = PointFunctions(read.graph, read.q, read.momenta)
-    x[layout.velocities[0]] = v
+    x[layout.points[0, 0]], x[layout.velocities[0]] = q, v
     x[layout.momenta[0]] = momenta.values({**at, read.t: 0.0}, 1)[:, 0]
     return x
 

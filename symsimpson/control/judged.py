@@ -9,6 +9,7 @@ import numpy as np
 from symsimpson.control.balance import balanced
 from symsimpson.control.held import resolved
 from symsimpson.control.result import FOUND, ControlResult
+from symsimpson.control.scaling import sizes_at
 from symsimpson.control.status import STATUSES, ControlStatus
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def result_of(layout: Layout, outcome: Outcome) -> ControlResult:
     """Return what a solver came to."""
     programme, low, high = layout.programme
     cost, rows = programme.values(outcome.x)
-    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / layout.scales
+    off = np.maximum(np.maximum(low - rows, rows - high), 0.0) / sizes_at(layout, outcome.x)[1]
     worst = int(np.argmax(off)) if off.size else 0
     status = STATUSES.get(outcome.said, ControlStatus.RESTORATION_FAILED)
     known = layout.parameter_values(outcome.x)

@@ -171,7 +171,7 @@ class OptimalControl:
                 raise InputError(f"{name} is {value!r}.\nPass a number between 0 and 1.")
         if progress not in (None, True, False):
             raise InputError(f"progress is {progress!r}.\nPass True, False or None.")
-        if condensed not in (True, False):
+        if not isinstance(condensed, (bool, np.bool_)):
             raise InputError(f"condensed is {condensed!r}.\nPass True or False.")
         whole = isinstance(most_iterations, (int, np.integer))
         if not whole or isinstance(most_iterations, bool) or most_iterations < 0:

@@ -61,7 +61,7 @@ class ControlResult:
     seconds, in_functions : float
         Of the solver, and of these in functions of the problem.
     violation : float
-        The largest of a row, and ``worst`` its name.
+        The largest of a row, in units of its size, and ``worst`` its name.
     history : dict from str to list of float
         What the solver tells of each iteration: ``obj`` the cost, ``inf_pr`` the violation, ...
     error : float or None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from symsimpson.control.layout import Layout
     from symsimpson.control.reading import Reading
 
-__all__ = ["Scaled", "scaled"]
+__all__ = ["Scaled", "scaled", "sizes_at"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -113,6 +113,14 @@ def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
     parts = np.concatenate([gradient * columns, curved])
     largest = np.abs(parts[np.isfinite(parts)]).max(initial=0.0)
     return replace(own, of_cost=float(_rounded(largest)))
+
+
+def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
+    """Return sizes of unknowns, and those of rows as they are told: where they are ordinary 1."""
+    programme, *_ = layout.programme
+    units, found = scaled(programme, layout, x), layout.scales.copy()
+    found[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
+    return units.of_unknowns, found * units.of_rows
 
 
 def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:

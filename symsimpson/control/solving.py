@@ -21,7 +21,7 @@ from symsimpson.control.points import PointFunctions
 from symsimpson.control.reading import read_family
 from symsimpson.control.result import TOLD, ControlResult
 from symsimpson.control.saving import read_solution
-from symsimpson.control.scaling import Scaled, scaled
+from symsimpson.control.scaling import Scaled, scaled, sizes_at
 from symsimpson.control.status import ControlStatus
 from symsimpson.errors import InputError, ResolutionWarning
 from symsimpson.support.calling import warn
@@ -161,11 +161,12 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
         own = (len(multipliers), len(x)) == programme.shape
     if own:
         cost, rows = programme.values(x)
+        of_unknowns, of_rows = sizes_at(layout, x)
         within = [
-            np.maximum(a - y, y - b).max(initial=0.0)
-            for a, y, b in (
-                (low / layout.scales, rows / layout.scales, high / layout.scales),
-                (layout.bounds[0], x, layout.bounds[1]),
+            (np.maximum(a - y, y - b) / size).max(initial=0.0)
+            for a, y, b, size in (
+                (low, rows, high, of_rows),
+                (layout.bounds[0], x, layout.bounds[1], of_unknowns),
             )
         ]
         off = abs(cost - told["cost"]) / (abs(cost) or 1.0)

@@ -56,7 +56,18 @@ def test_an_optimum_does_not_depend_on_units(units, condensed):
     same = crane().solve(steps=12)
     assert found.success
     assert found.cost / (limits**2 * second) == pytest.approx(same.cost, rel=1e-9)
+    assert found.violation < 1e-8
     assert found.input_values / limits == pytest.approx(same.input_values, abs=1e-6)
+
+
+@pytest.mark.parametrize("units", sweep(UNITS))
+def test_a_file_of_another_problem_is_refused_in_any_units(units, tmp_path):
+    kg, metre, second = UNITS[units]
+    crane(kg, metre, second).solve(steps=4).save(tmp_path / "one.npz")
+    assert crane(kg, metre, second).open(tmp_path / "one.npz").success
+    other = crane(kg, 2 * metre, second)
+    with pytest.raises(ss.InputError, match="the solution of another problem"):
+        other.open(tmp_path / "one.npz")
 
 
 PROBLEMS = {
