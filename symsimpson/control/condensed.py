@@ -108,8 +108,7 @@ class Condensed:
         at = self._at(w)
         if "x" not in at:
             return np.full(len(w), np.nan), np.full(self.shape[0] * len(w), np.nan)
-        gradient, jacobian = self._slopes(at["x"])
-        Z = self._moved(at, jacobian)
+        (gradient, jacobian), Z = at["slopes"], self._moved(at)
         rest = jacobian[self._rest]
         own = rest[:, self.unknowns].toarray() + rest[:, self._states] @ Z
         found = np.concatenate([own, Z[self._bounded]])
@@ -155,34 +154,37 @@ class Condensed:
         try:
             x[self._states] = self._motion(x)[self._states]
             # between ends of steps it is not their own polynomial, but near it
-            off, before, factors = self._off(x), np.inf, self._factors(x)
+            off, before, at = self._off(x), np.inf, self._factorised(x)
             while CLOSE < (size := np.abs(off).max()) < before / 2:
-                x[self._states] -= factors.solve(off)
-                off, before, factors = self._off(x), size, self._factors(x)
-            self._last["factors"] = factors
+                x[self._states] -= at["factors"].solve(off)
+                off, before, at = self._off(x), size, self._factorised(x)
         except (SymsimpsonError, RuntimeError):  # of a stepper, of a matrix without an inverse
             return self._last
-        self._x = self._last["x"] = x
+        self._x = x
+        self._last |= {"x": x, **at}
         return self._last
 
     def _off(self, x: Floats) -> Floats:
         """Return by how much equations of steps are off."""
         return self._full.values(x)[1][self._steps]
 
-    def _factors(self, x: Floats) -> Any:
-        return splu(self._slopes(x)[1][self._steps][:, self._states].tocsc())
+    def _factorised(self, x: Floats) -> dict[str, Any]:
+        """Return all slopes, and the factors of those of the steps by the states."""
+        gradient, jacobian = self._slopes(x)
+        factors = splu(jacobian[self._steps][:, self._states].tocsc())
+        return {"slopes": (gradient, jacobian), "factors": factors}
 
-    def _moved(self, at: dict[str, Any], jacobian: Any = None) -> Floats:
+    def _moved(self, at: dict[str, Any]) -> Floats:
         """Return how states move with the unknowns."""
         if "moved" not in at:
-            jacobian = self._slopes(at["x"])[1] if jacobian is None else jacobian
+            jacobian = at["slopes"][1]
             at["moved"] = -at["factors"].solve(jacobian[self._steps][:, self.unknowns].toarray())
         moved: Floats = at["moved"]
         return moved
 
     def _multipliers(self, at: dict[str, Any], cost: float, own: Floats) -> Floats:
         """Return the multipliers of all rows: those of steps follow from the others."""
-        gradient, jacobian = self._slopes(at["x"])
+        gradient, jacobian = at["slopes"]
         rest, of_bounds = np.split(own, [len(self._rest)])
         by_states = cost * gradient[self._states] + rest @ jacobian[self._rest][:, self._states]
         by_states[self._bounded] += of_bounds

@@ -101,26 +101,30 @@ class Scaled:
 
 def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
     """Return the programme of a layout in units of its sizes at a guess."""
-    rows, size = programme.shape
-    gradient, entries = programme.slopes(x)
-    entries = np.where(np.isfinite(entries), np.abs(entries), 0.0)
-    matrix = sparse.csc_matrix((entries, programme.jacobian_places), shape=(rows, size))
-    columns = _unknowns(layout, matrix, x)
-    lines = _rounded(_largest(matrix @ sparse.diags(columns), 1))
+    columns, lines = _sizes(programme, layout, x)
     own = Scaled(programme, columns, lines, 1.0)
     # a cost that is square in inputs has no slope where they are 0
-    curved = own.curvatures(x / columns, 1.0, np.zeros(rows))
-    parts = np.concatenate([gradient * columns, curved])
+    curved = own.curvatures(x / columns, 1.0, np.zeros(len(lines)))
+    parts = np.concatenate([programme.slopes(x)[0] * columns, curved])
     largest = np.abs(parts[np.isfinite(parts)]).max(initial=0.0)
     return replace(own, of_cost=float(_rounded(largest)))
 
 
 def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
     """Return sizes of unknowns, and those of rows as they are told: where they are ordinary 1."""
-    programme, *_ = layout.programme
-    units, found = scaled(programme, layout, x), layout.scales.copy()
+    of_unknowns, of_rows = _sizes(layout.programme[0], layout, x)
+    found = layout.scales.copy()
     found[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
-    return units.of_unknowns, found * units.of_rows
+    return of_unknowns, found * of_rows
+
+
+def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floats]:
+    """Return the sizes of unknowns and of rows."""
+    entries = programme.slopes(x)[1]
+    entries = np.where(np.isfinite(entries), np.abs(entries), 0.0)
+    matrix = sparse.csc_matrix((entries, programme.jacobian_places), shape=programme.shape)
+    columns = _unknowns(layout, matrix, x)
+    return columns, _rounded(_largest(matrix @ sparse.diags(columns), 1))
 
 
 def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:

@@ -31,6 +31,7 @@ __all__ = [
     "read_expression",
     "read_reductions",
     "reduce_values",
+    "refuse_constant",
     "watchers",
 ]
 
@@ -132,6 +133,20 @@ def read_expression(
     reader = Reader(program, what)
     text = reader.read_any(expression)
     return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
+
+
+def refuse_constant(found: Observed, what: str) -> None:
+    """Refuse an expression that never changes its sign, as nothing that changes stands in it.
+
+    Raises
+    ------
+    InputError
+    """
+    if found.constant:
+        raise InputError(
+            f"{what} has no coordinate, velocity or time in it: it never changes.\n"
+            "Write what is zero where the event takes place."
+        )
 
 
 def read_reductions(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.program.evaluating import watching
-from symsimpson.program.observed import Observed, read_expression
+from symsimpson.program.observed import Observed, read_expression, refuse_constant
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.results.interpolate import DenseOutput
@@ -103,11 +103,7 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
         )
     wrapped = tuple(place for place in places if place is not None)
     found = read_expression(program, expression, wrapped)
-    if found.constant:
-        raise InputError(
-            f"{found.expression} has no coordinate, velocity or time in it: it never changes.\n"
-            "Write what is zero where the event takes place."
-        )
+    refuse_constant(found, found.expression)
     if found.rest:
         raise InputError(
             f"{found.expression} is a rest alone, which jumps back to 0 and never changes its sign."

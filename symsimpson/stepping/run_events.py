@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from symsimpson.errors import InputError
-from symsimpson.program.observed import Observed, read_expression, watchers
+from symsimpson.program.observed import Observed, read_expression, refuse_constant, watchers
 from symsimpson.stepping.event import CHANGED, Change, Event, Impact
 from symsimpson.support.names import spelled
 
@@ -122,11 +122,7 @@ def read_events(program: Program, given: Any) -> RunEvents:
         for one in events
     ]
     for event, expression in zip(events, watched, strict=True):
-        if expression.constant:
-            raise InputError(
-                f"the expression of the event {event.key!r} has no coordinate, velocity or time in "
-                "it: it never changes.\nWrite what is zero where the event takes place."
-            )
+        refuse_constant(expression, f"the expression of the event {event.key!r}")
 
     def place(what: str, event: Event, expression: Any) -> int:
         told = f"the {what} of the event {event.key!r}"

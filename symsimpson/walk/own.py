@@ -132,9 +132,10 @@ class _Accesses:
                 return False
         return all(self._read(child, own) for child in ast.iter_child_nodes(node))
 
-    def _access(self, row: ast.expr, own: dict[str, frozenset[str]], how: str) -> bool:
-        blocks = self._names(row, own) & self._text.blocks.keys()
-        if self._names(row, own) & _MOVING:
+    def _access(self, row: ast.expr, own: Origins, how: str) -> bool:
+        names = self._names(row, own)
+        blocks = names & self._text.blocks.keys()
+        if names & _MOVING:
             self.along |= blocks
             return self._by_turn(row, own)
         for block in blocks:
