@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import accumulate
+
+import mpmath
 import sympy as sp
 
 from symsimpson.errors import ModelError
@@ -22,8 +25,12 @@ def hanging_chain(n: int = 8) -> CatalogueSystem:
         ((a - b) ** 2 + (c - d) ** 2 - l**2) / 2
         for (a, c), (b, d) in zip(points, [(0, 0), *points[:-1]], strict=True)
     ]
-    angles = [sp.Rational(4, 5) - sp.Rational(3 * i, 10 * n) for i in range(n)]
-    reach = [sp.Add(*(f(a) for a in angles[: i + 1])) for i in range(n) for f in (sp.sin, sp.cos)]
+    with mpmath.workdps(30):
+        angles = [mpmath.mpf(4) / 5 - mpmath.mpf(3 * i) / (10 * n) for i in range(n)]
+        down = zip(
+            accumulate(map(mpmath.sin, angles)), accumulate(map(mpmath.cos, angles)), strict=True
+        )
+        hanging = tuple(place for x, y in down for place in (float(x), -float(y)))
     return CatalogueSystem(
         f"hanging_chain_{n}",
         coordinates=tuple(q for point in points for q in point),
@@ -32,10 +39,7 @@ def hanging_chain(n: int = 8) -> CatalogueSystem:
         constraints={f"rod {i + 1}": rod for i, rod in enumerate(rods)},
         parameters={m: 1.0, l: 1.0, g: 9.81},
         positions={"chain": [(0, 0), *points, *points[-2::-1]]},  # there and back: an open line
-        reference_state={
-            "q0": tuple(float(s) * (1 - 2 * (k % 2)) for k, s in enumerate(reach)),
-            "v0": (0.0,) * (2 * n),
-        },
+        reference_state={"q0": hanging, "v0": (0.0,) * (2 * n)},
         source="E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, section VII.1.3",
     )
 

@@ -25,14 +25,16 @@ LARGEST_TURN = 1.5
 @lru_cache(maxsize=64)
 def _quaternions(system: MechanicalSystem) -> tuple[tuple[int, ...], ...]:
     """Return the places of four coordinates whose squares a constraint adds up to a number."""
-    found = []
-    for value in system.plain.constraints.values():
-        phi = system.plain.written(value)
-        group = [i for i, q in enumerate(system.plain.q) if q in phi.free_symbols]
-        if len(group) != 4 or phi.free_symbols - set(system.plain.q):
-            continue
-        squares = sum((system.plain.q[i] ** 2 for i in group), sp.S.Zero)
-        scale = sp.diff(phi, system.plain.q[group[0]], 2) / 2
+    plain, found = system.plain, []
+    place = {x: i for i, x in enumerate(plain.numbers(plain.q))}
+    for value in plain.constraints.values():
+        symbols = plain.graph.nodes[value[1]].symbols
+        if len(symbols) != 4 or not symbols <= place.keys():
+            continue  # before SymPy is asked, which takes long for many constraints
+        group = sorted(place[x] for x in symbols)
+        phi = plain.written(value)
+        squares = sum((plain.q[i] ** 2 for i in group), sp.S.Zero)
+        scale = sp.diff(phi, plain.q[group[0]], 2) / 2
         if scale.is_number and scale != 0 and sp.expand(phi / scale - squares + 1) == 0:
             found.append(tuple(group))
     return tuple(found)
