@@ -35,7 +35,7 @@ def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
 
 
 class _Accesses:
-    """What statements do with rows, in their order.
+    """Uses of rows by statements, in their order.
 
     Attributes
     ----------

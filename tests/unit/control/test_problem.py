@@ -359,32 +359,6 @@ def test_ctrl_c_returns_the_iterate(monkeypatch):
     assert np.isfinite(found.q).all()
 
 
-@pytest.mark.parametrize(
-    ("more", "told"),
-    [
-        ({"duration": 0}, "duration is 0"),
-        ({"duration": (2, 1)}, "low is not below high"),
-        ({"cost": abs(u)}, "has a kink"),
-        ({"cost": sp.Max(u, 0)}, "has a kink"),
-        ({"start": {"z": 0}}, "start names 'z'"),
-        ({"start": [0, 0]}, "start is list"),
-        ({"bounds": {x: (-0.5, 0.5)}}, "end has x = 1, outside of its bounds"),
-        ({"bounds": {x: (1, 0)}}, "low is not below high"),
-        ({"bounds": {u: "wide"}}, "Pass a number, or a pair"),
-        ({"unknowns": {"M": (0, 1)}}, "unknowns names 'M'"),
-        ({"unknowns": ["M"]}, "unknowns is .*not a mapping"),
-        ({"bounds": None}, "bounds is None, not a mapping"),
-        ({"path": x - 2}, "path is .* no list"),
-        ({"path": [(x, 2)]}, "Pass .low, expression, high"),
-        ({"start": {x: [0, 1]}}, "Pass a number, an expression, or"),
-        ({"end": {x: 1, x.diff(): 0, x**2: 1}}, "3 conditions on 2 numbers"),
-    ],
-)
-def test_what_no_problem_can_be(more, told):
-    with pytest.raises(ss.InputError, match=told):
-        cart(**more)
-
-
 def test_what_cannot_be_solved_is_said_before():
     with pytest.raises(ss.InputError, match="have no control points"):
         cart().solve("kahan_li8")

@@ -4,16 +4,12 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.impacts import BALL, g, k, x, y, z
 from support.rods import ROD
 
 import symsimpson as ss
 
-(z,) = ss.coordinates("z")
-x, y = ss.coordinates("x y")
-g, k, c = sp.symbols("g k c", positive=True)
-BALL = ss.MechanicalSystem(
-    "ball", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=g * z, parameters={g: 9.81}
-)
+c = sp.Symbol("c", positive=True)
 #: A mass matrix that moves, a spring that hardens, and friction.
 PLANE = ss.MechanicalSystem(
     "plane",

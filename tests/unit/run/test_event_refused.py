@@ -1,0 +1,79 @@
+"""Events that are refused in words, and what does not go with them."""
+
+import pytest
+import sympy as sp
+from support.impacts import BALL, drop, floor, g, x, z
+
+import symsimpson as ss
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: ss.Impact(1.3), "restitution is 1.3"),
+        (lambda: ss.Impact(float("nan")), "restitution is nan"),
+        (lambda: ss.Change(), "changes nothing"),
+        (lambda: ss.Change(velocities={x: 1}, momenta={x: 1}), "velocity and a momentum of x"),
+        (lambda: ss.Event(z, direction=2), "direction is 2"),
+        (lambda: ss.Event(z, direction=1, action=ss.Impact()), "where the gap falls"),
+        (lambda: ss.Event(z, terminal=-1), "terminal is -1"),
+        (lambda: ss.Event(z, action="bounce"), "the action of an event is 'bounce'"),
+    ],
+)
+def test_what_no_event_can_be(make, told):
+    with pytest.raises(ss.InputError, match=told):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("events", "told"),
+    [
+        ([floor(), floor(0.5)], "two events are called 'floor'"),
+        ([ss.Event(z, name="z", action=ss.Impact())], "'z' is a coordinate"),
+        ([ss.Event(z * z.diff(), name="w", action=ss.Impact())], "contains the velocity of z"),
+        ([ss.Event(ss.time - 1, name="w", action=ss.Impact())], "depends on no coordinate"),
+        ([ss.Event("z", name="w", action=ss.Impact())], "is differentiated"),
+        ([ss.Event(g - 1, name="w", action=ss.Switch())], "'w' has no coordinate.*never changes"),
+        ([ss.Event(z - x, name="w")], "'x'"),
+        ([ss.Event(z, name="w", action=ss.Change(velocities={x: 1}))], "names 'x', which is no"),
+        ([ss.Event(z + 2, name="w", when="sqrt(q)", action=ss.Impact())], "'q'"),
+        ([floor(sp.Symbol("e"))], "the restitution e contains e"),
+        ([floor(1 - z.diff() / 20)], r"the restitution 1 - v_z/20 contains v_z\."),
+        ([floor(1 - z * ss.time)], r"contains t, z\."),
+        ([ss.Event(z - 2, name="w", action=ss.Impact())], "the start is behind the wall 'w'"),
+        (["floor"], "contains 'floor', which is|events contains 'floor'"),
+    ],
+)
+def test_events_that_do_not_fit(events, told):
+    with pytest.raises(ss.InputError, match=told):
+        drop(*events)
+
+
+def test_what_does_not_go_with_events():
+    with pytest.raises(ss.InputError, match="many digits"):
+        ss.compile(BALL, precision=30).integrate([1.0], v0=[0.0], h=0.01, steps=3, events=[floor()])
+
+
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: ss.Impact("0.8"), "restitution is '0.8'"),
+        (lambda: ss.Impact(None), "restitution is None"),
+        (lambda: ss.Impact(sp.I), "restitution is I"),
+        (lambda: ss.Impact(True), "restitution is True"),
+        (lambda: ss.Change(velocities=3), "velocities is 3, not a mapping"),
+        (lambda: ss.Event(z, name=3), "the name of an event is 3"),
+    ],
+)
+def test_arguments_of_other_kinds(make, told):
+    with pytest.raises((ss.InputError, TypeError), match=told):
+        make()
+
+
+def test_mistakes_in_events_of_ensembles_are_told_before():
+    many = ss.compile(BALL).ensemble
+    given = {"v0": [0.0], "h": 0.01, "steps": 20}
+    with pytest.raises(ss.InputError, match="the restitution e contains e"):
+        many([[1.0], [2.0]], events=[floor(sp.Symbol("e"))], **given)
+    with pytest.raises(ss.InputError, match="how variations grow, which is not measured through"):
+        many([[1.0], [2.0]], events=[floor()], reduce={"l": "lyapunov"}, **given)

@@ -1,0 +1,200 @@
+"""Results, files, checkpoints, ensembles and records of runs in which events act."""
+
+import pickle
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.impacts import BALL, FALL, drop, floor, z
+
+import symsimpson as ss
+from symsimpson.run import pieces
+from symsimpson.run.event_run import EventRun
+
+
+def test_results_keep_their_records():
+    run = drop(floor())
+    again = pickle.loads(pickle.dumps(run))
+    assert np.array_equal(again.events("floor").t, run.events("floor").t)
+
+
+def test_a_run_from_a_checkpoint_goes_on_to_the_same_bits(tmp_path):
+    """With events, stopped by Ctrl-C between two of them, and resumed with what they did."""
+    whole = drop(floor(), t_end=4.0)
+    file = tmp_path / "run.ckpt"
+    first = drop(floor(), t_end=4.0, checkpoint=file, checkpoint_every=70)
+    assert np.array_equal(first.q, whole.q)
+    again = ss.resume(file, events=[floor()])
+    assert np.array_equal(again.q, whole.q)
+    assert np.array_equal(again.events("floor").t, whole.events("floor").t)
+    with pytest.raises(ss.InputError, match="holds a run with other events"):
+        ss.resume(file)
+    with pytest.raises(ss.InputError, match="holds a run with other events"):
+        ss.resume(file, events=[floor(0.5)])
+
+
+def test_a_run_that_was_cut_off_is_resumed(tmp_path, monkeypatch):
+    whole, file = drop(floor(), t_end=2.0), tmp_path / "run.ckpt"
+    advance = EventRun.advance
+
+    def cut(run, stop):
+        advance(run, stop)
+        if run.step >= 120:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(EventRun, "advance", cut)
+        part = drop(floor(), t_end=2.0, checkpoint=file, checkpoint_every=60, on_failure="return")
+    assert part.status is ss.Status.INTERRUPTED
+    assert 0 < len(part.events("floor")) < len(whole.events("floor"))
+    again = drop(floor(), t_end=2.0, checkpoint=file)
+    assert np.array_equal(again.q, whole.q)
+    assert np.array_equal(again.p, whole.p)
+    assert [one.t for one in again.records] == [one.t for one in whole.records]
+
+
+def test_observed_values_and_counts():
+    reduce = {"high": ("max", "z"), "hits": ("count", "floor"), "end": ("max", "t")}
+    run = drop(floor(), reduce=reduce, every=None)
+    whole = drop(floor())
+    assert run.reduced["hits"] == len(whole.records) == 3
+    assert run.reduced["high"] == whole.q.max()
+    assert run.reduced["end"] == 2.0
+    assert np.array_equal(run.q[-1], whole.q[-1])
+    with pytest.raises(ss.InputError, match="counts 'wall', and no event"):
+        drop(floor(), reduce={"hits": ("count", "wall")})
+    with pytest.raises(ss.InputError, match="none: pass events="):
+        ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=3, reduce={"a": ("count", "b")})
+
+
+def test_members_of_an_ensemble_do_what_single_runs_do():
+    """Some meet the floor, others do not: these stay in their blocks."""
+    stepper, heights = ss.compile(BALL), np.array([[0.5], [1.0], [40.0], [0.3], [50.0], [30.0]])
+    given = {"v0": [0.0], "h": 0.01, "steps": 150}
+    reduce = {"hits": ("count", "floor"), "low": ("min", "z")}
+    many = stepper.ensemble(heights, events=[floor()], reduce=reduce, every=50, **given)
+    assert (many.status == 0).all()
+    for k, height in enumerate(heights):
+        one = stepper.integrate(height, events=[floor()], every=50, **given)
+        assert np.array_equal(many.q[k], one.q), k
+        assert many.reduced["hits"][k] == len(one.records)
+    assert many.reduced["hits"].tolist() == [3, 2, 0, 5, 0, 0]
+    behind = stepper.ensemble([[1.0], [-1.0]], events=[floor()], **given)
+    assert behind.status.tolist() == [0, ss.Status.BAD_INPUT]
+    with pytest.raises(ss.InputError, match="a store does not keep events"):
+        stepper.ensemble(heights, events=[floor()], store="somewhere", **given)
+
+
+def test_a_loop_bounces_as_a_run_does():
+    loop = ss.compile(BALL).start([1.0], v0=[0.0], h=0.01, events=[floor()])
+    for _ in range(200):
+        loop.step()
+    run = drop(floor())
+    assert np.array_equal(loop.q, run.q[-1])
+    again = pickle.loads(pickle.dumps(loop))
+    again.step()
+    loop.step()
+    assert np.array_equal(loop.q, again.q)
+    assert loop.events("floor").t.tolist() == run.events("floor").t.tolist()
+    last = ss.compile(BALL).start(
+        [1.0], v0=[0.0], h=0.01, events=[ss.Event(z, name="down", terminal=True)]
+    )
+    while last.ended_by is None:
+        last.step()
+    assert abs(last.t - FALL) < 1e-14
+    assert abs(last.q[0]) < 1e-15
+    assert abs(last.v[0] + 9.81 * FALL) < 1e-13
+    with pytest.raises(ss.InputError, match="the loop is at its end: 'down' ended the run"):
+        last.step()
+
+
+def test_files_keep_what_events_did(tmp_path):
+    pytest.importorskip("netCDF4")
+    end = ss.Event(z, name="down", direction=-1, terminal=2)
+    for number, events in enumerate(([floor()], [end])):
+        run = drop(*events, t_end=1.5)
+        path = tmp_path / f"{number}.nc"
+        run.save(path)
+        again = ss.open_trajectory(path)
+        name = events[0].name
+        assert np.array_equal(again.t, run.t)
+        assert again.ended_by == run.ended_by
+        assert np.array_equal(again.events(name).q_after, run.events(name).q_after)
+        assert np.array_equal(again.energy_error, run.energy_error)
+        assert again.at(0.47).q == run.at(0.47).q
+
+
+def test_chosen_states_and_sections_of_long_runs(monkeypatch):
+    """Whose pieces are looked at one after the other, each with the events in it."""
+    run = drop(floor(1.0), t_end=4.0)
+    times = np.linspace(0, 4, 23)
+    monkeypatch.setattr(pieces, "PIECE", 30)
+    chosen = drop(floor(1.0), t_end=4.0, t_eval=times)
+    assert np.abs(chosen.q - run.at(times).q).max() < 1e-15
+    saved = drop(floor(1.0), t_end=4.0, save=("z", "energy"), every=7)
+    assert np.array_equal(saved["z"], run["z"][::7])
+    end = ss.Event(z, name="down", direction=-1, terminal=True)
+    short = drop(end, t_end=4.0, save="z", every=7)
+    assert abs(short.t[-1] - FALL) < 1e-14
+    assert abs(short["z"][-1]) < 1e-14
+    given = {"v0": [0.0], "h": 0.01, "t_end": 4.0, "events": [floor(1.0)]}
+    tops = ss.compile(BALL).poincare(z.diff(), [1.0], direction=-1, **given)
+    assert np.abs(np.diff(tops.t) - 2 * FALL).max() < 1e-13
+    assert np.abs(tops.q - 1).max() < 1e-13
+
+
+@pytest.mark.parametrize("how", [{"t_eval": [0.0, 0.7, 3.0]}, {"save": ["z"]}])
+def test_what_is_kept_of_a_run_knows_its_events(how):
+    whole, kept = drop(floor(0.8), t_end=3.0), drop(floor(0.8), t_end=3.0, **how)
+    hits = kept.events("floor")
+    assert hits.t.tolist() == whole.events("floor").t.tolist()
+    assert hits.after.energy.tolist() == whole.events("floor").after.energy.tolist()
+    with pytest.raises(ss.InputError, match=r"no event 'wall'.\nIt had floor"):
+        kept.events("wall")
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("gauss6", 6), ("simpson", 4)])
+def test_work_is_recorded_through_events(scheme, order):
+    """Of friction and of an input that varies within steps: energies tell the same."""
+    u = sp.Symbol("u")
+    driven = ss.MechanicalSystem(
+        "driven_ball",
+        coordinates=(z,),
+        kinetic=z.diff() ** 2 / 2,
+        potential=10 * z,
+        forces={z: u * sp.cos(3 * z) - z.diff() / 2},
+        inputs=(u,),
+    )
+    stepper, off = ss.compile(driven, scheme), []
+    for steps in (50, 100):
+        times = stepper.node_times(2 / steps, steps)
+        given = {"h": 2 / steps, "steps": steps, "inputs": {u: np.sin(3 * times)}}
+        run = stepper.integrate([1.0], v0=[0.0], **given, record="work", events=[floor(0.9)])
+        assert len(run.records) >= 2
+        off.append(np.abs(run.energy_balance).max())
+    assert off[1] < {6: 1e-11, 4: 1e-7}[order]
+    assert off[1] < off[0] / 2 ** (order - 0.7) or off[1] < 1e-13
+    hits = run.events("floor")
+    lost = (hits.after.energy - hits.energy).sum()
+    assert abs(run.energy[-1] - run.energy[0] - run.work["total"][-1] - lost) < 1e-7
+    with pytest.raises(ss.InputError, match="Record it: record='work'"):
+        stepper.integrate([1.0], v0=[0.0], **given, events=[floor(0.9)]).work  # noqa: B018
+    many = stepper.ensemble([[1.0], [5.0]], v0=[0.0], **given, record="work", events=[floor(0.9)])
+    assert abs(many.recorded["work"][0][-1] - run.recorded["work"][-1]).max() < 1e-13
+
+
+def test_work_of_a_step_that_is_not_taken_is_not_counted():
+    drag = ss.MechanicalSystem(
+        "drag",
+        coordinates=(z,),
+        kinetic=z.diff() ** 2 / 2,
+        potential=9.81 * z,
+        forces={z: -0.3 * z.diff()},
+    )
+    stepper, found = ss.compile(drag, "lobatto6"), []
+    for every in (1, None):
+        given = {"h": 0.13, "steps": 60, "every": every, "on_failure": "return"}
+        run = stepper.integrate([1.0], v0=[0.0], **given, record="work", events=[floor(0.5)])
+        assert run.status is ss.Status.EVENTS_ACCUMULATE
+        found.append((run.t[-1], run.work["total"][-1]))
+    assert found[0] == found[1]
