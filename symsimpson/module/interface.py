@@ -22,6 +22,10 @@ RECORDED = len(TOLD)
 #: From TIME to RATE, which stands behind it.
 RATE_BEHIND = 6
 
+#: Rows for each expression whose sign is waited for: its side of zero, its size of late, its value
+#: and the one before. Values below a part of the size are rounding.
+WATCHED, ZERO = 4, 64 * 2.0**-52
+
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)
 COORDINATE_SINGULARITY, DIVERGED, SINGULAR_JACOBIAN, FILE_ERROR = range(6, 10)
@@ -82,6 +86,6 @@ KERNELS = (
 )
 
 
-def constants() -> dict[str, int]:
+def constants() -> dict[str, int | float]:
     """Return what the text of the driver takes from here: places, statuses, modes."""
-    return {name: value for name, value in globals().items() if type(value) is int}
+    return {name: value for name, value in globals().items() if type(value) in (int, float)}

@@ -37,6 +37,7 @@ PARTS = (
     "replay",
     "backward",
     "arriving",
+    "impacts",
 )
 #: Functions that are compiled in one go, because they share others, and a run that has called one
 #: may call all of them: those of any run, and those of steps that are solved by iteration.

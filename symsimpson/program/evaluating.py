@@ -16,7 +16,7 @@ from symsimpson.program.workspace import NO_INPUTS, workspace
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
 
-__all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "watching"]
+__all__ = ["evaluate", "evaluate_energy", "evaluate_in", "evaluate_members", "observer", "watching"]
 
 #: float64, or numbers of mpmath in an object array.
 Reals = NDArray[Any]
@@ -104,6 +104,22 @@ def evaluate_in(
     return found
 
 
+def observer(
+    program: Program, found: Sequence[Observed], values: Reals
+) -> tuple[tuple[int, int, int], Reals]:
+    """Return what evaluates expressions: prepare, the energy and a kernel; and their workspace.
+
+    Raises
+    ------
+    InputError
+        If the stepper has many digits.
+    """
+    header, numbers, kernels = program.header, program.numbers, program.kernels
+    kernel = kernels.compile_observer(observing_kernel(header, found), len(found))
+    W = workspace(header, numbers, numbers.read(values), more=len(found))
+    return (kernels.address("prepare"), kernels.address("energy"), kernel), W
+
+
 def watching(
     program: Program, found: Sequence[Observed], values: Reals
 ) -> Callable[[Reals, Reals, Reals], Reals]:
@@ -115,13 +131,10 @@ def watching(
         If the stepper has many digits.
     """
     header, numbers = program.header, program.numbers
-    kernels = program.kernels
-    kernel = kernels.compile_observer(observing_kernel(header, found), len(found))
-    energy = kernels.address("energy") if any(one.energetic for one in found) else 0
-    W = workspace(header, numbers, numbers.read(values), more=len(found))
+    (prepare, energy, kernel), W = observer(program, found, values)
     # asked for one state often: all but the states is found once
-    addresses, count = (kernels.address("prepare"), energy, kernel), len(found)
-    driver, first, about = numbers.driver("evaluate"), header.rows, header.told
+    addresses = prepare, energy if any(one.energetic for one in found) else 0, kernel
+    driver, first, about, count = numbers.driver("evaluate"), header.rows, header.told, len(found)
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
-from symsimpson.module.interface import MET
+from symsimpson.module.interface import MET, WATCHED, ZERO
 from symsimpson.module.quantity import SCALARS, VECTORS
 from symsimpson.program.reader import Reader
 from symsimpson.program.recorders import Recorder
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "KINDS",
-    "WATCHED",
-    "ZERO",
     "Observed",
     "Reduction",
     "observers",
@@ -39,8 +37,6 @@ __all__ = [
 #: variations of a motion tell, which are no values of states; then how often an event acted.
 KINDS = ("min", "max", "mean", "first", "lyapunov", "megno", "sali", "count")
 OF_STATES, OF_VARIATIONS, OF_EVENTS = KINDS[:4], KINDS[4:7], "count"
-#: Rows for each expression whose sign is waited for, and the part of its size that is rounding.
-WATCHED, ZERO = 4, 64 * 2.0**-52
 #: What is left of the size of an expression in each step, unless its terms are as large.
 FADED = 2.0**-10
 

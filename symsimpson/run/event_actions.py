@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.driver.impacts import (
+    EXACT,
+    MOST_NEWTON,
+    NEAR,
+    STILL,
+    lowest_of_cubic,
+    zero_of_cubic,
+)
 from symsimpson.errors import InputError, ModelError
 from symsimpson.program.evaluating import evaluate, watching
 from symsimpson.results.events import JUMP
-from symsimpson.run.zeros import ridders, zero_of_cubic
-from symsimpson.stepping.event import Impact
+from symsimpson.run.zeros import ridders
+from symsimpson.stepping.event import Event, Impact
 from symsimpson.stepping.held import project_start
 from symsimpson.stepping.run import Run
 from symsimpson.stepping.run_events import RunEvents
@@ -22,43 +30,18 @@ if TYPE_CHECKING:
     from symsimpson.program.program import Program
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["EventActions", "limit_of"]
+__all__ = ["EventActions", "constant_restitution"]
 
 Floats = NDArray[np.float64]
 State = tuple[Floats, Floats]
-#: Rates of gaps below this part of the fastest velocity are none.
-STILL = 1e-12
 #: So many impacts at one time are taken one after the other.
 MOST_MAPS = 500
-#: Newton's method for the time of an event ends with corrections below this part of the span.
-EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
 #: States at an event are known to so much of themselves.
 ROUNDINGS = 16 * 2.0**-52
 #: Where a gap is lowest is known to this part of the span.
 LOWEST = 1e-9
 #: Of so many states it is known what is asked for there, beside the last one.
 KNOWN = 4
-#: An extremum of a gap is looked at where it may be below this part of the gap at the ends.
-NEAR = 0.1
-
-
-#: Impacts whose times add up to less than this part of a step from the last one on accumulate; from
-#: one to the next they have one ratio then, but for that part of it.
-ACCUMULATED, STEADY = 1e-6, 0.1
-
-
-def limit_of(times: Sequence[float], h: float) -> float | None:
-    """Return when impacts within a step of length h end that follow each other ever faster.
-
-    Infinitely many: their times are those of a geometric series. None if they do not accumulate.
-    """
-    if len(times) < 4:
-        return None
-    first, late, later = np.diff(times[-4:]).tolist()
-    before, ratio = (late / first, later / late) if first and late else (1.0, 1.0)
-    left = ratio / (1 - ratio) * later if 0 <= ratio < 1 else np.inf
-    steady = abs(ratio - before) <= STEADY * abs(before)
-    return float(times[-1] + left) if steady and abs(left) < ACCUMULATED * h else None
 
 
 class EventActions:
@@ -160,7 +143,8 @@ class EventActions:
         for k, place in enumerate(self._events.rate):
             if place is not None and min(first[k], last[k]) > small[k]:
                 down, up = span * first[place], span * last[place]
-                low = _lowest(first[k], last[k], down, up) if down < 0 < up else np.inf
+                ends = first[k], last[k]
+                low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
                 if low < NEAR * min(first[k], last[k]):
                     found.append(k)
         return found
@@ -196,7 +180,7 @@ class EventActions:
             return float("nan") if jumped else x
         low, high, before = 0.0, span, 0.0
         a, b = (span * float(one[place]) for one in ends)
-        x = span * zero_of_cubic(first, last, a, b, side)
+        x = span * zero_of_cubic.py_func(first, last, a, b, side)
         for _ in range(MOST_NEWTON):
             found = row(x)
             value, rate = float(found[k]), float(found[place])
@@ -348,13 +332,17 @@ class EventActions:
             )
 
 
-def _lowest(first: float, last: float, a: float, b: float) -> float:
-    """Return about how low the cubic goes that has these ends and changes there."""
-    rest = last - first
-    cubic = np.polynomial.Polynomial([first, a, 3 * rest - 2 * a - b, a + b - 2 * rest])
-    turns = np.asarray(cubic.deriv().roots(), dtype=np.complex128)
-    places = turns.real[(turns.imag == 0) & (turns.real > 0) & (turns.real < 1)].tolist()
-    return float(min(map(cubic, places), default=min(first, last)))
+def constant_restitution(program: Program, event: Event, values: Floats) -> float | None:
+    """Return the restitution of an impact, None where it depends on its speed or is refused."""
+    if not isinstance(event.action, Impact):
+        return None
+    given = event.action.restitution
+    if "approach" in map(str, getattr(given, "free_symbols", ())):
+        return None
+    try:
+        return _restitution(program, given, values)(0.0)
+    except InputError:
+        return None
 
 
 def _restitution(program: Program, given: Any, values: Floats) -> Callable[[float], float]:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from symsimpson.driver.impacts import NOTHING, TOGETHER
 from symsimpson.errors import InputError
 from symsimpson.module.blocks import TOLD
-from symsimpson.module.interface import ARRIVED, MET, RECORDERS
-from symsimpson.program.observed import OF_EVENTS, WATCHED, ZERO, Reduction
+from symsimpson.module.interface import ARRIVED, MET, RECORDERS, WATCHED, ZERO
+from symsimpson.program.observed import OF_EVENTS, Reduction
 from symsimpson.program.recorders import Recorder
 from symsimpson.program.status import Status
 from symsimpson.results.records import Record
-from symsimpson.run.event_actions import EventActions, limit_of
+from symsimpson.run.accumulation import Times, accumulation
+from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_sides import Sides
+from symsimpson.run.plain_impacts import PlainImpacts, plain_impacts
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
@@ -30,10 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["EventRun"]
 
 Floats = NDArray[np.float64]
-#: When impacts that lose energy have acted within a step, by their numbers.
-Times = dict[int, list[float]]
-#: A rest of a step below this part of it is none; events that are so near act together.
-NOTHING, TOGETHER = 4 * 2.0**-52, 16 * 2.0**-52
 #: So many actions within one step are too many; a start may be so far behind a wall, relative to
 #: its size; where an expression is zero behind an action, its sign is that after so much of a step.
 MOST_ACTIONS, BEHIND, AHEAD = 500, 1e-9, 1e-6
@@ -56,7 +56,6 @@ class EventRun(Run):
         own = run_events.watchers(program.header, first)
         given = spec.parameters, spec.h, spec.t0, stride, stored
         super().__init__(program, *given, inputs=inputs, recorders=(*recorders, *own))
-        self.records: list[Record] = []
         self._events, self._steps, self._system = run_events, spec.steps, program.system
         self._actions = EventActions(program, spec, run_events)
         works = any(one.name == "work" for one in recorders)
@@ -70,6 +69,13 @@ class EventRun(Run):
             from symsimpson.run.saltation import Saltation  # few runs need it
 
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
+        self._plain: PlainImpacts | None = None
+        if not (inputs.size or works) and plain_impacts(program, run_events, spec):
+            self._plain = PlainImpacts(program, run_events, spec, first, self.records)
+
+    @cached_property
+    def _take_steps(self) -> Any:
+        return super()._take_steps if self._plain is None else self._plain.take_steps
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""
@@ -136,7 +142,7 @@ class EventRun(Run):
         """Go on where another run was."""
         *rest, reason, told = position
         super().put_back(rest, workspace)
-        self.records = [Record.read(one) for one in told]
+        self.records[:] = [Record.read(one) for one in told]
         self._look_for_end()
         self.reason = reason
 
@@ -163,8 +169,10 @@ class EventRun(Run):
         found = self._split(step, start)
         if found is None:
             self._worked[:] = worked if self.ended_by is None else self._worked
-            if self.end_within is not None:
-                self._reduce_end(*self.end_within)
+            if self.end_within is not None:  # recorders of states see it
+                t, *end = self.end_within
+                self._go_on((end[0], end[1]))
+                self._call(t, of_states=True, h=t - float(self._time()))
             self._go_on(start)
             self._column[self._status] = self._code
             if self._code == ARRIVED and self._saltation is not None:
@@ -198,11 +206,6 @@ class EventRun(Run):
         kept = self.rows("ITERATIONS", 1).copy()
         self._driver("begin")(self._kernels(), 0, self.h, self._time(), self.W, self.told)
         self.rows("ITERATIONS", 1)[:] = kept
-
-    def _reduce_end(self, t: float, q: Floats, p: Floats) -> None:
-        """Let recorders of states see the end of a run within a step."""
-        self._go_on((q, p))
-        self._call(t, of_states=True, h=t - float(self._time()))
 
     def _call(self, passed: Any, *, of_states: bool, h: Any = None) -> None:
         """Call recorders of states, or those of steps."""
@@ -349,13 +352,12 @@ class EventRun(Run):
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
-        for k, hits in times.items():
-            about = limit_of(hits, abs(float(self.h)))
-            if about is not None:
-                why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
-                self._fail(Status.EVENTS_ACCUMULATE, why)
-                return True
-        return False
+        found = accumulation(times, abs(float(self.h)))
+        if found is not None:
+            k, about = found
+            why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
+            self._fail(Status.EVENTS_ACCUMULATE, why)
+        return found is not None
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.program.observed import FADED, ZERO
+from symsimpson.module.interface import ZERO
+from symsimpson.program.observed import FADED
 
 if TYPE_CHECKING:
     from symsimpson.run.event_actions import EventActions

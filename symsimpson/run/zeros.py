@@ -6,21 +6,7 @@ import math
 from collections.abc import Callable
 from itertools import pairwise
 
-__all__ = ["ridders", "zero_of_cubic"]
-
-
-def zero_of_cubic(first: float, last: float, a: float, b: float, side: float) -> float:
-    """Return about where from 0 to 1 the cubic changes its side that has these ends and slopes."""
-    rest = last - first
-    c, d = 3 * rest - 2 * a - b, a + b - 2 * rest
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        x = (low + high) / 2
-        if (first + x * (a + x * (c + x * d))) * side > 0:
-            low = x
-        else:
-            high = x
-    return (low + high) / 2
+__all__ = ["ridders"]
 
 
 def ridders(

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from symsimpson.run.zeros import ridders, zero_of_cubic
+from symsimpson.driver.impacts import zero_of_cubic
+from symsimpson.run.zeros import ridders
 
 
 @pytest.mark.parametrize(
@@ -39,6 +40,6 @@ def test_ends_and_places_without_a_value():
 
 def test_a_cubic_is_left_on_the_side_where_it_began():
     """With zero at the start, where an impact has just been, it is the later zero."""
-    assert abs(zero_of_cubic(0.0, -1.0, 2.0, -4.0, 1.0) - 2 / 3) < 1e-8  # 2 x - 3 x^2
-    assert abs(zero_of_cubic(1.0, -1.0, -2.0, -2.0, 1.0) - 0.5) < 1e-8
-    assert abs(zero_of_cubic(-1.0, 1.0, 2.0, 2.0, -1.0) - 0.5) < 1e-8
+    assert abs(zero_of_cubic.py_func(0.0, -1.0, 2.0, -4.0, 1.0) - 2 / 3) < 1e-8  # 2 x - 3 x^2
+    assert abs(zero_of_cubic.py_func(1.0, -1.0, -2.0, -2.0, 1.0) - 0.5) < 1e-8
+    assert abs(zero_of_cubic.py_func(-1.0, 1.0, 2.0, 2.0, -1.0) - 0.5) < 1e-8

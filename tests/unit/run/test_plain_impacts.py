@@ -1,0 +1,103 @@
+"""Impacts that the compiled loop takes: the same as Python's, and which are left to Python."""
+
+import numpy as np
+import pytest
+import sympy as sp
+from support.impacts import BALL, PLANE, drop, floor, x, y, z
+
+import symsimpson as ss
+from symsimpson.run import event_run
+
+th, om = ss.coordinates("th om")
+PENDULUM = ss.systems.double_pendulum()
+FIRST, SECOND = PENDULUM.coordinates
+ARMS = ss.MechanicalSystem(
+    "arms",
+    coordinates=(th, om),
+    kinetic=(th.diff() ** 2 * (2 + sp.cos(om)) + om.diff() ** 2 + th.diff() * om.diff()) / 2,
+    potential=-sp.cos(th) - sp.cos(om) * sp.cos(th),
+)
+ELLIPSE = ss.Event(1 - x**2 / 4 - y**2, name="wall", action=ss.Impact())
+MOVING = ss.Event(
+    z - sp.sin(3 * ss.time) / 10, name="table", action=ss.Impact(sp.Rational(9, 10)), when=z + 5
+)
+STOPS = [
+    ss.Event(sp.Rational(6, 5) - th, name="right", action=ss.Impact(0.7)),
+    ss.Event(th + sp.Rational(6, 5), name="left", action=ss.Impact(0.9)),
+]
+
+
+@pytest.fixture
+def split(monkeypatch):
+    """Counts the steps that Python takes anew."""
+    counted, real = [], event_run.EventRun._split_step
+
+    def count(run):
+        counted.append(run.step)
+        real(run)
+
+    monkeypatch.setattr(event_run.EventRun, "_split_step", count)
+    return counted
+
+
+@pytest.mark.parametrize(
+    ("system", "scheme", "start", "events", "h"),
+    [
+        (BALL, "simpson", ([1.0], [0.0]), [floor(0.8)], 0.01),
+        (BALL, "kahan_li8", ([1.0], [0.0]), [floor(0.9)], 0.05),
+        (BALL, "simpson", ([1.0], [0.0]), [floor(1)], -0.02),
+        (BALL, "midpoint", ([0.6], [0.0]), [MOVING], 0.01),
+        (PLANE, "lobatto6", ([0.3, 0.2], [1.0, 0.37]), [ELLIPSE], 0.05),
+        (ARMS, "gauss6", ([1.0, 0.4], [2.0, -1.0]), STOPS, 0.02),
+    ],
+)
+def test_they_are_those_of_python(system, scheme, start, events, h, split, monkeypatch):
+    stepper, (q0, v0) = ss.compile(system, scheme), start
+    given = {"v0": v0, "h": h, "steps": 120, "events": events, "reduce": {"low": ("min", "energy")}}
+    run = stepper.integrate(q0, **given)
+    assert not split
+    monkeypatch.setattr(event_run, "plain_impacts", lambda *asked: False)
+    other = stepper.integrate(q0, **given)
+    assert split
+    assert len(run.records) >= 2
+    assert [one.event for one in run.records] == [one.event for one in other.records]
+    for name in ("t", "step", "q", "p", "q_after", "p_after", "direction", "impulse"):
+        mine, theirs = ([getattr(one, name) for one in each.records] for each in (run, other))
+        np.testing.assert_allclose(mine, theirs, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(run.y, other.y, rtol=1e-10, atol=1e-11)
+    assert run.newton_iterations.tolist() == other.newton_iterations.tolist()
+    assert abs(run.reduced["low"] - other.reduced["low"]) < 1e-11
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [floor(1), ss.Event(z - 0 * ss.time, name="another", action=ss.Impact())],
+        [ss.Event(z, name="floor", action=ss.Impact(), terminal=True)],
+        [ss.Event(z, name="floor", action=ss.Impact(1 - ss.approach / 20))],
+        [floor(1), ss.Event(z - 0.5, name="middle", action=ss.Switch())],
+        [floor(0)],
+    ],
+)
+def test_others_are_left_to_python(events, split):
+    run = drop(*events, t_end=0.6, on_failure="return")
+    assert run.records
+    assert split
+
+
+def test_a_bounce_within_a_step_is_seen():
+    """The gap is positive at both ends: dips are Python's."""
+    runs = [drop(floor(1), h=h, t_end=3.6) for h in (0.9, 0.01)]
+    assert [len(run.records) for run in runs] == [4, 4]
+    assert abs(runs[0].q[-1] - runs[1].q[-1]).max() < 1e-10
+
+
+def test_records_of_more_impacts_than_there_is_room_for(monkeypatch):
+    monkeypatch.setattr("symsimpson.run.plain_impacts.ROOM", 3)
+    run = drop(floor(1), h=0.05, t_end=20.0, every=7)
+    monkeypatch.undo()
+    whole = drop(floor(1), h=0.05, t_end=20.0)
+    hits = run.events("floor")
+    assert len(hits) > 20
+    np.testing.assert_allclose(hits.t, whole.events("floor").t, rtol=1e-12)
+    np.testing.assert_allclose(run.q, whole.q[::7], atol=1e-11)
