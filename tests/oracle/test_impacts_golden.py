@@ -70,12 +70,13 @@ def test_golden_tangents_through_an_impact(name):
 def test_a_billiard_in_an_ellipse_keeps_its_caustic():
     """Energy, and the product of the angular momenta about the foci: straight steps are exact."""
     case = IMPACTS["elliptic_billiard"]
-    run = run_of(case | {"N": 1500})
-    assert np.abs(run.energy_error).max() < 1e-14
+    hits = run_of(case | {"N": 600_000}, every=None).events("wall")
+    assert len(hits) > 1e5
+    assert np.abs(hits.energy / hits.energy[0] - 1).max() < 1e-12
     focus = np.sqrt(1.5**2 - 1.0)
-    (x, y), (px, py) = run.q.T, run.p.T
+    (x, y), (px, py) = hits.q.T, hits.p.T
     product = ((x - focus) * py - y * px) * ((x + focus) * py - y * px)
-    assert np.abs(product - product[0]).max() < 1e-12
+    assert np.abs(product - product[0]).max() < 1e-10
 
 
 def cradle(case):
