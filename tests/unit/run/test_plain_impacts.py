@@ -101,3 +101,37 @@ def test_records_of_more_impacts_than_there_is_room_for(monkeypatch):
     assert len(hits) > 20
     np.testing.assert_allclose(hits.t, whole.events("floor").t, rtol=1e-12)
     np.testing.assert_allclose(run.q, whole.q[::7], atol=1e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["simpson", "kahan_li8"])
+def test_they_are_those_of_python_wherever_a_ball_begins(scheme, split, monkeypatch):
+    """In a room with a round thing on its floor: edges, corners, several hits in a step."""
+    room = ss.MechanicalSystem(
+        "room",
+        coordinates=(x, y, z),
+        kinetic=(x.diff() ** 2 + y.diff() ** 2 + z.diff() ** 2) / 2,
+        potential=9.81 * z,
+    )
+    gaps = [z, 1 - x, 1 + x, 1 - y, 1 + y, x**2 + y**2 + (z - sp.Rational(1, 2)) ** 2 - 0.1]
+    restitution = [0.9, 1, 1, 1, 1, 1]
+    events = [
+        ss.Event(gap, name=f"g{k}", action=ss.Impact(e))
+        for k, (gap, e) in enumerate(zip(gaps, restitution, strict=True))
+    ]
+    stepper, random, hits = ss.compile(room, scheme), np.random.default_rng(5), 0
+    for h in (0.01, 0.05, 0.2) * 8:
+        q0, v0 = [*random.uniform(-0.4, 0.4, 2), 1.2], random.uniform(-2, 2, 3)
+        given = {"v0": v0, "h": h, "steps": 60, "events": events, "on_failure": "return"}
+        run = stepper.integrate(q0, **given)
+        hits += len(run.records)
+        left = len(split)
+        with monkeypatch.context() as patch:
+            patch.setattr(event_run, "plain_impacts", lambda *asked: False)
+            other = stepper.integrate(q0, **given)
+        assert run.status is other.status
+        assert [one.event for one in run.records] == [one.event for one in other.records]
+        for one, two in zip(run.records[:10], other.records, strict=False):
+            assert abs(one.t - two.t) < 1e-9
+        del split[left:]
+    assert hits > 10 * len(split)
