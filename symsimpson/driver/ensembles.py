@@ -116,8 +116,8 @@ def begin_variations(momentum_slopes, h, t, W, at, columns):
 def begin_watching(kernels, h, t, W, at, first, rows):
     """Look where members begin, before anything is known of the signs that are waited for."""
     for lane in range(LANES):
-        for row in range(first, first + rows):
-            W[row, lane] = np.nan
+        for row in range(rows):  # sizes are none yet; of the others nothing is known
+            W[first + row, lane] = 0.0 if row % WATCHED == SIZE_WATCHED else np.nan
         W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
     for k in range(RECORDERS, RECORDERS + at[OF_EVENTS]):
         call(kernels[k], h, t, W)

@@ -35,8 +35,6 @@ EXACT, MOST_NEWTON = 4 * 2.0**-52, 100
 NEAR = 0.1
 #: More impacts within one step may be those that accumulate.
 MOST_PLAIN = 3
-#: What side of zero an expression is on, whose last value was rounded to the other one.
-TINY = 2.0**-1022
 #: Of each event, where its rate stands among what is asked for, the first of its slopes, its
 #: condition (or -1), the size of its terms, and the sign that is waited for.
 RATE_AT, SLOPES_AT, WHEN_AT, SIZE_AT, SIGN = range(5)
@@ -149,8 +147,6 @@ def zero_in(parting, looking, start, t, span, ends, at_zero, side, room):
     """
     (first_row, last_row), (k, place, row, state) = ends, at_zero
     first, last = first_row[k], last_row[k]
-    if first * side <= 0.0:  # rounding has left it behind
-        first = side * TINY
     low, high, before, found = 0.0, span, 0.0, False
     x = span * zero_of_cubic(first, last, span * first_row[place], span * last_row[place], side)
     tries, well = 0, True
@@ -341,7 +337,7 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
         if more:
             for k in range(number):
                 side[k] = W[watched + WATCHED * k, 0]
-                size[k] = W[watched + WATCHED * k + 1, 0]
+                size[k] = W[watched + WATCHED * k + SIZE_WATCHED, 0]
             rows = side, size, state, there, behind, first, last, row
             here = h, t0 + h * step, W, at
             more = bounce(parting, looking, here, step, impacts, rows, room)

@@ -103,7 +103,6 @@ def read_task(
         progress,
         lanes,
         retimed,
-        request.events,
         tangents=None if request.carried is None else _columns(program, request.carried),
         t_end=end,
         record=read_record(program, request.record),

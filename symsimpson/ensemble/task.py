@@ -32,8 +32,6 @@ class Task(RunSpec):
     progress: bool | None
     lanes: int
     retimed: bool = False
-    #: Events as they were given.
-    events: Any = None
 
     @property
     def members(self) -> int:
@@ -58,7 +56,7 @@ class Task(RunSpec):
             t0=self.t0,
             parameters={name: values[name] for name in names if name not in header.from_start},
             inputs=self.inputs_of(member),
-            events=self.events,
+            events=self.run_events,
             **more,
         )
 

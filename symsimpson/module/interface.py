@@ -24,7 +24,7 @@ RATE_BEHIND = 6
 
 #: Rows for each expression whose sign is waited for: its side of zero, its size of late, its value
 #: and the one before. Values below a part of the size are rounding.
-WATCHED, ZERO = 4, 64 * 2.0**-52
+WATCHED, SIZE_WATCHED, ZERO = 4, 1, 64 * 2.0**-52
 
 # values in STATUS, and negative ones in ACTIVE
 SUCCESS, INTERRUPTED, NOT_CONVERGED, NOT_FINITE, STEP_TOO_LARGE, BAD_INPUT = range(6)

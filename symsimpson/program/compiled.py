@@ -52,6 +52,7 @@ class Kernels(KernelSets):
         first = outline(text).body[0].lineno - 1
         self._text = "".join(changed.splitlines(keepends=True)[first:])
         self._single: dict[tuple[str, bool], int] = {}
+        self._observers: dict[tuple[str, int], int] = {}
         self.seconds = 0.0  # spent on compiling, or on loading what is compiled
 
     @property
@@ -91,8 +92,11 @@ class Kernels(KernelSets):
 
     def compile_observer(self, text: str, rows: int) -> int:
         """Compile a further kernel, a text, with so many more rows; return its address."""
-        module = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
-        return self._addresses(f"{module}\n\n{text}", "observe", ["observe"])[0]
+        if (text, rows) not in self._observers:  # members of an ensemble ask for the same
+            module = redefined(self._text, {"ROWS": f"ROWS = {self.header.rows + rows}"})
+            (address,) = self._addresses(f"{module}\n\n{text}", "observe", ["observe"])
+            self._observers[text, rows] = address
+        return self._observers[text, rows]
 
     @staticmethod
     def _cache_key(text: str) -> str:

@@ -77,6 +77,8 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
         If they do not fit the system, or what else is asked for.
     """
     given = request.events
+    if isinstance(given, RunEvents):  # read for all members of an ensemble
+        return given
     if given is None or (isinstance(given, Sequence) and not len(given)):
         return None
     why = ""

@@ -8,6 +8,7 @@ import sympy as sp
 from support.impacts import BALL, FALL, drop, floor, z
 
 import symsimpson as ss
+from symsimpson.ensemble import singles
 from symsimpson.run import pieces
 from symsimpson.run.event_run import EventRun
 
@@ -67,8 +68,15 @@ def test_observed_values_and_counts():
         ss.compile(BALL).integrate([1.0], v0=[0.0], h=0.01, steps=3, reduce={"a": ("count", "b")})
 
 
-def test_members_of_an_ensemble_do_what_single_runs_do():
+def test_members_of_an_ensemble_do_what_single_runs_do(monkeypatch):
     """Some meet the floor, others do not: these stay in their blocks."""
+    alone, real = [], singles.run
+
+    def run_alone(program, asked, **how):
+        alone.append(asked.q0.tolist())
+        return real(program, asked, **how)
+
+    monkeypatch.setattr(singles, "run", run_alone)
     stepper, heights = ss.compile(BALL), np.array([[0.5], [1.0], [40.0], [0.3], [50.0], [30.0]])
     given = {"v0": [0.0], "h": 0.01, "steps": 150}
     reduce = {"hits": ("count", "floor"), "low": ("min", "z")}
@@ -79,6 +87,7 @@ def test_members_of_an_ensemble_do_what_single_runs_do():
         assert np.array_equal(many.q[k], one.q), k
         assert many.reduced["hits"][k] == len(one.records)
     assert many.reduced["hits"].tolist() == [3, 2, 0, 5, 0, 0]
+    assert alone == [[0.5], [1.0], [0.3]]
     behind = stepper.ensemble([[1.0], [-1.0]], events=[floor()], **given)
     assert behind.status.tolist() == [0, ss.Status.BAD_INPUT]
     with pytest.raises(ss.InputError, match="a store does not keep events"):
