@@ -249,8 +249,8 @@ def first_zero(parting, looking, start, t, span, rows, sides, events, work, room
 def bounce(parting, looking, setting, step, impacts, sides, room):
     """Take a step with its impacts, from where the workspace says that it began.
 
-    Returns whether they are plain; then the state behind it stands in what was made for it, and
-    sides and sizes are those behind it.
+    Returns whether they are plain, or there is none; then the state behind it stands in what was
+    made for it, and sides and sizes are those behind it.
     """
     (h, t0, W, at), (events, restitution, _, records, counts) = setting, impacts
     (side, size, state, there, behind, first, last, row), n = sides, at[DIMENSION]
@@ -274,8 +274,9 @@ def bounce(parting, looking, setting, step, impacts, sides, room):
         if well and k == -1:
             over = True
             for k in range(events.shape[0]):
-                size[k] = size_of(events, k, last, behind[0], size[k])
-                side[k] = side_of(last[k], ZERO * size[k], side[k])
+                before, size[k] = side[k], size_of(events, k, last, behind[0], size[k])
+                side[k] = side_of(last[k], ZERO * size[k], before)
+                well = well and (acted > 0 or side[k] == before)
         elif well:
             t += x
             well = counts[0] + acted < records.shape[0] and abs(rest - x) > NOTHING * abs(h)
@@ -298,7 +299,6 @@ def bounce(parting, looking, setting, step, impacts, sides, room):
                 done, acted = done + x, acted + 1
                 well = look(looking, t, q, p, first)
                 well = well and closing(looking, events, k, first, sign) == 0.0
-    well = well and acted > 0
     counts[0] += acted if well else 0
     return well
 
@@ -333,7 +333,7 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
     while more:
         take_all(kernels, setting, progress, stop, every, stores, inputs)
         more = progress[1] == 0 and W[at[STATUS], 0] == MET and counts[0] < records.shape[0]
-        step = progress[2] + progress[0] - 1
+        step, before = progress[2] + progress[0] - 1, counts[0]
         if more:
             for k in range(number):
                 side[k] = W[watched + WATCHED * k, 0]
@@ -341,20 +341,24 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
             rows = side, size, state, there, behind, first, last, row
             here = h, t0 + h * step, W, at
             more = bounce(parting, looking, here, step, impacts, rows, room)
-        if more:
-            t = t0 + h * (step + 1)
+        t = t0 + h * (step + 1)
+        if more and counts[0] == before:  # the step stays as it was taken
+            W[at[STATUS], 0], W[at[ACTIVE], 0] = 0.0, 1.0
+            for k in range(RECORDERS + at[OF_EVENTS], len(kernels) - at[OF_STATES]):
+                call(kernels[k], h, t0 + h * step, W)
+        elif more:
             iterations = W[at[ITERATIONS], 0]
             for k in range(4 * n):
                 W[at[POSITION] + k, 0] = 0.0
             for a in range(n):
                 W[at[POSITION] + a, 0], W[at[MOMENTUM] + a, 0] = behind[0][a], behind[1][a]
             begin(kernels, 0, h, t, W, at)
-            W[at[ITERATIONS], 0] = iterations
+            W[at[ITERATIONS], 0], W[at[ACTIVE], 0] = iterations, 1.0
+        if more:
             for k in range(number):
                 own, value = watched + WATCHED * k, last[k]
                 W[own, 0], W[own + 1, 0], W[own + 2, 0] = side[k], max(size[k], abs(value)), value
                 W[own + 3, 0] = value - h * last[events[k, RATE_AT]]
-            W[at[ACTIVE], 0] = 1.0
             for k in range(len(kernels) - at[OF_STATES], len(kernels)):
                 call(kernels[k], h, t, W)
             if every != 0 and progress[0] % every == 0:

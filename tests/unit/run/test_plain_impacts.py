@@ -160,3 +160,18 @@ def test_they_are_those_of_python_wherever_a_ball_begins(scheme, split, monkeypa
             assert abs(one.t - two.t) < 1e-9
         del split[left:]
     assert hits > 10 * len(split)
+
+
+def test_a_near_miss_leaves_the_steps_as_they_are(split):
+    """A pendulum turns shortly before a wall, again and again."""
+    stepper = ss.compile(ss.systems.pendulum())
+    (angle,) = ss.systems.pendulum().coordinates
+    given = {"v0": [0.0], "h": 0.1, "steps": 300, "reduce": {"e": ("mean", "energy")}}
+    free = stepper.integrate([-0.5], **given)
+    top = float(free.q.max())
+    wall = ss.Event(top + 1e-3 - angle, name="wall", action=ss.Impact())
+    run = stepper.integrate([-0.5], **given, events=[wall])
+    assert not run.records
+    assert not split
+    assert np.array_equal(run.y, free.y)
+    assert run.reduced == free.reduced
