@@ -16,19 +16,24 @@ from symsimpson.walk.values import BIT, DOUBLE, FLAGS, INT, Along, Refused, know
 __all__ = ["Blocks", "Loop", "Slot"]
 
 
+@dataclass(frozen=True)
 class Slot:
-    """A variable that loops or branches change; the compiler turns it into a register."""
+    """A variable that loops or branches change; the compiler turns it into a register.
 
-    def __init__(self, place: Any) -> None:
-        self.place = place
+    It was made where the lanes of a mask counted; None if all did.
+    """
+
+    place: Any
+    mask: Any = None
 
 
 @dataclass(frozen=True)
 class Loop:
-    """Blocks that a loop goes on with, and that stand behind it."""
+    """Blocks that a loop goes on with, and that stand behind it; lanes for which it turns."""
 
     following: Any
     after: Any
+    mask: Any = None
 
 
 class Blocks(Rows):
@@ -72,7 +77,7 @@ class Blocks(Rows):
 
     # -- variables
 
-    def slot(self, value: Any, width: int) -> Slot:
+    def slot(self, value: Any, width: int, mask: Any = None) -> Slot:
         """Return a variable with this value."""
         if isinstance(value, (Along, tuple, list)):
             raise Refused("a variable of this kind, that a loop or a branch changes")
@@ -85,7 +90,7 @@ class Blocks(Rows):
         with self.builder.goto_entry_block():
             place = self.builder.alloca(value.type)
         self.builder.store(value, place)
-        return Slot(place)
+        return Slot(place, mask)
 
     def read(self, slot: Slot) -> Any:
         """Return the value of a variable."""

@@ -47,8 +47,8 @@ class Ahead:
 class Frame:
     """A function that is being walked: where it is left to, with what, and its loops."""
 
-    def __init__(self, function: ast.FunctionDef) -> None:
-        self.once = used_once(function)
+    def __init__(self, function: ast.FunctionDef, mask: Any = None) -> None:
+        self.name, self.once, self.mask = function.name, used_once(function), mask
         self.exit: Any = None
         self.depth = 0
         self.result: Any = None
@@ -84,6 +84,10 @@ class Expressions(ABC):
         #: Functions that stay functions, and the attributes that they have for LLVM.
         self._apart, self._made = apart, dict[Any, Any]()
         self._width = 0
+        #: Functions that are walked for one lane after another.
+        self._alone: frozenset[str] = frozenset()
+        #: The lanes of a vector for which what is walked counts; None if all do.
+        self._mask: Any = None
         #: Scratch of which each lane has rows of its own.
         self._own: dict[str, Own] = {}
         self._frames: list[Frame] = []

@@ -85,11 +85,16 @@ def function(
     context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
 ) -> ir.Function:
     """Write a kernel into a module of LLVM: lanes, or nodes, as one vector, or one by one."""
-    ways = {"vector": lanes > 1, "own": lanes == 1}
-    try:
-        return _walked(context, module, text, name, lanes, bits, **ways)
-    except Refused:  # lanes that go different ways
-        return _walked(context, module, text, name, lanes, bits, vector=False, own=False)
+    ways: dict[str, Any] = {"vector": lanes > 1, "own": lanes == 1}
+    alone: frozenset[str] = frozenset()
+    while True:
+        try:
+            return _walked(context, module, text, name, lanes, bits, **ways, alone=alone)
+        except Refused as refused:  # lanes that go different ways, in all of it or a part
+            if lanes == 1 or refused.function in {"", name, *alone}:
+                break
+            alone |= {refused.function}
+    return _walked(context, module, text, name, lanes, bits, vector=False, own=False)
 
 
 def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
@@ -124,6 +129,7 @@ def _walked(
     *,
     vector: bool,
     own: bool,
+    alone: frozenset[str] = frozenset(),
 ) -> ir.Function:
     kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
     made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
@@ -136,7 +142,7 @@ def _walked(
     rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
     walker = Walker(text, Calls(builder), library(context))
     try:
-        walker.kernel(name, h, t, rows, vector=vector, own=own)
+        walker.kernel(name, h, t, rows, vector=vector, own=own, alone=alone)
     except (Refused, GenerationError):
         module.globals.pop(made.name)
         raise

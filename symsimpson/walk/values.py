@@ -23,7 +23,15 @@ KNOWN = (bool, int, float, np.integer, np.floating)
 
 
 class Refused(Exception):
-    """A construct that no kernel of a generated module has."""
+    """A construct that no kernel of a generated module has, or that no vector can do.
+
+    Attributes
+    ----------
+    function : str
+        The function in which it is.
+    """
+
+    function = ""
 
 
 @dataclass(frozen=True)
@@ -257,6 +265,11 @@ class Values:
         """The opposite of a truth."""
         return (not a) if known(a) else self.builder.not_(a)
 
+    def any(self, a: Any) -> Any:
+        """Whether a truth holds in one lane of a vector at least."""
+        bits = ir.IntType(a.type.count)
+        return self.builder.icmp_unsigned("!=", self.builder.bitcast(a, bits), bits(0))
+
     def choose(self, truth: Any, a: Any, b: Any) -> Any:
         """Return a where something is true, else b."""
         if known(truth):
@@ -290,9 +303,9 @@ class Values:
             raise Refused("counts that differ from lane to lane")
         return a if a.type == INT else self.builder.fptosi(a, INT)
 
-    def element(self, a: Any, lane: int) -> Any:
+    def element(self, a: Any, lane: Any) -> Any:
         """The number in a lane."""
-        return self.builder.extract_element(a, ir.IntType(32)(lane))
+        return self.builder.extract_element(a, ir.IntType(32)(lane) if known(lane) else lane)
 
     def joined(self, numbers: list[Any]) -> Any:
         """Numbers as a vector."""

@@ -9,14 +9,15 @@ not depend on each other, is walked once, with vectors.
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 from symsimpson.errors import GenerationError
 from symsimpson.module.interface import LOOKED_AT
 from symsimpson.walk.arrays import Array
+from symsimpson.walk.assigning import Assigning
 from symsimpson.walk.blocks import Loop, Slot
-from symsimpson.walk.called import Functions
 from symsimpson.walk.expressions import Ahead, Env, Frame, Product
 from symsimpson.walk.own import own_blocks
 from symsimpson.walk.trees import assigned, leaves, vectors, weight
@@ -30,17 +31,26 @@ WIDTHS = (4, 8, 16)
 MOST_OWN = 16_384
 
 
-class Walker(Functions):
+class Walker(Assigning):
     """Walks functions of a text."""
 
     _lanes_own = False
 
     def kernel(
-        self, name: str, h: Any, t: Any, workspace: Array, *, vector: bool, own: bool = False
+        self,
+        name: str,
+        h: Any,
+        t: Any,
+        workspace: Array,
+        *,
+        vector: bool,
+        own: bool = False,
+        alone: frozenset[str] = frozenset(),
     ) -> None:
         """Walk a kernel for all lanes, as one vector if that is wanted.
 
-        Loops may be vectors of which each lane has scratch of its own, if that is.
+        Loops may be vectors of which each lane has scratch of its own, if that is. Functions that
+        are ``alone`` are walked for one lane after another.
 
         Raises
         ------
@@ -49,7 +59,7 @@ class Walker(Functions):
         Refused
             If lanes cannot be one vector.
         """
-        lanes, self._lanes_own = workspace.shape[1], own
+        lanes, self._lanes_own, self._alone = workspace.shape[1], own, alone
         if name not in LOOKED_AT:
             self._values.wanted = lambda place: self._wanted(place // lanes)
         if name in self._text.constants.get("STRAIGHT", ()):
@@ -65,6 +75,9 @@ class Walker(Functions):
                 case ast.For(target=ast.Name(id="lane")) if vector:
                     self._width = lanes
                     env["lane"] = Along(0)
+                    match statement.body[-1]:
+                        case ast.If(body=rest, orelse=[]) if statement is body[-1]:
+                            self._rest = rest
                     self._last(statement.body, env)
                     self._width = 0
                 case _:
@@ -132,7 +145,8 @@ class Walker(Functions):
         try:
             return self._do(node, env)
         except Refused as refused:
-            if self._width:
+            refused.function = refused.function or self._frames[-1].name
+            if self._width or self._alone:
                 raise
             raise GenerationError(
                 f"line {node.lineno}: the kernel has {refused}: {ast.unparse(node)[:80]}"
@@ -167,6 +181,8 @@ class Walker(Functions):
                 self._while(test, body, env)
             case ast.Break() | ast.Continue():
                 loop = self._frames[-1].loops[-1]
+                if loop.mask is not self._mask:
+                    raise Refused("a loop that some of the lanes leave")
                 broken = isinstance(node, ast.Break)
                 self._values.builder.branch(loop.after if broken else loop.following)
                 return True
@@ -176,81 +192,7 @@ class Walker(Functions):
                 raise Refused(f"a statement of type {type(node).__name__}")
         return False
 
-    def _changed(self, before: Any, op: ast.operator, value: ast.expr, env: Env) -> Any:
-        product = self._factors(value, env) if isinstance(op, (ast.Add, ast.Sub)) else None
-        if product is None:
-            return self._binary(op, before, self._value(value, env))
-        return self._with_product(before, product, minus=isinstance(op, ast.Sub))
-
-    def _leave(self, result: Any) -> bool:
-        """Leave a function, from a branch or a loop by way of a block and variables."""
-        frame, values = self._frames[-1], self._values
-        if not frame.depth and frame.exit is None:
-            frame.result = result
-            return True
-        if result is not None:
-            results = result if isinstance(result, list) else [result]
-            if frame.slots is None:
-                frame.slots = [values.slot(one, self._width) for one in results]
-                frame.result = frame.slots if isinstance(result, list) else frame.slots[0]
-            for slot, one in zip(frame.slots, results, strict=True):
-                values.write(slot, one)
-        frame.exit = frame.exit or values.new_block("left")
-        values.builder.branch(frame.exit)
-        return True
-
-    def _assign(self, target: ast.expr, value: Any, env: Env) -> None:
-        if not isinstance(target, ast.Tuple):
-            self._put(target, self._places(target, env), value, env)
-            return
-        for part, one in zip(target.elts, value, strict=True):
-            self._assign(part, one, env)
-
-    def _at(self, target: Any, place: Any, env: Env) -> Any:
-        return self._named(target.id, env) if place is None else self._read(place)
-
-    def _put(self, target: Any, place: Any, value: Any, env: Env) -> None:
-        if place is not None:
-            if not isinstance(place[0], Array):
-                raise Refused("an assignment into something else")
-            self._values.store(place[0], place[1], value, self._width)
-        elif isinstance(env.get(target.id), Slot):
-            self._values.write(env[target.id], value)
-        else:
-            env[target.id] = value
-
-    # -- branches and loops
-
-    def _if(self, truth: Any, body: Any, other: Any, env: Env) -> bool:
-        if known(truth):
-            return self._last(body if truth else other, env)
-        self._let_change(assigned([*body, *other]), env)
-        names = set(env)
-        frame = self._frames[-1]
-
-        def way(statements: Any) -> Callable[[], bool]:
-            def walk() -> bool:
-                return self._last(statements, dict(env))
-
-            return walk
-
-        frame.depth += 1
-        left = self._values.branch(truth, way(body), way(other))
-        frame.depth -= 1
-        for name in set(env) - names:
-            del env[name]
-        return left
-
-    def _let_change(self, names: frozenset[str], env: Env) -> None:
-        """Make variables of what has a value and is going to change."""
-        for name in sorted(names & set(env)):
-            if isinstance(env[name], Product):
-                env[name] = self._named(name, env)
-            if not isinstance(env[name], Slot):
-                try:
-                    env[name] = self._values.slot(env[name], self._width)
-                except Refused:
-                    del env[name]  # set anew before it is read, or it is missed there
+    # -- loops
 
     def _for(self, node: ast.For, env: Env) -> None:
         match node:
@@ -308,7 +250,7 @@ class Walker(Functions):
         """Walk one turn of a loop; returns whether it ends elsewhere."""
         frame = self._frames[-1]
         frame.depth += 1
-        frame.loops.append(loop)
+        frame.loops.append(replace(loop, mask=self._mask))
         left = self._block(statements, env)
         frame.loops.pop()
         frame.depth -= 1
@@ -371,8 +313,10 @@ class Walker(Functions):
         self, function: ast.FunctionDef, arguments: list[Any], *, last: bool = False
     ) -> Any:
         """Walk a function where it is called; it may be the last of a statement."""
+        if self._width and function.name in self._alone:
+            return self._by_lanes(function, arguments)
         env = dict(zip([one.arg for one in function.args.args], arguments, strict=True))
-        frame, values = Frame(function), self._values
+        frame, values = Frame(function, self._mask), self._values
         self._frames.append(frame)
         left = (self._last if last else self._block)(function.body, env)
         self._frames.pop()
@@ -387,6 +331,27 @@ class Walker(Functions):
         if isinstance(frame.result, list):
             return [values.read(x) if isinstance(x, Slot) else x for x in frame.result]
         return values.read(frame.result) if isinstance(frame.result, Slot) else frame.result
+
+    def _by_lanes(self, function: ast.FunctionDef, arguments: list[Any]) -> None:
+        """Walk a function for one lane after another, where others are done at once."""
+        values, width, mask = self._values, self._width, self._mask
+        self._width, self._mask = 0, None
+
+        def body(number: Any, loop: Loop) -> bool:
+            def walk() -> bool:
+                own = (
+                    values.add(x.first, number) if isinstance(x, Along) else x for x in arguments
+                )
+                if self._inside(function, [*own]) is not None:
+                    raise Refused("a result of one lane after another")
+                return False
+
+            if mask is None:
+                return walk()
+            return values.branch(values.element(mask, number), walk, lambda: False)
+
+        values.loop((0, width, 1), body)
+        self._width, self._mask = width, mask
 
 
 def _has_array(value: Any) -> bool:

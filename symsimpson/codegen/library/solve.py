@@ -37,27 +37,24 @@ def solve_symmetric(W, first, right, count, band, stride, lane):
 
 @compiled
 def solve_pivoted(W, lane):
-    """Solve J x = R in place by Gaussian elimination with row pivoting; x takes the place of R."""
+    """Solve J x = R in place by Gaussian elimination with row pivoting; x takes the place of R.
+
+    A row with a larger entry takes the place of the pivot's at once: lanes may differ in that.
+    """
     for k in range(SOLVE_UNKNOWNS):
         last = min(SOLVE_UNKNOWNS, k + SOLVE_LOWER + 1)
         end = min(SOLVE_UNKNOWNS, k + SOLVE_UPPER + 1)
         row_k = JACOBIAN + k * SOLVE_STRIDE + SOLVE_OFFSET
-        pivot = k
-        largest = abs(W[row_k + k, lane])
         for i in range(k + 1, last):
-            here = abs(W[JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET + k, lane])
-            if here > largest:
-                largest = here
-                pivot = i
-        if pivot != k:
-            row_pivot = JACOBIAN + pivot * SOLVE_STRIDE + SOLVE_OFFSET
-            for j in range(k, end):
-                swap = W[row_k + j, lane]
-                W[row_k + j, lane] = W[row_pivot + j, lane]
-                W[row_pivot + j, lane] = swap
-            swap = W[RESIDUAL + k, lane]
-            W[RESIDUAL + k, lane] = W[RESIDUAL + pivot, lane]
-            W[RESIDUAL + pivot, lane] = swap
+            row_i = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET
+            if abs(W[row_i + k, lane]) > abs(W[row_k + k, lane]):
+                for j in range(k, end):
+                    swap = W[row_k + j, lane]
+                    W[row_k + j, lane] = W[row_i + j, lane]
+                    W[row_i + j, lane] = swap
+                swap = W[RESIDUAL + k, lane]
+                W[RESIDUAL + k, lane] = W[RESIDUAL + i, lane]
+                W[RESIDUAL + i, lane] = swap
         inverse = 1 / W[row_k + k, lane]
         for i in range(k + 1, last):
             row_i = JACOBIAN + i * SOLVE_STRIDE + SOLVE_OFFSET

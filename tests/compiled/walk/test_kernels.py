@@ -84,7 +84,9 @@ def compare(text, lanes, made, wanted, system=None):
         wanted(name, right)
         wanted(name, near)  # what rounding becomes of
         # what is scratch is no result, but where a kernel is called for it, as it leaves it
-        left = np.isnan(found) & (right == W) if name in LOOKED_AT else scratch
+        idle = np.zeros(W.shape, dtype=bool)
+        idle[scratch] = W[module.ACTIVE] == 0  # nobody looks at lanes that have ended
+        left = np.isnan(found) & (right == W) | idle if name in LOOKED_AT else scratch
         for rows in (found, right, near):
             rows[left] = 0.5
         finite = np.isfinite(right)
