@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from symsimpson.program.values import read_array
 from symsimpson.program.workspace import workspace
 
 if TYPE_CHECKING:
+    from symsimpson.program.numbers import Numbers
     from symsimpson.program.program import Program
 
 __all__ = ["Measured", "Slopes", "StateCost", "pull_velocities", "read_cost", "read_samples"]
@@ -48,6 +49,45 @@ class Slopes:
         return Slopes(self.value, one * self.state, one * self.parameters)
 
 
+class _Written:
+    """A quantity as SymPy has it: what it contains, and a function of arrays."""
+
+    def __init__(self, text: str, n: int, parameters: int, numbers: Numbers) -> None:
+        import sympy as sp  # only who asks for gradients waits for it
+
+        names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
+        names += [f"a_{j}" for j in range(parameters)] + ["t"]
+        symbols = {name: sp.Symbol(name, real=True) for name in names}
+        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
+        computed = {one.symbol: sp.Symbol(one.symbol) for one in SCALARS}
+        # the text was written anew from a list of what is allowed; numbers are what they say
+        self._expression = sp.sympify(text, locals=symbols | functions | computed, rational=True)
+        self.computed = self._expression.has(*computed.values())
+        self.moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
+        self._symbols, self._numbers = list(symbols.values()), numbers
+
+    @cached_property
+    def evaluate(self) -> Callable[..., list[Reals]]:
+        """Return its value and its derivatives by all symbols but the time."""
+        import sympy as sp
+
+        class Whole(sp.Function):
+            """The largest whole number below: constant but where it jumps."""
+
+            def fdiff(self, argindex: int = 1) -> Any:
+                return sp.S.Zero
+
+        value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
+        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
+        whole = [one.replace(Whole, sp.floor) for one in every]
+        made: Callable[..., list[Reals]] = self._numbers.lambdified(self._symbols, whole)
+        return made
+
+
+#: A search asks for the same quantity many times.
+_written = lru_cache(maxsize=64)(_Written)
+
+
 class StateCost:
     """A quantity of a state: an expression in q, p, v, parameters and t.
 
@@ -66,49 +106,22 @@ class StateCost:
     """
 
     def __init__(self, program: Program, what: str, expression: Any) -> None:
-        import sympy as sp  # only who asks for gradients waits for it
-
-        found = read_expression(program, expression)
-        n, self.program = program.n, program
-        names = [f"{x}_{i}" for x in "qpv" for i in range(n)]
-        names += [f"a_{j}" for j in range(len(program.parameters))] + ["t"]
-        symbols = {name: sp.Symbol(name, real=True) for name in names}
-        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
-        computed = {one.symbol: sp.Symbol(one.symbol) for one in SCALARS}
-        # the text was written anew from a list of what is allowed; numbers are what they say
-        self._expression = sp.sympify(
-            found.text, locals=symbols | functions | computed, rational=True
-        )
-        if self._expression.has(*computed.values()):
+        self.program = program
+        text = read_expression(program, expression).text
+        self._written = _written(text, program.n, len(program.parameters), program.numbers)
+        if self._written.computed:
             raise InputError(
                 f"{what} contains the energy, or a part of it, whose derivatives are not known "
                 "here.\nWrite it with coordinates, velocities and parameters."
             )
-        self._moving = self._expression.has(*(symbols[f"v_{i}"] for i in range(n)))
-        if self._moving and program.header.constraints:
+        if self._written.moving and program.header.constraints:
             raise InputError(
                 f"{what} contains velocities, whose derivatives are not known with constraints.\n"
                 "Write it with coordinates and momenta, or as running=."
             )
-        self._symbols = list(symbols.values())
         varied, own = program.header.varied_by or (), program.header.parameters
         #: Which of the parameters are varied; inputs are none of them.
         self._varied = [own.index(name) if name in own else None for name in varied]
-
-    @cached_property
-    def _evaluate(self) -> Callable[..., list[Reals]]:
-        import sympy as sp
-
-        class Whole(sp.Function):
-            """The largest whole number below: constant but where it jumps."""
-
-            def fdiff(self, argindex: int = 1) -> Any:
-                return sp.S.Zero
-
-        value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
-        every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
-        numbers = self.program.numbers
-        return numbers.lambdified(self._symbols, [one.replace(Whole, sp.floor) for one in every])
 
     def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
         """Return the quantity at states, and its derivatives by q, p and what is varied.
@@ -119,14 +132,14 @@ class StateCost:
         program, n = self.program, self.program.n
         numbers = program.numbers
         v = evaluate(program, "start", "VELOCITY", n, t, q, p, values)
-        found = self._evaluate(*q.T, *p.T, *v.T, *values, t)
+        found = self._written.evaluate(*q.T, *p.T, *v.T, *values, t)
         rows = [np.broadcast_to(numbers.read(row), len(q)) for row in found]
         value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
         by_velocity = np.stack(rows[2 * n + 1 : 3 * n + 1], axis=1)
         zero = numbers.zeros(len(q))
         own = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
         parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
-        if self._moving:
+        if self._written.moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
             still = evaluate(program, "start", "VELOCITY", n, t, q, 0 * p, values)
             mu = evaluate(program, "start", "VELOCITY", n, t, q, by_velocity, values) - still
