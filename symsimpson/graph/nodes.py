@@ -139,14 +139,13 @@ class Graph:
                 kind, parts, _ = self.nodes[n]
                 if not e:
                     del factors[n]
-                elif exact(e).denominator == 1:
-                    if kind == "product":
-                        del factors[n]
-                        open_ += [(base, exact(f * e)) for base, f in parts]
-                    elif kind == "sum" and len(parts) == 1:
-                        del factors[n]
-                        coefficient *= Fraction(parts[0][0]) ** int(e)
-                        open_.append((parts[0][1], e))
+                elif kind == "product" and e.denominator == 1:
+                    del factors[n]
+                    open_ += [(base, exact(f * e)) for base, f in parts]
+                elif kind == "sum" and len(parts) == 1 and e.denominator == 1:
+                    del factors[n]
+                    coefficient *= Fraction(parts[0][0]) ** int(e)
+                    open_.append((parts[0][1], e))
         coefficient = exact(coefficient)
         parts = tuple((n, exact(e)) for n, e in sorted(factors.items()))
         if not parts:
@@ -174,7 +173,7 @@ class Graph:
                 raise ZeroDivisionError
             return ZERO if exponent else ONE
         if exponent.denominator == 1:
-            outside = exact(Fraction(coefficient) ** int(exponent))
+            outside = 1 if coefficient == 1 else exact(Fraction(coefficient) ** int(exponent))
             return self.multiply([(outside, n, exponent)])
         root = _root(magnitude(coefficient), Fraction(exponent))
         if root is not None:
@@ -263,7 +262,7 @@ def scaled(factor: Exact, value: Value) -> Value:
 
 def exact(number: Exact) -> Exact:
     """Return a fraction that is whole as a whole number."""
-    return number if isinstance(number, int) or number.denominator != 1 else number.numerator
+    return number if type(number) is int or number.denominator != 1 else number.numerator
 
 
 def magnitude(number: Exact) -> Exact:
