@@ -54,10 +54,11 @@ def points_of(
 def _function(system: Declared) -> Callable[..., Any]:
     """Return a function of t, positions and parameters that gives all axes of all corners.
 
-    It is one for all points: to print one takes as long as there are arguments.
+    It is one for all points, of symbols that are names in Python: others would be replaced one by
+    one, in all expressions.
     """
-    # coordinates are functions of time: plain symbols stand for them, and for the time
-    plain = {x: sp.Dummy() for x in (time, *system.coordinates)}
+    arguments = (time, *system.coordinates, *system.parameters)
+    plain = {x: sp.Symbol(f"x_{k}") for k, x in enumerate(arguments)}
     corners = [
         [
             [x.xreplace(plain) for x in one]
@@ -65,7 +66,5 @@ def _function(system: Declared) -> Callable[..., Any]:
         ]
         for given in (system.positions or {}).values()
     ]
-    made: Callable[..., Any] = sp.lambdify(
-        [*plain.values(), *system.parameters], float_literals(corners), "numpy"
-    )
+    made: Callable[..., Any] = sp.lambdify([*plain.values()], float_literals(corners), "numpy")
     return made
