@@ -42,12 +42,13 @@ def report(members: int = MEMBERS) -> Iterator[str]:
     """Run the comparison and give its lines; all runs alternate in one process, warm."""
     threads, wide = available_threads(), lanes_of_machine()
     angles = np.random.default_rng(1).uniform(-2, 2, (members, 2))
+    system = ss.systems.double_pendulum()
 
     def rate(seconds: float) -> str:
         return f"{members / seconds:>8,.0f} trajectories/s"
 
     def ours(scheme: str, steps: int, lanes: int | None = None, threads: int = threads) -> Run:
-        program = ss.compile(ss.systems.double_pendulum(), scheme).program
+        program = ss.compile(system, scheme).program
         request = Request(angles, p0=[0, 0], h=T_END / steps, steps=steps)
         task = read_task(program, request, threads, False, on_disk=False)
         task = replace(task, lanes=lanes or task.lanes)

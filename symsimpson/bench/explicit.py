@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 __all__ = ["make_dop853"]
 
 
+@cache
 def make_dop853(f: Callable[..., None]) -> Callable[..., Any]:
     """Compile the method of Dormand and Prince of order eight for f(y, parameters, out).
 

@@ -31,7 +31,8 @@ LEAST_SECONDS = 1e-3
 MOST_SECONDS = 2.0
 #: After so many slow choices a sweep ends, and it leaves out so many behind each of them.
 MOST_SLOW, LEAP = 3, 3
-#: A run that takes this long is not run twice to be warm.
+#: A run that takes this long is not run twice to be warm, and every second number of steps behind
+#: it is left out.
 LONG_SECONDS = 0.1
 #: What has been timed for so long is timed no more: noise is short against it.
 ENOUGH_SECONDS = 0.5
@@ -124,7 +125,7 @@ def work_precision(
             calls += [] if one is None else [one]
         for turn in range(repeats):
             for entry in (*entries, *calls):
-                if turn == 0:
+                if turn == 0 and sum(entry.times) < ENOUGH_SECONDS:
                     entry.times.clear()  # that of the sweep
                 if sum(entry.times) < ENOUGH_SECONDS:
                     entry.times.append(_timed(entry.run, entry.number))
@@ -198,6 +199,7 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
         place += 1
         if entry is None:
             continue
+        place += contender.what == "steps" and entry.times[0] > LONG_SECONDS
         if entry.error < 1:
             found.append(entry)
         best = min((e.error for e in found), default=1.0)
