@@ -24,6 +24,7 @@ def upright(speed):
 
 
 @pytest.mark.slow
+@pytest.mark.plain
 @pytest.mark.parametrize("speed", EIGENVALUES)
 def test_eigenvalues_of_the_upright_ride(speed):
     """Of D: none for what constraints do not allow, one for a steady ride elsewhere or faster."""
@@ -56,13 +57,16 @@ def test_accelerations_of_a_leaning_bicycle():
     given = [0.0, 0.0, *angles, 0.0, 0.0], [-0.3 * (rates[2] + rates[4]), 0.0, *rates]
     q, v = BICYCLE.consistent(*given)
     assert max(np.abs(q - given[0]).max(), np.abs(v - given[1]).max()) < 1e-12
-    stepper, h = ss.compile(BICYCLE, FINE), 2e-3
+    # differences of doubles would lose the digits asked for
+    stepper, h = ss.compile(BICYCLE, FINE, precision=20), 2e-3
     after, before = (stepper.integrate(q, v, h=sign * h, steps=4).v[1:] for sign in (1, -1))
-    found = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280]) @ (after - before) / h
+    weights = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
+    found = weights @ (after - before).astype(float) / h
     assert np.abs(found[2:] - accelerations).max() < 1e-11
 
 
 @pytest.mark.slow
+@pytest.mark.plain
 def test_loads_and_heights():
     """The front wheel carries its share of the weight; masses are where positions say."""
     stepper = ss.compile(BICYCLE)
@@ -82,6 +86,7 @@ def test_the_reference_state_is_allowed():
     assert np.abs(v - BICYCLE.reference_state["v0"]).max() < 1e-14
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize("scheme", sweep(ORDERS, 0))
 def test_orders_of_a_ride_that_balances_itself(scheme):
     """At 4.6 m/s what is left of a push decays; errors of the energy and of the end by h."""
@@ -96,5 +101,5 @@ def test_orders_of_a_ride_that_balances_itself(scheme):
         errors.append([off, np.abs(run.energy_error).max()])
     found = np.log2(np.divide(*errors))
     assert np.abs(found - ORDERS[scheme]).max() < 0.3
-    lean = ridden(scheme, 50, 20)["lean"]
-    assert np.abs(lean[-200:]).max() < 0.05 * np.abs(lean[:200]).max()
+    lean = ridden(scheme, 25, 20)["lean"]
+    assert np.abs(lean[-100:]).max() < 0.05 * np.abs(lean[:100]).max()

@@ -12,7 +12,7 @@ import symsimpson as ss
 from symsimpson.analysis.precise import Precise
 
 #: The end, and the steps to it that the order is seen from.
-PROBLEMS = {"four_bar": ("0.4", 20), "quaternion_top": ("0.4", 8), "jointed_bodies": ("0.2", 4)}
+PROBLEMS = {"four_bar": ("0.4", 20), "quaternion_top": ("0.4", 8), "jointed_bodies": ("0.1", 2)}
 ORDERS = {
     "midpoint": 2,
     "lobatto2": 2,

@@ -68,6 +68,7 @@ def test_calls_of_step_are_one_run_to_the_bit(scheme, form):
 
 
 @pytest.mark.slow
+@pytest.mark.plain
 def test_loops_over_terms_take_the_same_inputs_as_straight_lines():
     system = driven_chain()
     inputs = {"u": rng.normal(size=(20, 3)), "w": rng.normal(size=20)}
