@@ -154,7 +154,7 @@ def test_a_film_in_space_plays_in_its_cell(browser, lab, tmp_path):
 
     top = ss.compile(ss.systems.lagrange_top())
     run = top.integrate(**top.reference_state, h=0.001, steps=1000)
-    film = run.animate(seconds=30, fps=10)
+    film = run.animate(seconds=10, fps=10)
     page = browser.new_page(viewport={"width": 700, "height": 760})
     page.set_default_timeout(MINUTES)
     page.route(lambda url: url.startswith("http"), lambda route: route.abort())
