@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -69,13 +68,9 @@ class EventRun(Run):
             from symsimpson.run.saltation import Saltation  # few runs need it
 
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
-        self._plain: PlainImpacts | None = None
         if not (inputs.size or works) and plain_impacts(program, run_events, spec):
-            self._plain = PlainImpacts(program, run_events, spec, first, self.records)
-
-    @cached_property
-    def _take_steps(self) -> Any:
-        return super()._take_steps if self._plain is None else self._plain.take_steps
+            plain = PlainImpacts(program, run_events, spec, first, self.records)
+            self._take_steps = plain.take_steps
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:
         """Return what is known beside states, with what events did."""

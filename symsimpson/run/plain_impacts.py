@@ -113,4 +113,4 @@ class PlainImpacts:
         impulses = rows[:, IMPULSE].tolist()
         # there may be many
         every = zip(*numbers, *states, repeat(-1), impulses, repeat(False))
-        return [*map(Record._make, every)]
+        return [Record(*one) for one in every]

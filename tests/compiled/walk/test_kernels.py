@@ -29,6 +29,7 @@ SYSTEMS = ["pendulum", *sorted(set(EVERY) - {"pendulum"})]
 KERNEL = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double, ctypes.c_void_p)
 #: Rows behind those of a module, in which variations and records stand.
 ROOM = 20_000
+LANES = ["pendulum", "n_pendulum", "hanging_chain", "heavy_top", "chaplygin_sleigh", "puma560"]
 SIGNS = np.random.default_rng(2).choice([-1.0, 1.0], 10**6)
 START = {"q0": [1.0], "v0": [0.0]}
 
@@ -165,7 +166,7 @@ def test_kicks_and_drifts_by_loops(system, scheme):
     check(EVERY[system](), scheme)
 
 
-@pytest.mark.parametrize("system", sweep(["pendulum", "n_pendulum", "hanging_chain", "heavy_top"]))
+@pytest.mark.parametrize("system", sweep(LANES, 1))
 def test_lanes(system):
     check(EVERY[system](), "simpson", lanes=8)
 
