@@ -121,9 +121,8 @@ def _first_step(
     How far is told by the time in which v moves by q; without one, by the longest step.
     """
     values = stepper.program.values(parameters)
-    v = evaluate(
-        stepper.program, "energy", "VELOCITY", len(q), np.zeros(1), q[None], p[None], values
-    )
+    state = np.zeros(1), q[None], p[None]
+    v = evaluate(stepper.program, "energy", "VELOCITY", len(q), state, values)
     fastest, scale = float(np.abs(v).max()), longest
     if 0 < fastest < np.inf and q.any():
         scale = float(np.abs(q).max() / fastest)

@@ -131,7 +131,7 @@ class StateCost:
         """
         program, n = self.program, self.program.n
         numbers = program.numbers
-        v = evaluate(program, "start", "VELOCITY", n, t, q, p, values)
+        v = evaluate(program, "start", "VELOCITY", n, (t, q, p), values)
         found = self._written.evaluate(*q.T, *p.T, *v.T, *values, t)
         rows = [np.broadcast_to(numbers.read(row), len(q)) for row in found]
         value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
@@ -141,8 +141,8 @@ class StateCost:
         parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
         if self._written.moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
-            still = evaluate(program, "start", "VELOCITY", n, t, q, 0 * p, values)
-            mu = evaluate(program, "start", "VELOCITY", n, t, q, by_velocity, values) - still
+            still = evaluate(program, "start", "VELOCITY", n, (t, q, 0 * p), values)
+            mu = evaluate(program, "start", "VELOCITY", n, (t, q, by_velocity), values) - still
             given = np.concatenate([0 * q, -mu], axis=1)
             pulled, further = pull_velocities(program, t, q, p, given, values)
             state = state + np.concatenate([pulled[:, :n], mu], axis=1)

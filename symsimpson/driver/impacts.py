@@ -139,13 +139,13 @@ def size_of(events, k, row, q, before):
 
 
 @njit(**RARE)
-def zero_in(parting, looking, start, t, span, ends, at_zero, side, room):
+def zero_in(means, start, t, span, ends, at_zero, side):
     """Find where from 0 to a span a gap is zero, by Newton's method; tells if it was found.
 
     Its number among events, and where its rate stands, are in ``at_zero``, with what is asked for
     there, and the state; ``ends`` is what is asked for at both ends.
     """
-    (first_row, last_row), (k, place, row, state) = ends, at_zero
+    (parting, looking, room), (first_row, last_row), (k, place, row, state) = means, ends, at_zero
     first, last = first_row[k], last_row[k]
     low, high, before, found = 0.0, span, 0.0, False
     x = span * zero_of_cubic(first, last, span * first_row[place], span * last_row[place], side)
@@ -206,13 +206,13 @@ def weight_of(looking, events, k, t, row, q):
 
 
 @njit(**RARE)
-def first_zero(parting, looking, start, t, span, rows, sides, events, work, room):
+def first_zero(means, start, t, span, rows, sides, events, work):
     """Find the first zero of a gap from 0 to a span: its event, or -1 if there is none, and where.
 
     It is -2 if the zero is not plain. In ``work`` is left what is asked for there, and the state.
     """
     (side, size, near), (row, state), count = sides, work, events.shape[0]
-    first, last, q = rows
+    (first, last, q), (parting, looking, room) = rows, means
     event, place, zeros = -1, span, 0
     for k in range(count):
         rate = events[k, RATE_AT]
@@ -223,9 +223,7 @@ def first_zero(parting, looking, start, t, span, rows, sides, events, work, room
         least = min(first[k], last[k])
         if met:
             at_zero = k, rate, row, state
-            x, well = zero_in(
-                parting, looking, start, t, span, (first, last), at_zero, side[k], room
-            )
+            x, well = zero_in(means, start, t, span, (first, last), at_zero, side[k])
             if not well or (event >= 0 and abs(x - place) <= near):
                 return -2, 0.0
             zeros += 1
@@ -246,7 +244,7 @@ def first_zero(parting, looking, start, t, span, rows, sides, events, work, room
 
 
 @njit(**RARE)
-def bounce(parting, looking, setting, step, impacts, sides, room):
+def bounce(means, setting, step, impacts, sides):
     """Take a step with its impacts, from where the workspace says that it began.
 
     Returns whether they are plain, or there is none; then the state behind it stands in what was
@@ -255,7 +253,7 @@ def bounce(parting, looking, setting, step, impacts, sides, room):
     (h, t0, W, at), (events, restitution, _, records, counts) = setting, impacts
     (side, size, state, there, behind, first, last, row), n = sides, at[DIMENSION]
     shift = at[PREVIOUS] - at[POSITION]
-    q, p = state
+    (q, p), (parting, looking, room) = state, means
     for a in range(n):
         q[a], p[a] = W[at[POSITION] + shift + a, 0], W[at[MOMENTUM] + shift + a, 0]
         behind[0][a], behind[1][a] = W[at[POSITION] + a, 0], W[at[MOMENTUM] + a, 0]
@@ -269,7 +267,7 @@ def bounce(parting, looking, setting, step, impacts, sides, room):
         k, x = -2, 0.0
         if well:
             now, work, ends = (side, size, near), (row, there), (first, last, behind[0])
-            k, x = first_zero(parting, looking, state, t, rest, ends, now, events, work, room)
+            k, x = first_zero(means, state, t, rest, ends, now, events, work)
         well = k != -2
         if well and k == -1:
             over = True
@@ -340,7 +338,7 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
                 size[k] = W[watched + WATCHED * k + SIZE_WATCHED, 0]
             rows = side, size, state, there, behind, first, last, row
             here = h, t0 + h * step, W, at
-            more = bounce(parting, looking, here, step, impacts, rows, room)
+            more = bounce((parting, looking, room), here, step, impacts, rows)
         t = t0 + h * (step + 1)
         if more and counts[0] == before:  # the step stays as it was taken
             W[at[STATUS], 0], W[at[ACTIVE], 0] = 0.0, 1.0

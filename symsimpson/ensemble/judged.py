@@ -45,16 +45,11 @@ def look_at_steps(program: Program, task: Task) -> None:
             continue
         v = other
         if not task.velocities:
-            v = evaluate(
-                program,
+            kernel, state = (
                 velocities_by(program.header),
-                "VELOCITY",
-                program.n,
-                np.full(1, task.t0),
-                q[None],
-                other[None],
-                values,
-            )[0]
+                (np.full(1, task.t0), q[None], other[None]),
+            )
+            v = evaluate(program, kernel, "VELOCITY", program.n, state, values)[0]
         inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")

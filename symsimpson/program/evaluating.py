@@ -27,14 +27,12 @@ def evaluate(
     kernel: str,
     block: str,
     count: int,
-    t: Reals,
-    q: Reals,
-    p: Reals,
+    states: tuple[Reals, Reals, Reals],
     values: Reals,
     inputs: Reals = NO_INPUTS,
     before: str = "",
 ) -> Reals:
-    """Evaluate a kernel of the state at many states; shape (len(q), count).
+    """Evaluate a kernel of the state at many states (t, q, p); shape (len(q), count).
 
     ``inputs`` has states in the places of steps; they stand in powers alone. Another kernel may
     come ``before`` it.
@@ -42,7 +40,7 @@ def evaluate(
     header, numbers = program.header, program.numbers
     with numbers.working():
         W = workspace(header, numbers, numbers.read(values))
-        return evaluate_in(W, program, kernel, block, count, (t, q, p), inputs, before=before)
+        return evaluate_in(W, program, kernel, block, count, states, inputs, before=before)
 
 
 def evaluate_members(
@@ -66,7 +64,8 @@ def evaluate_members(
     for k, parameters in enumerate(own):
         here = np.flatnonzero(group.ravel() == k)
         some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
-        rows = evaluate(program, kernel, block, count, t[here].ravel(), some_q, some_p, parameters)
+        states = t[here].ravel(), some_q, some_p
+        rows = evaluate(program, kernel, block, count, states, parameters)
         found[here] = rows.reshape(found[here].shape)
     return found
 
@@ -185,5 +184,5 @@ def evaluate_energy(
         values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
     q, p = states
-    found: Reals = evaluate(program, "energy", "ENERGY", 1, times, q, p, values)
+    found: Reals = evaluate(program, "energy", "ENERGY", 1, (times, q, p), values)
     return found[:, 0]

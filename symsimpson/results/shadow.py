@@ -118,7 +118,8 @@ def _actions(program: Program, run: Stored) -> Reals:
         here = sum(b(place) * x for b, x in zip(basis, ends, strict=True))
         slope = sum(b.deriv()(place) * x for b, x in zip(basis, ends, strict=True)) / h
         t = run.t[:-1] + place * h
-        L = evaluate(program, "running_cost", "NODE_COST", 1, t, here, slope, run.parameter_values)
+        states, values = (t, here, slope), run.parameter_values
+        L = evaluate(program, "running_cost", "NODE_COST", 1, states, values)
         total += weight * h * L[:, 0]
     return total
 

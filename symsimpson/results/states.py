@@ -298,7 +298,7 @@ class States(Quantities):
         from symsimpson.program.evaluating import evaluate
 
         states = self.t, self.q, self.p
-        return evaluate(self.program, kernel, block, count, *states, self.parameter_values)
+        return evaluate(self.program, kernel, block, count, states, self.parameter_values)
 
     def __len__(self) -> int:
         return self.t.size

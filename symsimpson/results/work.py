@@ -43,9 +43,7 @@ def _powers_at(run: Stored, *, arriving: bool = False) -> Reals:
         "power",
         "POWER",
         run.program.header.powers,
-        run.t,
-        run.q,
-        run.p,
+        (run.t, run.q, run.p),
         run.parameter_values,
         _at_states(run, arriving),
     )

@@ -245,7 +245,7 @@ class EventActions:
         """Return velocities at one position, of several momenta."""
         times, places = np.full(len(p), t), np.repeat(q[None], len(p), axis=0)
         n = self._program.n
-        return evaluate(self._program, "energy", "VELOCITY", n, times, places, p, self._values)
+        return evaluate(self._program, "energy", "VELOCITY", n, (times, places, p), self._values)
 
     def _momenta(self, t: float, q: Floats, v: Floats) -> Floats:
         """Return the momenta of velocities at a position."""

@@ -145,7 +145,7 @@ class ControlLoop:
         with numbers.working():
             t, q, p = (numbers.read(x)[None] for x in (self.t, self.q, self.p))
             kernel = velocities_by(run.header)
-            return evaluate(program, kernel, "VELOCITY", program.n, t, q, p, run.parameters)[0]
+            return evaluate(program, kernel, "VELOCITY", program.n, (t, q, p), run.parameters)[0]
 
     def _state(self, block: str) -> Reals:
         if self._run.end_within is not None:

@@ -178,7 +178,7 @@ def check_start(program: Program, t: Any, q: Reals, p: Reals, values: Reals) -> 
     InputError
     """
     times = np.full(1, t, dtype=q.dtype)
-    (energy,) = evaluate(program, "energy", "ENERGY", 1, times, q[None], p[None], values)[0]
+    (energy,) = evaluate(program, "energy", "ENERGY", 1, (times, q[None], p[None]), values)[0]
     if not np.isfinite(float(energy)):
         raise InputError(
             f"{program.system}: the energy is not a finite real number at q0 = "

@@ -78,7 +78,7 @@ def project_start(
     ) -> Reals:
         here = q if places is None else places
         if len(values) == 1:
-            return evaluate(program, kernel, block, count, times, here, p, values[0])
+            return evaluate(program, kernel, block, count, (times, here, p), values[0])
         states = here[:, None, :], p[:, None, :]
         return evaluate_members(program, kernel, block, count, times, *states, values)[:, 0]
 

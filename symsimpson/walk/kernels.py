@@ -85,16 +85,15 @@ def function(
     context: Any, module: ir.Module, text: Text, name: str, lanes: int, bits: int
 ) -> ir.Function:
     """Write a kernel into a module of LLVM: lanes, or nodes, as one vector, or one by one."""
-    ways: dict[str, Any] = {"vector": lanes > 1, "own": lanes == 1}
     alone: frozenset[str] = frozenset()
     while True:
         try:
-            return _walked(context, module, text, name, lanes, bits, **ways, alone=alone)
+            return _walked(context, module, text, name, lanes, bits, at_once=True, alone=alone)
         except Refused as refused:  # lanes that go different ways, in all of it or a part
             if lanes == 1 or refused.function in {"", name, *alone}:
                 break
             alone |= {refused.function}
-    return _walked(context, module, text, name, lanes, bits, vector=False, own=False)
+    return _walked(context, module, text, name, lanes, bits, at_once=False)
 
 
 def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
@@ -127,8 +126,7 @@ def _walked(
     lanes: int,
     bits: int,
     *,
-    vector: bool,
-    own: bool,
+    at_once: bool,
     alone: frozenset[str] = frozenset(),
 ) -> ir.Function:
     kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
@@ -142,6 +140,7 @@ def _walked(
     rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
     walker = Walker(text, Calls(builder), library(context))
     try:
+        vector, own = at_once and lanes > 1, at_once and lanes == 1
         walker.kernel(name, h, t, rows, vector=vector, own=own, alone=alone)
     except (Refused, GenerationError):
         module.globals.pop(made.name)

@@ -112,7 +112,7 @@ def test_kernels_by_loops_have_lanes_as_vectors(make, monkeypatch):
     text, taken, real = redefined(text, {"LANES": "LANES = 4"}), [], kernels._walked
 
     def walk(*given, **how):
-        taken.append((given[3], how["vector"], how["alone"]))
+        taken.append((given[3], how["at_once"], how["alone"]))
         return real(*given, **how)
 
     monkeypatch.setattr(kernels, "_walked", walk)
