@@ -98,6 +98,10 @@ MEASURE = """() => [
 ]"""
 
 
+#: Two frames later a page is drawn as wide as its window.
+DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+
+
 @pytest.mark.slow
 def test_nothing_is_wider_than_the_screen(book, browser):
     """Each page is loaded once, and made as narrow as a telephone."""
@@ -110,7 +114,7 @@ def test_nothing_is_wider_than_the_screen(book, browser):
         page.goto(path.as_uri())
         for width in (1280, 390):
             page.set_viewport_size({"width": width, "height": 900})
-            page.wait_for_timeout(100)
+            page.evaluate(DRAWN)
             assert page.evaluate(MEASURE) == [width, 0, 0], (path.name, width)
     page.close()
 
