@@ -122,6 +122,11 @@ def test_impacts_with_constraints_keep_to_them():
     assert np.abs(hits.after.v + 0.5 * hits.v).max() < 1e-13
     assert np.abs(run.constraint_error).max() < 1e-15
     assert np.abs(run.energy_error).max() < 1e-4
+    aside = ss.Event(x - 0.3, name="aside", action=ss.Impact(0.5))  # the rod holds a part of n
+    hits = ss.compile(ROD).integrate([0.8, -0.6], v0=[0, 0], h=0.02, steps=60, events=[aside])
+    behind = hits.events("aside").after
+    assert len(behind.p) >= 2
+    assert np.abs((behind.q * behind.p).sum(axis=1)).max() < 1e-14  # momenta are M v of the rod's
 
 
 def test_inputs_go_on_through_an_event():
