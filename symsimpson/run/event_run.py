@@ -19,7 +19,7 @@ from symsimpson.results.records import Record
 from symsimpson.run.accumulation import Times, accumulation
 from symsimpson.run.event_actions import EventActions
 from symsimpson.run.event_sides import Sides
-from symsimpson.run.plain_impacts import PlainImpacts, plain_impacts
+from symsimpson.run.plain_impacts import PlainImpacts, plain_restitution
 from symsimpson.stepping.event import Impact
 from symsimpson.stepping.parts import Parts
 from symsimpson.stepping.run import Run
@@ -68,8 +68,9 @@ class EventRun(Run):
             from symsimpson.run.saltation import Saltation  # few runs need it
 
             self._saltation = Saltation(program, run_events, spec.parameters, float(spec.h), inputs)
-        if not (inputs.size or works) and plain_impacts(program, run_events, spec):
-            plain = PlainImpacts(program, run_events, spec, first, self.records)
+        restitution = plain_restitution(program, run_events, spec)
+        if restitution is not None and not (inputs.size or works):
+            plain = PlainImpacts(program, run_events, self._parts, restitution, first, self.records)
             self._take_steps = plain.take_steps
 
     def beside(self, recorded: NDArray[Any], result: Any) -> dict[str, Any]:

@@ -6,35 +6,37 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symsimpson.driver.impacts import EVENT, IMPULSE, STATES_OF, STEP_OF, TIME_OF
 from symsimpson.program.evaluating import observer
-from symsimpson.program.workspace import workspace
 from symsimpson.results.records import Record
 from symsimpson.run.event_actions import constant_restitution
 from symsimpson.stepping.run_events import RunEvents
 
 if TYPE_CHECKING:
     from symsimpson.program.program import Program
+    from symsimpson.stepping.parts import Parts
     from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["PlainImpacts", "plain_impacts"]
+__all__ = ["PlainImpacts", "plain_restitution"]
 
+Floats = NDArray[np.float64]
 #: So many impacts are kept before Python takes their records.
 ROOM = 1024
 
 
-def plain_impacts(program: Program, run_events: RunEvents, spec: RunSpec) -> bool:
-    """Return whether impacts alone are waited for, and what each does depends on the state alone.
+def plain_restitution(program: Program, run_events: RunEvents, spec: RunSpec) -> Floats | None:
+    """Return the restitution of each event, if all are impacts that the state alone decides.
 
     Constraints, variations and changes are Python's; so are impacts without restitution, of which
-    many may act at one time.
+    many may act at one time. Then it is None.
     """
     numbers = [constant_restitution(program, one, spec.parameters) for one in run_events.events]
     fine = all(e is not None and 0.0 < e <= 1.0 and (spec.h > 0 or e == 1.0) for e in numbers)
     free = not any(one.terminal for one in run_events.events)
     held = program.header.constraints or spec.tangents is not None
-    return fine and free and not held
+    return np.array(numbers, dtype=np.float64) if fine and free and not held else None
 
 
 class PlainImpacts:
@@ -44,7 +46,10 @@ class PlainImpacts:
     ----------
     program : Program
     run_events : RunEvents
-    spec : RunSpec
+    parts : Parts
+        Takes parts of the steps of the run.
+    restitution : ndarray
+        Of each event.
     first : int
         The first row of what is watched.
     records : list of Record
@@ -55,41 +60,24 @@ class PlainImpacts:
         self,
         program: Program,
         run_events: RunEvents,
-        spec: RunSpec,
+        parts: Parts,
+        restitution: Floats,
         first: int,
         records: list[Record],
     ) -> None:
-        header, numbers, kernels = program.header, program.numbers, program.kernels
+        header, numbers, found = program.header, program.numbers, run_events
         iterated = header.newton_unknowns > 0
         self._driver = numbers.driver("take_bouncing", iterated=iterated)
-        parameters = numbers.read(spec.parameters)
-        again = kernels.set(kernels.fallbacks[0], again=True)
-        self._parting = again, workspace(header, numbers, parameters), header.told
-        addresses, W = observer(program, run_events.watched, spec.parameters)
-        self._looking = addresses, W, header.told, len(run_events.watched)
-        places = [
-            (rate, slopes, -1 if when is None else when, size, event.sign)
-            for rate, slopes, when, size, event in zip(
-                run_events.rate,
-                run_events.slopes,
-                run_events.when,
-                run_events.sizes,
-                run_events.events,
-                strict=True,
-            )
-        ]
-        restitution = [
-            constant_restitution(program, one, spec.parameters) for one in run_events.events
-        ]
+        self._parting = parts.parting
+        addresses, W = observer(program, found.watched, parts.parameters)
+        self._looking = addresses, W, header.told, len(found.watched)
+        when = [-1 if place is None else place for place in found.when]
+        signs = [event.sign for event in found.events]
+        columns = found.rate, found.slopes, when, found.sizes, signs
+        places = np.array([*zip(*columns, strict=True)], dtype=np.int64)
         self._count, self._told = np.zeros(1, dtype=np.int64), records
         self._records = np.zeros((ROOM, STATES_OF + 4 * header.n))
-        self._impacts = (
-            np.array(places, dtype=np.int64),
-            np.array(restitution, dtype=np.float64),
-            first,
-            self._records,
-            self._count,
-        )
+        self._impacts = places, restitution, first, self._records, self._count
 
     def take_steps(
         self, kernels: Any, setting: Any, progress: Any, stop: int, every: int, *rest: Any

@@ -32,15 +32,21 @@ class Parts:
     inputs : ndarray, shape (1, N, s, u)
     works : bool
         Whether the work of forces is asked for.
+
+    Attributes
+    ----------
+    parameters : ndarray
+    parting : tuple
+        The kernels that take a part, their workspace, and what the driver is told of it.
     """
 
     def __init__(
         self, program: Program, parameters: Floats, h: float, inputs: Floats, *, works: bool = False
     ) -> None:
         numbers, header = program.numbers, program.header
-        self._program, self._parameters, self._h, self._inputs = program, parameters, h, inputs
-        self._kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
-        self._W = workspace(header, numbers, numbers.read(parameters))
+        self._program, self.parameters, self._h, self._inputs = program, parameters, h, inputs
+        kernels = program.kernels.set(program.kernels.fallbacks[0], again=True)
+        self.parting = kernels, workspace(header, numbers, numbers.read(parameters)), header.told
         self._between = numbers.driver("between")
         self._places = places(program)
         self.works = works
@@ -61,13 +67,13 @@ class Parts:
         q, p = state
         if size == 0.0:
             return (q, p), Status.SUCCESS
-        h, n = self._h, len(q)
+        (kernels, W, told), n = self.parting, len(q)
         rests = self._rests(size, step, share)
         found, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
         one = np.zeros(1, dtype=np.int64)
         self._between(
-            self._kernels,
-            (h, np.array([t]), self._W, self._program.header.told),
+            kernels,
+            (self._h, np.array([t]), W, told),
             (np.ascontiguousarray(q[None]), np.ascontiguousarray(p[None])),
             (one, one, np.array([size])),
             (found[0], found[1], fine),
@@ -77,7 +83,7 @@ class Parts:
         )
         if fine[0]:
             return (found[0, 0], found[1, 0]), Status.SUCCESS
-        return steps_from(self._program, self._parameters, t, state, size, 1, rests)
+        return steps_from(self._program, self.parameters, t, state, size, 1, rests)
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
         """Return the work of forces and the integral of dL/dt, if that is asked for."""
@@ -85,7 +91,7 @@ class Parts:
         if recorder is None or size == 0.0:
             return np.zeros(self.works * program.header.powers)
         inputs = self._rests(size, step, share)
-        run = Run(program, self._parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
+        run = Run(program, self.parameters, size, t, 0, 1, inputs=inputs, recorders=[recorder])
         run.begin(*state, velocity=False)
         run.advance(1)
         return run.rows("WORK", program.header.powers).copy()

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.impacts import BALL
 from support.rods import rod_of
 
 import symsimpson as ss
 
 z, th, x, y = ss.coordinates("z th x y")
-BALL = ss.MechanicalSystem("ball", coordinates=(z,), kinetic=z.diff() ** 2 / 2, potential=9.81 * z)
 ROTOR = ss.MechanicalSystem("rotor", coordinates=(th,), kinetic=th.diff() ** 2 / 2, potential=0)
 STAY = ss.Change(velocities={th: th.diff()})
 
