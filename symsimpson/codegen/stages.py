@@ -30,6 +30,7 @@ from symsimpson.codegen.ir import (
     Section,
     Statement,
     Store,
+    When,
 )
 from symsimpson.codegen.levels import Level
 from symsimpson.codegen.lower import Lowering
@@ -45,6 +46,9 @@ __all__ = ["StageKernels"]
 MOST_OPERATIONS = 3000
 #: What is computed in the first half of an iteration.
 FIRST = (Level.STEP, Level.ITERATION)
+#: Nodes are the lanes of a single run, and a vector of them is full; those of members side by side,
+#: which are lanes then, are taken one by one.
+NODES_AS_VECTOR = "range(STRIDE if LANES == 1 else NODES)"
 
 
 class StageKernels:
@@ -154,7 +158,7 @@ class StageKernels:
             else:
                 inside.append(statement)
         loads = [Section("known before", tuple(before))] if before else []
-        return [*loads, Loop("node", "range(STRIDE)", tuple(inside))]
+        return [*loads, Loop("node", NODES_AS_VECTOR, tuple(inside))]
 
     def _iterate(self) -> tuple[Kernel, int]:
         """One iteration: positions, forces; momenta, velocities."""
@@ -200,18 +204,18 @@ class StageKernels:
         ending = low.statements(closing, (Level.LATE,))
         for symbol in held:
             del low.rows[symbol]
-        body = [
+        body = (
             *self._opening(opening),
             *self._over_nodes(ending),
             Call("check_stage_convergence"),
             *((Call("check_turns"),) if self.angles else ()),
-        ]
+        )
         operations = sum(
             count_operations(low.graph.definitions[s].value)
             for s in low.reached([*kicks, *closing])
         )
         doc = "One iteration for the velocities and forces at all nodes, which are the lanes."
-        return Kernel("iterate", doc, lanes(body)), operations
+        return Kernel("iterate", doc, lanes((When(body),))), operations
 
     def _opening(self, body: Sequence[Statement]) -> list[Statement]:
         """Go over the nodes; after a while sines and cosines are turned by what angles change."""
@@ -272,7 +276,7 @@ class StageKernels:
         same: list[Statement] = [Load(self._share, Row("STAGE_STEP", "node"))]
         for a in range(low.n):
             same.append(Store(Row("STAGE_V", self._place(a)), self._share * v[a]))
-        loop = Loop("node", "range(STRIDE)", tuple(same))
+        loop = Loop("node", NODES_AS_VECTOR, tuple(same))
         body = (*low.statements(stores, STATE), *self._afresh(), loop)
         doc = "Begin at (q, p): the same velocity at all nodes."
         return Kernel("start_stages", doc, lanes(body))
@@ -314,12 +318,13 @@ class StageKernels:
         closing = low.statements(stores, levels)
         following = self._over_nodes(low.statements(ahead, levels), closing)
         # steps that take many iterations are long: there a smoother extrapolation is closer
-        smooth = Index(
-            "smooth", f"{self._nodes * self.stride} if W[STAGE_COUNT, lane] > MANY else 0"
+        smooth = (Index("smooth", str(self._nodes * self.stride)), *following)
+        extrapolated = Either(
+            "W[STAGE_COUNT, lane] > MANY", smooth, (Index("smooth", "0"), *following)
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
         accepted = (Call("check_stage_acceptance"), *self._afresh())
-        body = [*closing, *left, smooth, *accepted, *following]
+        body = [*closing, *left, extrapolated, *accepted]
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
         return Kernel("advance_stages", doc, lanes(body))
 

@@ -11,7 +11,6 @@ from symsimpson.driver.steps import (
     FAILED,
     SET,
     SIGNATURES,
-    SUSPICIOUS,
     TOLD_ROWS,
     WORKSPACE,
     keep,
@@ -228,14 +227,30 @@ def verify(kernels, h, t, W, at, lane):
 
 
 @njit(**RARE)
+def leave_to_others(kernels, h, t, W, at, event):
+    """Mark lanes whose nodes are not solved, or in doubt: Newton's method may take their step."""
+    if event == FAILED:
+        left = 0
+        for lane in range(LANES):
+            if W[at[ACTIVE], lane] < 0.0:
+                W[at[STATUS], lane] = NOT_CONVERGED
+            left += W[at[STATUS], lane] == 0.0
+        if left == 0:
+            return
+        call(kernels[ADVANCE], h, t, W)
+    for lane in range(LANES):
+        if W[at[STATUS], lane] == 0.0 and W[at[IN_DOUBT], lane] != 0.0:
+            step_back(W, at, lane)
+            W[at[STATUS], lane] = NOT_CONVERGED
+
+
+@njit(**RARE)
 def recover(kernels, h, t, W, at, event):
     """Finish a step at which ``take_steps`` stopped: lanes that failed, or are in doubt."""
     first, last = at[INCREMENT], at[STATE_END]
     lanes = LANES
     if kernels[MODE] == STAGES:
-        if event == SUSPICIOUS:
-            step_back(W, at, 0)
-        W[at[STATUS], 0] = NOT_CONVERGED
+        leave_to_others(kernels, h, t, W, at, event)
         return
     if event == FAILED:
         for lane in range(lanes):

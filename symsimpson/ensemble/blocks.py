@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +47,7 @@ def run_blocks(program: Program, task: Task, count: Callable[[int], None]) -> tu
         while (chunk := queue.next()) is not None:
             work_off(*chunk, queue, lambda done: count(done * lanes))
 
-    _wait([work] * threads, queue)
+    _share(work, threads, queue)
     if task.t_end is not None:
         take_last_parts(program, task, results)
     stopped = queue.stopped or run_singly(program, task, results)
@@ -73,27 +73,24 @@ class _Queue:
             return self._first - size, self._first
 
 
-def _wait(work: list[Callable[[], None]], queue: _Queue) -> None:
-    """Run functions in threads until they are done or stopped by Ctrl-C."""
-    with ThreadPoolExecutor(len(work)) as pool:
-        running: list[Future[None]] = []
+def _share(work: Callable[[], None], threads: int, queue: _Queue) -> None:
+    """Work in so many threads, this one among them, until all is done or Ctrl-C stops it."""
+    with ThreadPoolExecutor(max(1, threads - 1)) as pool:
+        others = [pool.submit(work) for _ in range(threads - 1)]
         try:
-            for one in work:
-                running.append(pool.submit(one))
-            while wait(running, timeout=0.1).not_done:
+            work()
+            while wait(others, timeout=0.1).not_done:
                 pass
         except KeyboardInterrupt:
             queue.stopped = True
-            wait(running)
-        for future in running:
-            future.result()
+    for other in others:
+        other.result()
 
 
 def _prepared(program: Program, task: Task, results: Results) -> Callable[..., None]:
     """Compile what is needed, and give a function that works off a chunk of blocks."""
     header, lanes = program.header, task.lanes
-    numbers = program.numbers
-    kernels = numbers.kernels(program.source, header, lanes)
+    kernels = program.kernels_for(lanes)
     columns, slopes, count = np.zeros((0, 0)), 0, None
     growing: tuple[Recorder, ...] = ()
     if task.tangents is not None:
@@ -124,7 +121,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     more = np.array([legendre, slopes, retime, *observed, *watched], dtype=np.int64)
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
-    advance_blocks = numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
+    advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
     width, room = results.recorded.shape[2], sum(one.room for one in called)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from symsimpson.ensemble.ensemble import Ensemble
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET
-from symsimpson.program.machine import lanes_of_machine
 from symsimpson.program.program import Program
 from symsimpson.program.recorders import Recorder, ordered, split
 from symsimpson.program.status import Status
@@ -19,7 +18,7 @@ from symsimpson.stepping.recording import recorders_of
 from symsimpson.stepping.request import Request
 from symsimpson.stepping.spec import RunSpec
 
-__all__ = ["Results", "Task", "ensemble_of", "lanes_for"]
+__all__ = ["Results", "Task", "ensemble_of"]
 
 Floats = NDArray[np.float64]
 
@@ -86,16 +85,6 @@ class Task(RunSpec):
             parameters=np.ascontiguousarray(self.parameters[members]),
             inputs=self.inputs if len(self.inputs) == 1 else self.inputs[members],
         )
-
-
-def lanes_for(header: Header) -> int:
-    """Return the number of lanes of a block.
-
-    Where Newton's method is unrolled, members side by side are two to four
-    times as fast with it as one after the other with nodes as lanes; where it is not, the other way
-    round, by far.
-    """
-    return 1 if header.by_stages and not header.unrolled else lanes_of_machine()
 
 
 class Results:

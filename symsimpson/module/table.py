@@ -150,12 +150,18 @@ TABLE = (
     part("STAGE_MU", "from STAGE_V to positions at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_NU", "from STAGE_F to momenta at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
-    part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
-    part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
+    part(
+        "STAGE_CORRECTION",
+        "sizes of the corrections at the nodes",
+        lambda s: s.staged,
+        scratch=True,
+    ),
+    part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged, scratch=True),
     part(
         "STAGE_HELD",
         "values between the two halves of an iteration",
         lambda s: s.staged_values * s.staged,
+        scratch=True,
     ),
     part(
         "STAGE_ANGLE", "angles at the nodes, of an iteration before", lambda s: s.angles * s.staged
@@ -166,6 +172,7 @@ TABLE = (
         "STAGE_TURN",
         "changes of the angles since then, squared and added up",
         lambda s: min(1, s.angles) * s.staged,
+        scratch=True,
     ),
     part(
         "STAGE_TURNED",

@@ -25,6 +25,9 @@ __all__ = ["Kernels", "not_walked"]
 #: Kernels that the walker refused in this process, and why: numba compiled them as they stand.
 not_walked: list[str] = []
 
+#: Members side by side are solved by Newton's method where it has fewer unknowns than this: it is
+#: up to twice as fast there, and several times slower where it has more than twelve.
+FEWEST_UNKNOWNS = 8
 #: Runs begin with it: compiled beside the kernels of a step, because they share functions.
 _BEGIN = "legendre"
 #: What kernels call, where numba compiles it: there is no way in from Python.
@@ -44,7 +47,8 @@ class Kernels(KernelSets):
     """Addresses of a module's compiled kernels, for a given number of lanes."""
 
     def __init__(self, text: str, header: Header, lanes: int = 1) -> None:
-        super().__init__(header, by_stages=header.by_stages and lanes == 1)
+        small = lanes > 1 and header.newton_unknowns < FEWEST_UNKNOWNS
+        super().__init__(header, by_stages=header.by_stages and not small)
         # names and values of parameters are no part of what is compiled, nor is the banner
         changed = redefined(text, {"FACTS": "", "LANES": f"LANES = {lanes}", "compiled": _INNER})
         self._lanes = lanes

@@ -79,6 +79,8 @@ class Findings:
         Workspaces for short runs; None where states have to be looked at one by one.
     long : set
         Steps and lengths of runs that are not short, though it did not seem so.
+    wide : dict
+        By numbers of lanes: kernels for so many trajectories at a time.
     """
 
     variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
@@ -87,6 +89,7 @@ class Findings:
     irregular: dict[bytes, int] = field(default_factory=dict)
     prepared: list[Any] | None = None
     long: set[tuple[float, float]] = field(default_factory=set)
+    wide: dict[int, KernelSets] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -198,6 +201,13 @@ class Program:
 
     def __repr__(self) -> str:
         return f"Program({self.system}, {self.scheme})"
+
+    def kernels_for(self, lanes: int) -> KernelSets:
+        """Return the kernels for so many trajectories at a time."""
+        wide = self.findings.wide
+        if lanes not in wide:
+            wide[lanes] = self.numbers.kernels(self.source, self.header, lanes)
+        return wide[lanes]
 
     def values(self, given: Mapping[Any, Any] | None = None, beside: Any = None) -> Reals:
         """Return values of all parameters, the defaults but for those that are given.

@@ -49,21 +49,20 @@ def check_stage_convergence(W, lane):
     """
     W[ITERATIONS, lane] += 1.0
     W[STAGE_COUNT, lane] += 1.0
-    if W[STAGE_COUNT, lane] < W[STAGE_EXPECTED, lane]:
-        return
-    correction = over_nodes(W, STAGE_CORRECTION, lane)
-    increment = max(over_nodes(W, STAGE_SIZE, lane), correction)
-    before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
-    now = correction / (increment if increment != 0 else 1.0)
-    factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
-    negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
-    done = negligible | (now <= ROUNDING) | ((now < STAGNATION) & (now >= 0.25 * before))
-    finite = (correction < INFINITE) & (increment < INFINITE)
-    W[CORRECTION_SQUARED, lane] = correction
-    W[INCREMENT_SQUARED, lane] = increment
-    W[CONTRACTION, lane] = factor
-    W[RELATIVE, lane] = now
-    W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
+    if W[STAGE_COUNT, lane] >= W[STAGE_EXPECTED, lane]:
+        correction = over_nodes(W, STAGE_CORRECTION, lane)
+        increment = max(over_nodes(W, STAGE_SIZE, lane), correction)
+        before, factor = W[RELATIVE, lane], W[CONTRACTION, lane]
+        now = correction / (increment if increment != 0 else 1.0)
+        factor = max(now / before, 0.25 * factor) if before < INFINITE else factor
+        negligible = (factor < 1) & (now * factor <= LOST * (1 - factor) * (1 - factor))
+        done = negligible | (now <= ROUNDING) | ((now < STAGNATION) & (now >= 0.25 * before))
+        finite = (correction < INFINITE) & (increment < INFINITE)
+        W[CORRECTION_SQUARED, lane] = correction
+        W[INCREMENT_SQUARED, lane] = increment
+        W[CONTRACTION, lane] = factor
+        W[RELATIVE, lane] = now
+        W[ACTIVE, lane] = (0.0 if done else 1.0) if finite else -3.0
 
 
 @compiled

@@ -2,6 +2,7 @@
 
 import hashlib
 import signal
+import threading
 import warnings
 
 import numpy as np
@@ -12,7 +13,6 @@ from support.cases import sweep
 import symsimpson as ss
 from symsimpson.ensemble import blocks as module
 from symsimpson.ensemble import members
-from symsimpson.ensemble.task import lanes_for
 
 PENDULUM = ss.systems.double_pendulum()
 RNG = np.random.default_rng(7)
@@ -53,7 +53,7 @@ def test_same_bits_for_threads_blocks_and_order(monkeypatch):
         digest(stepper.ensemble(angles, **given, threads=n, reduce=watch)) for n in (1, 2, 4)
     }
     for lanes in (4, 8, 16):
-        monkeypatch.setattr(members, "lanes_for", lambda header, lanes=lanes: lanes)
+        monkeypatch.setattr(members, "lanes_of_machine", lambda lanes=lanes: lanes)
         digests.add(digest(stepper.ensemble(angles, **given, reduce=watch)))
     assert digests == {digest(whole)}
     order = RNG.permutation(len(angles))
@@ -233,23 +233,20 @@ def test_a_start_at_a_singular_point_has_its_status():
 
 
 @pytest.mark.slow
-def test_interrupt_keeps_what_is_done(stepper, monkeypatch):
+@pytest.mark.parametrize("threads", [1, 2])
+def test_interrupt_keeps_what_is_done(stepper, threads):
     """Ctrl-C while threads work; the whole of it would take many seconds."""
+    given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 20_000, "threads": threads}
     many = np.tile(ANGLES, (600, 1))
-    plain = module.wait
-
-    def wait(running, **options):
-        if options:  # the one that hears Ctrl-C
-            signal.raise_signal(signal.SIGINT)
-        return plain(running, **options)
-
-    monkeypatch.setattr(module, "wait", wait)
+    stepper.ensemble(ANGLES, **given | {"steps": 2})  # compiles
+    threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,)).start()
     with pytest.raises(ss.Interrupted) as caught:
-        stepper.ensemble(many, p0=[0.0, 0.0], h=0.02, steps=20_000)
+        stepper.ensemble(many, **given)
     partial = caught.value.trajectory
-    assert (partial.status == ss.Status.INTERRUPTED).any()
     assert isinstance(partial, ss.Ensemble)
-    partial = stepper.ensemble(many, p0=[0, 0], h=0.02, steps=20_000, on_failure="return")
+    assert {ss.Status.SUCCESS, ss.Status.INTERRUPTED} == set(partial.status)
+    threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,)).start()
+    partial = stepper.ensemble(many, **given, on_failure="return")
     assert "INTERRUPTED" in partial.message
 
 
@@ -344,26 +341,39 @@ def test_progress(stepper, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "scheme", "wide"),
+    ("name", "scheme", "same"),
     sweep(
         [
-            ("double_pendulum", "gauss12", False),  # nodes are lanes
-            ("double_pendulum", "gauss8", True),  # 8 unknowns, written out
-            ("double_pendulum", "lobatto8", True),
-            ("lagrange_top", "gauss8", True),
+            ("double_pendulum", "gauss8", True),  # both iterate over nodes
+            ("double_pendulum", "gauss12", True),
+            ("double_pendulum", "lobatto8", True),  # both by Newton's method
+            ("lagrange_top", "gauss8", False),  # members by Newton's method: it has few unknowns
         ],
         0,
     ),
 )
-def test_members_or_nodes_are_lanes_and_members_come_to_what_single_runs_do(name, scheme, wide):
+def test_members_come_to_what_single_runs_do(name, scheme, same):
     system = getattr(ss.systems, name)()
     stepper = ss.compile(system, scheme)
-    assert (lanes_for(stepper.program.header) > 1) is wide
     start = {key: np.array(value) for key, value in system.reference_state.items()}
     q0 = start.pop("q0") + np.linspace(0, 0.3, 11)[:, None]
     h = 0.001 if name == "lagrange_top" else 0.02
     found = stepper.ensemble(q0, **start, h=h, steps=50)
     for member in (0, 5, 10):
         run = stepper.integrate(q0[member], **start, h=h, steps=50, every=None)
-        assert np.abs(found.q[member] - run.q[0]).max() < 1e-12
-        assert np.abs(found.p[member] - run.p[0]).max() < 1e-12
+        most = 0 if same else 1e-12
+        assert np.abs(found.q[member] - run.q[0]).max() <= most
+        assert np.abs(found.p[member] - run.p[0]).max() <= most
+
+
+@pytest.mark.filterwarnings("ignore::symsimpson.ResolutionWarning")
+def test_members_whose_nodes_are_not_solved_go_on_with_newtons_method():
+    stepper = ss.compile(ss.systems.double_pendulum(), "gauss8")
+    q0 = np.linspace(0.5, 3, 8)[:, None] * [1, -1]
+    given = {"v0": [0, 0], "h": 0.07, "steps": 100, "every": None}
+    found = stepper.ensemble(q0, **given)
+    for member in range(8):  # the last ones need it, and it tells that their steps are too large
+        run = stepper.integrate(q0[member], **given, on_failure="return")
+        assert (found.status[member], found.steps[member]) == (run.status, run.steps)
+        assert (found.q[member] == run.q[-1]).all()
+    assert found.status[7] == ss.Status.STEP_TOO_LARGE
