@@ -105,7 +105,13 @@ def _energies_left(
     """Return how far energies are from those at the start, in units of the kinetic energy."""
     if not some.size:
         return np.zeros(0)
-    nothing = {"steps": 0, "every": 0, "reductions": (), "tangents": None, "t_end": None}
+    nothing: dict[str, Any] = {
+        "steps": 0,
+        "every": 0,
+        "reductions": (),
+        "tangents": None,
+        "t_end": None,
+    }
     part = replace(task.part(some), threads=1, **nothing)
     begun, _ = run_blocks(program, part, lambda done: None)
     last = (slice(None), -1) if task.every else (slice(None),)
