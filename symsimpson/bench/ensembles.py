@@ -30,7 +30,7 @@ T_END = 10.0
 REPEATS = 5
 LEVELS = (1e-3, 1e-6, 1e-9)
 #: Schemes, and the numbers of steps to choose from.
-SCHEMES = ("simpson", "lobatto6", "lobatto8", "gauss12")
+SCHEMES = ("simpson", "lobatto6", "lobatto8", "gauss12", "gauss16")
 STEPS = tuple(round(200 * 2 ** (k / 8)) for k in range(53))
 TOLERANCES = tuple(10.0 ** (-k / 4) for k in range(8, 61))
 

@@ -8,6 +8,7 @@ wrong.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,8 @@ __all__ = ["MOST_ROWS", "brief_run"]
 #: where the number of steps is not known before.
 MOST_ROWS, MOST_TO_END = 2**18, 2**22
 DONE = Status.SUCCESS.message
+#: Numbers that need no reading.
+PLAIN, DOUBLE = frozenset({int, float}), np.dtype(np.float64)
 #: What is returned of a run with too many steps for this.
 TOO_LONG = -2
 
@@ -152,14 +155,14 @@ def room(last: int, n: int) -> Stored:
 
 
 def read_state(name: str, value: Any, coordinates: Named) -> Floats:
-    """Read a number for each coordinate; quickly, if these are floats in their order."""
-    if type(value) is np.ndarray:
-        plain = value.dtype == np.float64 and value.shape == (len(coordinates),)
-    else:
-        plain = type(value) in (list, tuple) and len(value) == len(coordinates)
-        plain = plain and set(map(type, value)) == {float}
-    # what is not finite is told of where the run ends
-    return np.array(value) if plain else read_vector(name, value, coordinates, FLOAT64)
+    """Read a number for each coordinate; quickly, if these are plain ones in their order."""
+    kind, n = type(value), len(coordinates)  # what is not finite is told of where the run ends
+    if kind is np.ndarray and value.dtype is DOUBLE and value.shape == (n,):
+        return np.array(value)
+    if kind in (list, tuple) and len(value) == n and PLAIN.issuperset(map(type, value)):
+        with suppress(OverflowError):
+            return np.array(value, DOUBLE)
+    return read_vector(name, value, coordinates, FLOAT64)
 
 
 def read_brief_request(program: Program, request: Request) -> BriefRequest | None:
