@@ -155,6 +155,12 @@ class Plain:
         return tuple(self.graph.add(force[i] for force in forces) for i in size)
 
     @cached_property
+    def right_sides(self) -> tuple[Value, ...]:
+        """dL/dq + f, the right sides of the equations of Lagrange, by coordinate."""
+        slopes = gradient(self.graph, self.L, self.numbers(self.q))
+        return tuple(map(self.graph.add, zip(slopes, self.f, strict=True)))
+
+    @cached_property
     def time(self) -> int:
         """The node of t."""
         return self.graph.symbol(self.t.name)[1]

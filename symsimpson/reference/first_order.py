@@ -8,7 +8,6 @@ from typing import Any
 
 import sympy as sp
 
-from symsimpson.graph.derive import gradient
 from symsimpson.graph.nodes import UNIT, ZERO, Value
 from symsimpson.graph.program import Program
 from symsimpson.graph.read import line_written, number
@@ -87,10 +86,7 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     """
     plain = system.plain
     p, n = _symbols("p", len(plain.q)), len(plain.q)
-    graph, L = plain.graph, plain.L
-    slopes = gradient(graph, L, plain.numbers(plain.q))
-    forces = map(graph.add, zip(slopes, plain.f, strict=True))
-    outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(forces)}
+    outputs = _mass_and_a(plain) | {("F", i): f for i, f in enumerate(plain.right_sides)}
     held = len(plain.held)
     if held:
         outputs |= _accelerating(plain)

@@ -8,7 +8,6 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from symsimpson.graph.derive import gradient
 from symsimpson.graph.evaluate import evaluated, moduli
 from symsimpson.mechanics.system import MechanicalSystem
 
@@ -39,9 +38,7 @@ def force_terms(
     n, plain = system.n, system.plain
     if n > MOST_COORDINATES:
         return np.zeros(n)
-    graph = plain.graph
-    slopes = gradient(graph, plain.L, plain.numbers(plain.q))
-    forces = [graph.add([*pair]) for pair in zip(slopes, plain.f, strict=True)]
+    graph, forces = plain.graph, plain.right_sides
     names = plain.numbers([*plain.q, *plain.v, *plain.parameters, *plain.u, plain.t])
     given = dict(zip(names, map(float, (*q, *np.zeros(n), *values, t)), strict=True))
     roots = [m for _, m in forces]
