@@ -19,7 +19,7 @@ from symsimpson.bench.programs import in_heyoka
 from symsimpson.bench.timing import alternate
 from symsimpson.ensemble.blocks import run_blocks
 from symsimpson.ensemble.members import read_task
-from symsimpson.program.machine import available_threads, lanes_of_machine
+from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.reference import canonical
 from symsimpson.stepping.request import Request
 
@@ -40,9 +40,9 @@ Run = Callable[[], Floats]
 
 def report(members: int = MEMBERS) -> Iterator[str]:
     """Run the comparison and give its lines; all runs alternate in one process, warm."""
-    threads, wide = available_threads(), lanes_of_machine()
+    threads, system = available_threads(), ss.systems.double_pendulum()
+    wide = lanes_for(ss.compile(system).program.header.rows, members)
     angles = np.random.default_rng(1).uniform(-2, 2, (members, 2))
-    system = ss.systems.double_pendulum()
 
     def rate(seconds: float) -> str:
         return f"{members / seconds:>8,.0f} trajectories/s"

@@ -20,7 +20,7 @@ from symsimpson.ensemble.store import Store, members_of, said, write_chunk
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError, StorageError, SymsimpsonError
 from symsimpson.module.header import digest
-from symsimpson.program.machine import lanes_of_machine
+from symsimpson.program.machine import lanes_for
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program, read_program
 from symsimpson.program.workspace import NO_INPUTS
@@ -154,7 +154,7 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         NO_INPUTS,
         threads=1,
         progress=False,
-        lanes=lanes_of_machine(),
+        lanes=lanes_for(program.header.rows, len(q0)),
         tangents=None if asked["tangents"] is None else np.array(asked["tangents"]),
         record=tuple(asked["record"]),
         reductions=reductions,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symsimpson.ensemble.task import Task
 from symsimpson.errors import InputError
-from symsimpson.program.machine import available_threads, lanes_of_machine
+from symsimpson.program.machine import available_threads, lanes_for
 from symsimpson.program.numbers import FLOAT64
 from symsimpson.program.observed import read_reductions
 from symsimpson.program.program import Program
@@ -72,7 +72,7 @@ def read_task(
             "Store states, every=..., and take the mean of them."
         )
     workers = _threads(threads)
-    lanes = lanes_of_machine()
+    lanes = lanes_for(program.header.rows, members)
     stored = count // stride + 1 if stride and end is None else 1
     try:
         values = np.empty((members, len(program.parameters)))

@@ -56,7 +56,7 @@ def show_config(mode: str = "stdout") -> Config | None:
     import llvmlite.binding as llvm
 
     from symsimpson.program.cache import cache_folder
-    from symsimpson.program.machine import available_threads, lanes_of_machine, vector_bits
+    from symsimpson.program.machine import MANY, available_threads, lanes_for, vector_bits
 
     folder = cache_folder()
     found: Config = {
@@ -66,7 +66,7 @@ def show_config(mode: str = "stdout") -> Config | None:
             "processor": llvm.get_host_cpu_name(),
             "threads": available_threads(),
             "vector bits": vector_bits(),
-            "members side by side": lanes_of_machine(),
+            "members side by side": f"{lanes_for(0, 1)}, {lanes_for(0, MANY)} of many small ones",
         },
         "compiled code": {
             "folder": str(folder),

@@ -13,12 +13,16 @@ import llvmlite.binding as llvm
 
 from symsimpson.errors import InputError
 
-__all__ = ["VARIABLE", "available_threads", "lanes_of_machine", "vector_bits"]
+__all__ = ["VARIABLE", "available_threads", "lanes_for", "lanes_of_machine", "vector_bits"]
 
 VARIABLE = "SYMSIMPSON_VECTOR_BITS"
 #: The widths that machines have, by the feature that tells of them.
 _WIDTHS = {"avx512f": 512, "avx": 256}
 _NARROW = 128
+#: Of so many members, whose workspaces have so few rows that the nearest cache has room for them,
+#: two registers full stand side by side: what one waits for is hidden by the other, a sixth to a
+#: fourth of the time. For others that is nothing, and costs a second of compilation.
+MANY, FEW_ROWS = 1024, 256
 
 
 def vector_bits() -> int:
@@ -51,6 +55,13 @@ def _widest() -> int:
 def lanes_of_machine() -> int:
     """Return the number of lanes of a block: two vector registers where they are short."""
     return 8 if llvm.get_host_cpu_features().get("avx") else 4
+
+
+def lanes_for(rows: int, members: int) -> int:
+    """Return the number of lanes of a block of an ensemble, with so many rows in a workspace."""
+    two_registers = 2 * vector_bits() // 64
+    small = members >= MANY and rows <= FEW_ROWS
+    return max(lanes_of_machine(), two_registers) if small else lanes_of_machine()
 
 
 def available_threads() -> int:

@@ -53,7 +53,7 @@ def test_same_bits_for_threads_blocks_and_order(monkeypatch):
         digest(stepper.ensemble(angles, **given, threads=n, reduce=watch)) for n in (1, 2, 4)
     }
     for lanes in (4, 8, 16):
-        monkeypatch.setattr(members, "lanes_of_machine", lambda lanes=lanes: lanes)
+        monkeypatch.setattr(members, "lanes_for", lambda rows, members, lanes=lanes: lanes)
         digests.add(digest(stepper.ensemble(angles, **given, reduce=watch)))
     assert digests == {digest(whole)}
     order = RNG.permutation(len(angles))

@@ -14,7 +14,6 @@ import symsimpson as ss
 from symsimpson.ensemble import cluster as cluster_module
 from symsimpson.ensemble import store as module
 from symsimpson.ensemble.members import read_task
-from symsimpson.program.machine import lanes_of_machine
 from symsimpson.stepping.request import Request
 
 xarray = pytest.importorskip("xarray")
@@ -209,7 +208,7 @@ def test_chunks_are_worth_their_trouble(stepper, monkeypatch):
     task = read_task(program, asked, 1, False, on_disk=True)
     assert module._seconds(program, task) > 0
     monkeypatch.setattr(module, "_seconds", lambda *_: 0.1)
-    assert module._chunk(program, task) == lanes_of_machine()
+    assert module._chunk(program, task) == task.lanes
     assert module._chunk(program, replace(task, threads=16)) == 80
     monkeypatch.setattr(module, "_seconds", lambda *_: 1e-9)
     assert module._chunk(program, task) == 2**26 // 32
