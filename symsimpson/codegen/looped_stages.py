@@ -10,9 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from symsimpson.codegen.ir import Call, Kernel, Loop
+from symsimpson.codegen.ir import Call, Kernel, Loop, When
 from symsimpson.codegen.looped import LoopKernels
 from symsimpson.codegen.lower import Lowering
+from symsimpson.codegen.stages import NODES_AS_VECTOR
 from symsimpson.codegen.storage import node_stride
 from symsimpson.codegen.unrolled import lanes
 
@@ -20,8 +21,6 @@ __all__ = ["LoopedStages"]
 
 _HERE = ("W", "node", "lane")
 _ENTER = Call("enter_node", _HERE)
-#: A single run has vectors of nodes, of which the last may be none: these have no time or input.
-_VECTORS = "range(STRIDE if LANES == 1 else NODES)"
 
 
 @dataclass(frozen=True)
@@ -67,16 +66,16 @@ class LoopedStages:
     def _iterate(self) -> Kernel:
         """One iteration: positions, forces; momenta, velocities."""
         time = self.loops.time_at_node()
-        nodes = "range(NODES)" if time else _VECTORS
+        nodes = "range(NODES)" if time else NODES_AS_VECTOR
         body = (
             Call("sum_stages", ("W", "STAGE_Q", "STAGE_MU", "STAGE_V", "lane")),
             Loop("node", nodes, (_ENTER, *time, Call("gradient"), Call("leave_force", _HERE))),
             Call("sum_stages", ("W", "STAGE_P", "STAGE_NU", "STAGE_F", "lane")),
-            Loop("node", _VECTORS, (Call("leave_velocity", _HERE),)),
+            Loop("node", NODES_AS_VECTOR, (Call("leave_velocity", _HERE),)),
             Call("check_stage_convergence"),
         )
         doc = "One iteration for the velocities and forces at all nodes."
-        return Kernel("iterate", doc, lanes(body))
+        return Kernel("iterate", doc, lanes((When(body),)))
 
     def _advance(self) -> Kernel:
         left = (Call("leave_path"),) if self.low.equations.looked_at else ()

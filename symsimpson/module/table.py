@@ -150,13 +150,8 @@ TABLE = (
     part("STAGE_MU", "from STAGE_V to positions at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_NU", "from STAGE_F to momenta at the nodes", lambda s: s.nodes * s.staged),
     part("STAGE_AHEAD", "from STAGE_V to that of the next step", lambda s: 2 * s.nodes * s.staged),
-    part(
-        "STAGE_CORRECTION",
-        "sizes of the corrections at the nodes",
-        lambda s: s.staged,
-        scratch=True,
-    ),
-    part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged, scratch=True),
+    part("STAGE_CORRECTION", "sizes of the corrections at the nodes", lambda s: s.staged),
+    part("STAGE_SIZE", "sizes of the increments at the nodes", lambda s: s.staged),
     part(
         "STAGE_HELD",
         "values between the two halves of an iteration",
@@ -172,7 +167,6 @@ TABLE = (
         "STAGE_TURN",
         "changes of the angles since then, squared and added up",
         lambda s: min(1, s.angles) * s.staged,
-        scratch=True,
     ),
     part(
         "STAGE_TURNED",

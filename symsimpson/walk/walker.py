@@ -35,6 +35,8 @@ class Walker(Assigning):
     """Walks functions of a text."""
 
     _lanes_own = False
+    #: Lanes that are one vector in a kernel; 0 where they are walked one by one.
+    _side_by_side = 0
 
     def kernel(
         self,
@@ -60,6 +62,7 @@ class Walker(Assigning):
             If lanes cannot be one vector.
         """
         lanes, self._lanes_own, self._alone = workspace.shape[1], own, alone
+        self._side_by_side = lanes if vector else 0
         if name not in LOOKED_AT:
             self._values.wanted = lambda place: self._wanted(place // lanes)
         if name in self._text.constants.get("STRAIGHT", ()):
@@ -73,17 +76,20 @@ class Walker(Assigning):
                 case ast.Assign(targets=[ast.Name(id="W")]):
                     env["W"] = workspace
                 case ast.For(target=ast.Name(id="lane")) if vector:
-                    self._width = lanes
-                    env["lane"] = Along(0)
                     match statement.body[-1]:
                         case ast.If(body=rest, orelse=[]) if statement is body[-1]:
                             self._rest = rest
-                    self._last(statement.body, env)
-                    self._width = 0
+                    self._all_lanes(statement, env)
                 case _:
                     self._statement(statement, env)
             self._ahead.pop()
         self._frames.pop()
+
+    def _all_lanes(self, loop: ast.For, env: Env) -> None:
+        """Walk a loop over lanes once, with vectors."""
+        self._width = self._side_by_side
+        self._last(loop.body, env | {"lane": Along(0)})
+        self._width = 0
 
     def _ahead_of(self, body: Sequence[ast.stmt], k: int) -> Ahead:
         """Return what scratch is named in a statement of a block, and in those behind it."""
@@ -196,6 +202,9 @@ class Walker(Assigning):
 
     def _for(self, node: ast.For, env: Env) -> None:
         match node:
+            case ast.For(target=ast.Name(id="lane")) if self._side_by_side and not self._width:
+                self._all_lanes(node, env)
+                return
             case ast.For(
                 target=ast.Name(id=name), iter=ast.Call(func=ast.Name(id="range"), args=arguments)
             ):

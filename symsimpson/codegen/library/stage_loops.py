@@ -18,11 +18,11 @@ def begin_stages(W, lane):
 def sum_stages(W, out, factors, values, lane):
     """Sum what all nodes have of each coordinate, by the factors of each node."""
     for a in range(DIMENSION):
-        for node in range(STRIDE):
+        for node in range(STRIDE if LANES == 1 else NODES):
             W[out + a * STRIDE + node, lane] = real(0)
         for j in range(NODES):
             value = W[values + a * STRIDE + j, lane]
-            for node in range(STRIDE):
+            for node in range(STRIDE if LANES == 1 else NODES):
                 W[out + a * STRIDE + node, lane] += W[factors + j * STRIDE + node, lane] * value
 
 

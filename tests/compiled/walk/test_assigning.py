@@ -119,3 +119,11 @@ def test_kernels_by_loops_have_lanes_as_vectors(make, monkeypatch):
     steps = [kernel for kernel in ("start", "newton", "advance") if f"def {kernel}(" in text]
     walked(text, steps, 4)
     assert taken == [(kernel, True, frozenset()) for kernel in steps]
+
+
+def test_lanes_in_a_loop_over_steps_are_vectors():
+    text = ss.compile(ss.systems.n_body(4), "blanes_moan4").source
+    text = redefined(text, {"LANES": "LANES = 4"})
+    made = walked(text, ["advance"], 4)["advance"].inspect_llvm()
+    assert "@llvm.sqrt.v4f64" in made
+    assert "@llvm.sqrt.f64" not in made

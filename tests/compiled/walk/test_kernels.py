@@ -159,16 +159,31 @@ def test_explicit_steps_and_others(scheme):
 
 
 @pytest.mark.parametrize(
-    ("system", "scheme"),
-    sweep([("argon", "blanes_moan4"), ("hanging_chain", "suzuki4"), ("cloth", "kahan_li8")], 0),
+    ("system", "scheme", "lanes"),
+    sweep(
+        [
+            ("argon", "blanes_moan4", 8),
+            ("argon", "blanes_moan4", 1),
+            ("hanging_chain", "suzuki4", 1),
+            ("cloth", "kahan_li8", 8),
+        ],
+        0,
+    ),
 )
-def test_kicks_and_drifts_by_loops(system, scheme):
-    check(EVERY[system](), scheme)
+def test_kicks_and_drifts_by_loops(system, scheme, lanes):
+    check(EVERY[system](), scheme, lanes)
 
 
 @pytest.mark.parametrize("system", sweep(LANES, 1))
 def test_lanes(system):
     check(EVERY[system](), "simpson", lanes=8)
+
+
+@pytest.mark.parametrize(
+    ("system", "scheme"), sweep([("double_pendulum", "gauss12"), ("argon", "gauss6")], 0)
+)
+def test_members_iterate_over_nodes(system, scheme):
+    check(EVERY[system](), scheme, lanes=8)
 
 
 @pytest.mark.slow
