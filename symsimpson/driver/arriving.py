@@ -38,18 +38,18 @@ FEWEST_LOOKED_AT = 16
 
 
 @njit(**DRIVER_OPTIONS)
-def run_to_end(kernels, addresses, setting, start, asked, found, inputs):
+def run_to_end(kernels, addresses, setting, start, asked, results, inputs):
     """Begin anew, take steps until the end lies behind one, and then a part of a step to there.
 
     Returns the number of whole steps; -1 where anything is not as it should be, -2 where the most
     steps that are ``asked`` for did not lead there. ``addresses`` are those of legendre (0 if
     momenta are given), of the energy, and of what sets the energy and the rate of the run, which go
     to its parameters; ``setting`` has the step, the start, the end, and how near that must be met.
-    What is ``found`` are states, their times, iterations, at the end the state before the last
+    The ``results`` are states, their times, iterations, at the end the state before the last
     part, and then that behind it; and of the last part how long it is, and all iterations.
     """
     (legendre, energy, retime), (times, W, at) = addresses, setting
-    (most, every, few, limit), (states, times_out, iterations, end, told) = asked, found
+    (most, every, few, limit), (states, times_out, iterations, end, told) = asked, results
     h, t0, t_end, near = times[0], times[1], times[2], times[3]
     parameters, n, time = start[0], at[DIMENSION], at[TIME]
     begin_anew(kernels, legendre, (h, t0, W, at), start)
@@ -79,9 +79,9 @@ def run_to_end(kernels, addresses, setting, start, asked, found, inputs):
     fine, when = np.zeros(1, dtype=np.bool_), np.full(1, t_end)
     sought = np.zeros(1, dtype=np.int64), when, near
     last_part = ends[0], ends[1], told[:1], fine
-    own = inputs, parameters.reshape(1, -1)
+    given = inputs, parameters.reshape(1, -1)
     here = h, before, W, at
-    states_at(kernels, energy, here, (end[:1], end[1:]), sought, last_part, 1, own)
+    states_at(kernels, energy, here, (end[:1], end[1:]), sought, last_part, 1, given)
     for a in range(n):
         end[0, a], end[1, a] = ends[0, 0, a], ends[1, 0, a]
     if not fine[0]:

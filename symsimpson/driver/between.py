@@ -96,18 +96,18 @@ def take(kernels, setting, count, state, driving, room, doubtful):
 
 
 @njit(**DRIVER_OPTIONS)
-def between(kernels, setting, states, sought, found, every, inputs, rests):
+def between(kernels, setting, states, sought, results, every, inputs, rests):
     """Return the states ``whole[i]`` steps and then one of size ``rest[i]`` after the i-th start.
 
     ``setting`` has the times of stored states, ``states`` are their q and p, and what is
     ``sought`` tells by ``start`` which of them; where that and the whole steps go up, no step is
     taken twice. ``every`` whole steps lie between stored states; they have ``inputs``, and those of
-    size ``rest[i]`` have ``rests``. What is ``found`` are q, p and whether steps went well. The
+    size ``rest[i]`` have ``rests``. The ``results`` are q, p and whether steps went well. The
     first two have one row more than there are states to give: the state after the whole steps
     stands there.
     """
     (h, t, W, at), (q, p) = setting, states
-    (start, whole, rest), (q_out, p_out, fine) = sought, found
+    (start, whole, rest), (q_out, p_out, fine) = sought, results
     n, last = at[DIMENSION], len(start)
     room = np.zeros(4, dtype=np.int64), np.empty((1, 1, 1)), np.empty((1, 1), dtype=np.int64)
     stored, done, well = -1, 0, True
@@ -168,18 +168,18 @@ def part_of_step(kernels, energy, setting, ahead, asked, state, driving, near):
 
 
 @njit(**DRIVER_OPTIONS)
-def states_at(kernels, energy, setting, states, sought, found, every, own):
+def states_at(kernels, energy, setting, states, sought, results, every, given):
     """Return the states at given times of a run that keeps a time of its own, behind some starts.
 
     ``setting`` has the times of stored states, ``states`` are their q and p; ``every`` steps lie
     from one to the next. What is ``sought`` tells by ``start`` which of them, the times that are
-    asked for, and how near they must be met. What is ``found`` are q and p, which have one row
-    more, for what is tried, how far each state is into its step, and whether all went well. Its
-    ``own`` are inputs, and parameters: a row for each state, or one for all.
+    asked for, and how near they must be met. The ``results`` are q and p, which have one row
+    more, for what is tried, how far each state is into its step, and whether all went well.
+    ``given`` are inputs, and parameters: a row for each state, or one for all.
     """
     (h, t, W, at), (q, p) = setting, states
-    (start, asked, near), (q_out, p_out, part, fine) = sought, found
-    inputs, parameters = own
+    (start, asked, near), (q_out, p_out, part, fine) = sought, results
+    inputs, parameters = given
     n, last, time = at[DIMENSION], len(start), at[TIME]
     room = np.zeros(4, dtype=np.int64), np.empty((1, 1, 1)), np.empty((1, 1), dtype=np.int64)
     for i in range(last):

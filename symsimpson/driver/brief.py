@@ -39,17 +39,17 @@ take_all = take_steps if ITERATED else take_explicit_steps
 
 
 @njit(**DRIVER_OPTIONS)
-def run_briefly(kernels, addresses, setting, start, asked, found, inputs):
+def run_briefly(kernels, addresses, setting, start, asked, results, inputs):
     """Begin anew, take all steps, and return how many iterations they took, or -1.
 
     It is -1 where anything is not as it should be: a step failed, the end is not finite, or the
     energy at a few of the stored states is not ``steady``. ``addresses`` are those of legendre (0
     if momenta are given) and of the energy. ``asked`` are the number of steps, how many lie between
-    stored states, how many of these are looked at, and a limit; ``found`` takes states, iterations,
-    and at the end the last q and p, then the least and the largest of stored positions.
+    stored states, how many of these are looked at, and a limit; ``results`` takes states,
+    iterations, and at the end the last q and p, then the least and the largest of stored positions.
     """
     (legendre, energy), (_, _, W, at) = addresses, setting
-    (steps, every, few, limit), (states, iterations, end) = asked, found
+    (steps, every, few, limit), (states, iterations, end) = asked, results
     n, last = at[DIMENSION], steps // every if every != 0 else 0
     begin_anew(kernels, legendre, setting, start)
     progress, nothing = np.zeros(4, dtype=np.int64), np.empty((1, 0, 1))

@@ -207,7 +207,7 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
     timed = more[2] != 0
     while cursor[BLOCK] < last and budget > 0:
         block = cursor[BLOCK]
-        own = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
+        given = inputs if inputs.shape[0] == 1 else inputs[block * LANES :]
         if cursor[BEGUN] == 0:
             load_block(kernels, more, setting, block, (q0, other0, parameters))
             if RENEWING:
@@ -232,14 +232,14 @@ def advance_blocks(kernels, more, setting, cursor, asked, starts, buffers, outs)
             step = progress[0]
             until = min(steps, step + 1 if timed else step + budget)
             if kernels[MODE] == EXPLICIT:
-                take_explicit_steps(kernels, setting, progress, until, every, stores, own)
+                take_explicit_steps(kernels, setting, progress, until, every, stores, given)
             else:
-                take_steps(kernels, setting, progress, until, every, stores, own)
+                take_steps(kernels, setting, progress, until, every, stores, given)
                 if progress[1] != 0:
                     recover(kernels, h, t0 + h * progress[0], W, at, progress[1])
                     # the step is taken and not yet counted: take_steps does that first
                     until = progress[0] + 1
-                    take_steps(kernels, setting, progress, until, every, stores, own)
+                    take_steps(kernels, setting, progress, until, every, stores, given)
             if timed:
                 look_at_time(W, at, lost[LANES:])
             alive = False

@@ -147,10 +147,10 @@ def zero_in(means, start, t, span, ends, at_zero, side):
     """
     (parting, looking, room), (first_row, last_row), (k, place, row, state) = means, ends, at_zero
     first, last = first_row[k], last_row[k]
-    low, high, before, found = 0.0, span, 0.0, False
+    low, high, before, met = 0.0, span, 0.0, False
     x = span * zero_of_cubic(first, last, span * first_row[place], span * last_row[place], side)
     tries, well = 0, True
-    while well and not found and tries < MOST_NEWTON:
+    while well and not met and tries < MOST_NEWTON:
         well = through_part(parting, start, t, x, state, room)
         well = well and look(looking, t + x, state[0], state[1], row)
         value, rate = row[k], row[place]
@@ -163,19 +163,19 @@ def zero_in(means, start, t, span, ends, at_zero, side):
             left = abs(change) * abs(change) / before if before != 0.0 else np.inf
             falls = rate * span * side <= 0.0
             inside = (x + change - low) * (high - x - change) >= 0.0
-            found = falls and abs(change) <= EXACT * abs(span)
-            found = found or abs(high - low) <= EXACT * abs(span)
-            if not found and falls and inside and left <= EXACT * abs(span):
+            met = falls and abs(change) <= EXACT * abs(span)
+            met = met or abs(high - low) <= EXACT * abs(span)
+            if not met and falls and inside and left <= EXACT * abs(span):
                 # the next correction is rounding: the state there is all that is left to find
-                x, found = x + change, True
+                x, met = x + change, True
                 well = through_part(parting, start, t, x, state, room)
                 well = well and look(looking, t + x, state[0], state[1], row)
-            elif not found and inside:
+            elif not met and inside:
                 before, x = abs(change), x + change
-            elif not found:
+            elif not met:
                 before, x = 0.0, (low + high) / 2.0
         tries += 1
-    return x, well and found and abs(x) > 4.0 * EXACT * abs(span)
+    return x, well and met and abs(x) > 4.0 * EXACT * abs(span)
 
 
 @njit(**RARE)
@@ -354,9 +354,13 @@ def take_bouncing(sets, setting, progress, asked, stores, inputs, impacts):
             W[at[ITERATIONS], 0], W[at[ACTIVE], 0] = iterations, 1.0
         if more:
             for k in range(number):
-                own, value = watched + WATCHED * k, last[k]
-                W[own, 0], W[own + 1, 0], W[own + 2, 0] = side[k], max(size[k], abs(value)), value
-                W[own + 3, 0] = value - h * last[events[k, RATE_AT]]
+                place, value = watched + WATCHED * k, last[k]
+                W[place, 0], W[place + 1, 0], W[place + 2, 0] = (
+                    side[k],
+                    max(size[k], abs(value)),
+                    value,
+                )
+                W[place + 3, 0] = value - h * last[events[k, RATE_AT]]
             for k in range(len(kernels) - at[OF_STATES], len(kernels)):
                 call(kernels[k], h, t, W)
             if every != 0 and progress[0] % every == 0:

@@ -81,7 +81,7 @@ def continuation(kernels, h, t, W, at, lane):
     bend = np.zeros((unknowns, lanes))
     bend_before = np.zeros((unknowns, lanes))
     guess = np.zeros((unknowns, lanes))
-    found = np.zeros((unknowns, lanes))
+    solution = np.zeros((unknowns, lanes))
     largest = 0.0
     status = 0
     for piece in range(1, PIECES + 1):
@@ -98,19 +98,19 @@ def continuation(kernels, h, t, W, at, lane):
         status = solve(kernels[ITERATE], part, t, W, at)
         if status != 0:
             break
-        keep(W, first, last, lane, found)
-        largest = max(largest, distance(W, at, lane, found, zero))
-        if piece > 2 and distance(W, at, lane, found, guess) > 0.25 * largest:
+        keep(W, first, last, lane, solution)
+        largest = max(largest, distance(W, at, lane, solution, zero))
+        if piece > 2 and distance(W, at, lane, solution, guess) > 0.25 * largest:
             status = STEP_TOO_LARGE  # it jumped to another solution
             break
         for row in range(unknowns):
-            bent = (found[row, lane] - straight[row, lane]) / (part * part)
+            bent = (solution[row, lane] - straight[row, lane]) / (part * part)
             bend_before[row, lane] = bent if piece == 1 else bend[row, lane]
             bend[row, lane] = bent
     whole[at[ITERATIONS], lane] = W[at[ITERATIONS], lane]
     put_all_back(W, whole)
     if status == 0:
-        put_back(W, first, last, lane, found)
+        put_back(W, first, last, lane, solution)
     return status
 
 

@@ -124,5 +124,5 @@ def solve_for(iterate, h, t, W, active, relative, contraction):
 @njit(**DRIVER_OPTIONS)
 def solve(iterate, h, t, W, at):
     """Iterate until every active lane is done, on the rows of a workspace."""
-    found = solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
-    return solve_to_rounding(iterate, h, t, W, at) if found == UNSOLVED else found
+    status = solve_for(iterate, h, t, W, W[at[ACTIVE]], W[at[RELATIVE]], W[at[CONTRACTION]])
+    return solve_to_rounding(iterate, h, t, W, at) if status == UNSOLVED else status

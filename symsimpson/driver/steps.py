@@ -240,10 +240,10 @@ def take_steps(kernels, setting, progress, stop, every, stores, inputs):
             if alive == 0:
                 break
             give(W, at, inputs, given + step)
-            found = solve_for(kernels[ITERATE], h, t, W, active, relative, contraction)
-            if found == UNSOLVED:
-                found = solve_to_rounding(kernels[ITERATE], h, t, W, at)
-            if found != 0:
+            outcome = solve_for(kernels[ITERATE], h, t, W, active, relative, contraction)
+            if outcome == UNSOLVED:
+                outcome = solve_to_rounding(kernels[ITERATE], h, t, W, at)
+            if outcome != 0:
                 progress[1] = FAILED
                 break
             doubts = 0

@@ -238,7 +238,7 @@ def test_interrupt_keeps_what_is_done(stepper, threads):
     """Ctrl-C while threads work; the whole of it would take many seconds."""
     given = {"p0": [0.0, 0.0], "h": 0.02, "steps": 20_000, "threads": threads}
     many = np.tile(ANGLES, (600, 1))
-    stepper.ensemble(ANGLES, **given | {"steps": 2})  # compiles
+    stepper.ensemble(many, **given | {"steps": 2})  # compiles
     threading.Timer(0.3, signal.raise_signal, (signal.SIGINT,)).start()
     with pytest.raises(ss.Interrupted) as caught:
         stepper.ensemble(many, **given)
