@@ -168,8 +168,8 @@ def read_state(name: str, value: Any, coordinates: Named) -> Floats:
 def read_brief_request(program: Program, request: Request) -> BriefRequest | None:
     """Read a simple request whose step was checked for stability; else return None."""
     v0, p0, every = request.v0, request.p0, request.every
-    one = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
-    if program.findings.prepared is None or not one or not isinstance(request.h, (int, float)):
+    simple = (v0 is None) is not (p0 is None) and (every is None or type(every) is int)
+    if program.findings.prepared is None or not simple or not isinstance(request.h, (int, float)):
         return None
     if request.parameters and program.names.idle:  # which may be warned of, once
         return None
@@ -194,9 +194,9 @@ def brief_run(program: Program, request: Request) -> Trajectory | None:
         runner = prepared.pop()
     except IndexError:
         runner = BriefRunner(program)
-    found = (_to_end if retimed else _of_steps)(program, runner, asked, request)
+    trajectory = (_to_end if retimed else _of_steps)(program, runner, asked, request)
     prepared.append(runner)
-    return found
+    return trajectory
 
 
 def _of_steps(

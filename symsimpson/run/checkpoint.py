@@ -203,16 +203,16 @@ class Checkpoint:
     def _go_on(self) -> None:
         """Put the run where the file says, if it is asked for the same."""
         record = read_record(self.path)
-        own, given = record.asked.get("inputs"), self._asked.get("inputs")
-        if own != given and {**record.asked, "inputs": given} == self._asked:
+        old, given = record.asked.get("inputs"), self._asked.get("inputs")
+        if old != given and {**record.asked, "inputs": given} == self._asked:
             raise InputError(
                 f"{self.path} holds a run with other inputs.\nPass those that it began with: "
                 "symsimpson.resume(path, inputs=...)."
             )
-        own, given = record.asked.get("events"), self._asked.get("events")
-        if own != given and {**record.asked, "events": given} == {"events": None, **self._asked}:
+        old, given = record.asked.get("events"), self._asked.get("events")
+        if old != given and {**record.asked, "events": given} == {"events": None, **self._asked}:
             raise InputError(
-                f"{self.path} holds a run with {'other' if own else 'no'} events.\nPass those that "
+                f"{self.path} holds a run with {'other' if old else 'no'} events.\nPass those that "
                 "it began with: symsimpson.resume(path, events=[...])."
             )
         if record.asked != self._asked:
@@ -236,14 +236,14 @@ def exists(path: Path) -> bool:
 
 def _digest_of(file: Any, size: int) -> Any:
     """Read so many bytes and give their digest so far."""
-    found = hashlib.sha256()
+    checksum = hashlib.sha256()
     while size > 0:
         block = file.read(min(size, 2**20))
         if not block:
             break
-        found.update(block)
+        checksum.update(block)
         size -= len(block)
-    return found
+    return checksum
 
 
 def read_asked(path: Path) -> dict[str, Any]:
@@ -254,8 +254,8 @@ def read_asked(path: Path) -> dict[str, Any]:
     StorageError
         If there is no whole file.
     """
-    found: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
-    return found
+    request: dict[str, Any] = _first_whole(path, _said)[0]["asked"]
+    return request
 
 
 def read_record(path: Path) -> Record:
@@ -309,13 +309,13 @@ def _read(path: Path, states: Path) -> Record:
     width = 8 * (2 * len(said["asked"]["q0"]) + 1 + said["asked"].get("recorded", 0))
     size = said["stored"] * width
     with open(states, "rb") as file:
-        found = _digest_of(file, size)
+        checksum = _digest_of(file, size)
         whole = file.tell() == size
         file.seek(max(0, size - width))
         last = np.frombuffer(file.read(width), dtype="<f8")
-    if not whole or found.hexdigest() != said["states"]:
+    if not whole or checksum.hexdigest() != said["states"]:
         raise ValueError("the states beside it are damaged")
-    return Record(said["asked"], said["position"], workspace, said["stored"], found, last)
+    return Record(said["asked"], said["position"], workspace, said["stored"], checksum, last)
 
 
 def _sync(folder: Path) -> None:

@@ -58,8 +58,8 @@ def chosen_run(
 
     if names is not None:  # before anything is computed
         _check_names(program, spec, names)
-    run, last, found = by_pieces(program, spec, take, progress)
-    columns = [np.concatenate(parts) for parts in zip(*found, strict=True)]
+    run, last, taken = by_pieces(program, spec, take, progress)
+    columns = [np.concatenate(parts) for parts in zip(*taken, strict=True)]
     about: dict[str, Any] = {name: getattr(last, name) for name in ("h", "steps", "status")}
     about |= {"message": last.message, "program": program}
     about |= {"parameter_values": last.parameter_values, "records": tuple(run.records)}

@@ -76,9 +76,9 @@ class EventActions:
         for when, where, known in self._known:
             if where is state and when == t:
                 return known
-        found: Floats = self.rows(np.array([t]), state[0][None], state[1][None])[0]
-        self._known = [(t, state, found), *self._known[:KNOWN]]
-        return found
+        row: Floats = self.rows(np.array([t]), state[0][None], state[1][None])[0]
+        self._known = [(t, state, row), *self._known[:KNOWN]]
+        return row
 
     def values(self, t: float, state: State) -> Floats:
         """Return the expressions of events at a state."""
@@ -113,20 +113,20 @@ class EventActions:
 
     def sizes(self, row: Floats, q: Floats) -> Floats:
         """Return the sizes of terms of which expressions are made, to tell what rounding is."""
-        found = row[[*self._events.sizes]]
+        sizes = row[[*self._events.sizes]]
         for k, first in enumerate(self._events.slopes):
             if first is not None:
-                found[k] = max(found[k], np.abs(row[first : first + len(q)] * q).sum())
-        return found
+                sizes[k] = max(sizes[k], np.abs(row[first : first + len(q)] * q).sum())
+        return sizes
 
     def rounding(self, t: float, state: State) -> Floats:
         """Return by how much expressions change where time and state do by some roundings."""
         n, place = len(state[0]), np.concatenate([[t], *state])
         places = np.tile(place, (len(place) + 1, 1))
         places[1:] += np.diag(ROUNDINGS * place)
-        found = self.rows(places[:, 0], places[:, 1 : n + 1], places[:, n + 1 :])
+        rows = self.rows(places[:, 0], places[:, 1 : n + 1], places[:, n + 1 :])
         with np.errstate(all="ignore"):  # where there is no value, nothing is known
-            changes = np.abs(found[1:, : len(self.impacts)] - found[0, : len(self.impacts)])
+            changes = np.abs(rows[1:, : len(self.impacts)] - rows[0, : len(self.impacts)])
         return np.asarray(np.nan_to_num(changes, nan=0.0, posinf=0.0).sum(axis=0))
 
     def touching(self, values: Floats, small: Floats) -> NDArray[np.bool_]:
@@ -139,15 +139,15 @@ class EventActions:
 
     def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
         """Return which gaps may pass through zero and come back between two states, by rates."""
-        found = []
+        gaps = []
         for k, place in enumerate(self._events.rate):
             if place is not None and min(first[k], last[k]) > small[k]:
                 down, up = span * first[place], span * last[place]
                 ends = first[k], last[k]
                 low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
                 if low < NEAR * min(first[k], last[k]):
-                    found.append(k)
-        return found
+                    gaps.append(k)
+        return gaps
 
     def lowest(
         self, row: Callable[[float], Floats], k: int, span: float, first: Floats, last: Floats
@@ -179,11 +179,11 @@ class EventActions:
             jumped = abs(float(row(x)[k])) > JUMP * (abs(first) + abs(last))
             return float("nan") if jumped else x
         low, high, before = 0.0, span, 0.0
-        a, b = (span * float(one[place]) for one in ends)
+        a, b = (span * float(end[place]) for end in ends)
         x = span * zero_of_cubic.py_func(first, last, a, b, side)
         for _ in range(MOST_NEWTON):
-            found = row(x)
-            value, rate = float(found[k]), float(found[place])
+            values = row(x)
+            value, rate = float(values[k]), float(values[place])
             if not math.isfinite(value):
                 return math.nan
             low, high = (x, high) if value * side > 0 else (low, x)
@@ -351,20 +351,22 @@ def _restitution(program: Program, given: Any, values: Floats) -> Callable[[floa
         number = float(given)
         return lambda _: number
     known = dict(zip(program.parameters, map(float, values), strict=True))
-    own = {symbol: known[str(symbol)] for symbol in given.free_symbols if str(symbol) in known}
-    left = given.subs(own)
+    constants = {
+        symbol: known[str(symbol)] for symbol in given.free_symbols if str(symbol) in known
+    }
+    left = given.subs(constants)
     (speed,) = left.free_symbols or (None,)
 
     def restitution(approach: float) -> float:
         try:
-            found = float(left if speed is None else left.subs(speed, approach))
+            factor = float(left if speed is None else left.subs(speed, approach))
         except TypeError:  # it is not real
-            found = float("nan")
-        if not 0.0 <= found <= 1.0:
+            factor = float("nan")
+        if not 0.0 <= factor <= 1.0:
             raise InputError(
-                f"the restitution {given} is {found:g} at a speed of approach of {approach:g}.\n"
+                f"the restitution {given} is {factor:g} at a speed of approach of {approach:g}.\n"
                 "It must be between 0 (plastic) and 1 (elastic)."
             )
-        return found
+        return factor
 
     return restitution

@@ -51,13 +51,13 @@ class EventRun(Run):
         inputs: NDArray[Any],
         recorders: Sequence[Recorder],
     ) -> None:
-        first = program.header.rows + sum(one.room for one in recorders)
-        own = run_events.watchers(program.header, first)
+        first = program.header.rows + sum(recorder.room for recorder in recorders)
+        watchers = run_events.watchers(program.header, first)
         given = spec.parameters, spec.h, spec.t0, stride, stored
-        super().__init__(program, *given, inputs=inputs, recorders=(*recorders, *own))
+        super().__init__(program, *given, inputs=inputs, recorders=(*recorders, *watchers))
         self._events, self._steps, self._system = run_events, spec.steps, program.system
         self._actions = EventActions(program, spec, run_events)
-        works = any(one.name == "work" for one in recorders)
+        works = any(recorder.name == "work" for recorder in recorders)
         self._parts = Parts(program, spec.parameters, float(spec.h), inputs, works=works)
         signs = [event.sign for event in run_events.events]
         rows = self._column[first : first + WATCHED * len(signs)]
@@ -104,11 +104,11 @@ class EventRun(Run):
     def reduced(self, reductions: Sequence[Reduction]) -> tuple[tuple[str, float], ...]:
         """Return what observed values came to, and how often events acted."""
         known = dict(super().reduced(reductions))
-        names = [self._events.names[one.event] for one in self.records]
-        for one in reductions:
-            if one.kind == OF_EVENTS:
-                known[one.name] = float(names.count(one.expression))
-        return tuple((one.name, known[one.name]) for one in reductions)
+        names = [self._events.names[record.event] for record in self.records]
+        for candidate in reductions:
+            if candidate.kind == OF_EVENTS:
+                known[candidate.name] = float(names.count(candidate.expression))
+        return tuple((reduction.name, known[reduction.name]) for reduction in reductions)
 
     def advance(self, stop: int) -> None:
         """Take steps until ``stop``, failure, or an event that ends the run."""
@@ -132,13 +132,13 @@ class EventRun(Run):
 
     def position(self) -> list[Any]:
         """Return what tells, beside the workspace, where the run is."""
-        return [*super().position(), self.reason, [one.told for one in self.records]]
+        return [*super().position(), self.reason, [record.told for record in self.records]]
 
     def put_back(self, position: Sequence[Any], workspace: Floats) -> None:
         """Go on where another run was."""
         *rest, reason, told = position
         super().put_back(rest, workspace)
-        self.records[:] = [Record.read(one) for one in told]
+        self.records[:] = [Record.read(entry) for entry in told]
         self._look_for_end()
         self.reason = reason
 
@@ -162,8 +162,8 @@ class EventRun(Run):
         step, acted = self.step, len(self.records)
         start, side = self._state(), self.sides.side.copy()
         worked = self._worked.copy()
-        found = self._split(step, start)
-        if found is None:
+        state = self._split(step, start)
+        if state is None:
             self._worked[:] = worked if self.ended_by is None else self._worked
             if self.end_within is not None:  # recorders of states see it
                 t, *end = self.end_within
@@ -183,7 +183,7 @@ class EventRun(Run):
             self._progress[0] += 1
         else:
             self._progress[0] += 1
-            self._go_on(found)
+            self._go_on(state)
             if self._saltation is not None:
                 self._saltation.put(self._variations)
         self._remember()
@@ -227,8 +227,8 @@ class EventRun(Run):
             end, status = self._parts(state, t0 + done, rest, step, done / h)
             if status is not Status.SUCCESS:
                 return self._fail(status)
-            found = self._located(step, t0, done, rest, state, end)
-            if found is None:
+            crossing = self._located(step, t0, done, rest, state, end)
+            if crossing is None:
                 row = self._actions.row(t0 + h, end)
                 values = row[: len(self._value)]
                 if np.isnan(values[self._actions.impacts]).any():
@@ -237,7 +237,7 @@ class EventRun(Run):
                 self.sides.side[:] = self.sides.of(values, self.sides.small)
                 self._flow(state, t0 + done, rest, step, None)
                 return end
-            part, behind, events = found
+            part, behind, events = crossing
             self._flow(state, t0 + done, part, step, events[0])
             state, done = behind, done + part
             state = self._act(t0 + done, step, state, events, times)
@@ -348,12 +348,12 @@ class EventRun(Run):
 
     def _accumulates(self, times: Times) -> bool:
         """Return whether impacts follow each other ever faster: the run ends."""
-        found = accumulation(times, abs(float(self.h)))
-        if found is not None:
-            k, about = found
+        limit = accumulation(times, abs(float(self.h)))
+        if limit is not None:
+            k, about = limit
             why = f"{self._events.names[k]!r} acts ever faster up to t={about!r}. "
             self._fail(Status.EVENTS_ACCUMULATE, why)
-        return found is not None
+        return limit is not None
 
     def _look_for_end(self) -> bool:
         """Look whether an event has ended the run."""
@@ -369,7 +369,7 @@ class EventRun(Run):
         t, state = float(self._time()), self._state()
         here = np.abs(self._actions.values(t, state)) <= self.sides.small_at(t, state)
         near = TOGETHER * max(abs(t), abs(float(self.h)))
-        here[[one.event for one in self.records if abs(one.t - t) <= near]] = False
+        here[[record.event for record in self.records if abs(record.t - t) <= near]] = False
         events = np.flatnonzero(here & self.sides.acts(-self.sides.side)).tolist()
         if events:
             self._act_here(t, self.step, state, events)
@@ -378,14 +378,14 @@ class EventRun(Run):
         """Let events act on the state where the run is, which is one of the grid."""
         if self._saltation is not None:
             self._saltation.begin(self._variations)
-        found = self._act(t, step, state, events, {})
-        if found is None and self.end_within is not None:
-            found = self.end_within[1:]
-        if found is not None:
-            self._go_on(found)
+        new_state = self._act(t, step, state, events, {})
+        if new_state is None and self.end_within is not None:
+            new_state = self.end_within[1:]
+        if new_state is not None:
+            self._go_on(new_state)
             if self._saltation is not None:
                 if self.ended_by is None:
-                    self._saltation.settle(t, found, step)
+                    self._saltation.settle(t, new_state, step)
                 self._saltation.put(self._variations)
             if self.every and self._progress.item(0) % self.every == 0:
                 self.store(self._progress.item(0) // self.every)

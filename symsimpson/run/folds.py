@@ -50,8 +50,8 @@ def independence_of(pivots: Reals) -> NDArray[np.float64]:
     """
     # roots, as sizes of slopes are; each relative to its largest, since units may differ
     sizes = np.sqrt(np.maximum(pivots.astype(np.float64), 0.0))
-    found: NDArray[np.float64] = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
-    return found
+    independence: NDArray[np.float64] = (sizes / sizes.max(axis=-2, keepdims=True)).min(axis=-1)
+    return independence
 
 
 def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -61,8 +61,8 @@ def close(independence: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def first_states(trajectory: Trajectory, count: int) -> dict[str, Any]:
     """Return so many of the stored states of a run, with all that it has beside each."""
-    found = {name: getattr(trajectory, name) for name in BY_STATE}
-    some = {name: rows[:count] for name, rows in found.items() if rows is not None}
+    columns = {name: getattr(trajectory, name) for name in BY_STATE}
+    some = {name: rows[:count] for name, rows in columns.items() if rows is not None}
     recorded = tuple((name, rows[:count]) for name, rows in trajectory.recorded_values)
     return {**some, "recorded_values": recorded}
 

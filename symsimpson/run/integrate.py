@@ -68,7 +68,7 @@ def integrate(
         if spec.t_end is not None:
             stored = min(stored, ROOM + 1)
         if checkpoint is not None:
-            width = sum(one.rows for one in _recorders(program, spec))
+            width = sum(recorder.rows for recorder in _recorders(program, spec))
             stored = buffered(stride, stored, 2 * program.n + width)
         run = new_run(program, spec, stride, stored)
         begin_run(program, run, spec)

@@ -59,8 +59,10 @@ class Jumps:
         self._n, self._events, self._plain = n, run_events, plain
         self._names, self._parameters = tuple(program.header.parameters), parameters
         graph = plain.graph
-        self._texts = [compile(one.text, "<event>", "eval") for one in run_events.watched]
-        self._energetic = [one.energetic for one in run_events.watched]
+        self._texts = [
+            compile(expression.text, "<event>", "eval") for expression in run_events.watched
+        ]
+        self._energetic = [expression.energetic for expression in run_events.watched]
         self._mass = [(i, j, plain.entry(i, j)) for i in range(n) for j in range(n)]
         self._held = [
             gradient(graph, phi, plain.numbers(plain.q)) for phi in plain.constraints.values()
@@ -75,14 +77,14 @@ class Jumps:
 
     def ways(self, moved: Floats, columns: Floats, varied: Sequence[str]) -> list[list[Any]]:
         """Return variations of points: of the time, the state, and of parameters by the last."""
-        found, count = [], columns.shape[1]
+        variations, count = [], columns.shape[1]
         for j in range(count):
-            own = np.zeros(len(self._parameters))
+            direction = np.zeros(len(self._parameters))
             name = varied[j - count] if count - j <= len(varied) else ""
             if name in self._names:
-                own[self._names.index(name)] = 1.0
-            found.append([mp.mpf(float(x)) for x in (moved[j], *columns[:, j], *own)])
-        return found
+                direction[self._names.index(name)] = 1.0
+            variations.append([mp.mpf(float(x)) for x in (moved[j], *columns[:, j], *direction)])
+        return variations
 
     def value(self, k: int, z: Sequence[Any]) -> Any:
         """Return an expression at a point."""
@@ -125,8 +127,8 @@ class Jumps:
         for i, j, (c, node) in self._mass:
             if i in momenta and j in momenta:
                 M[given.index(i), given.index(j)] = _times(c, at[node])
-        found = mp.lu_solve(M, mp.matrix([momenta[a] - base[a] for a in given]))
-        for a, x in zip(given, found, strict=True):
+        solution = mp.lu_solve(M, mp.matrix([momenta[a] - base[a] for a in given]))
+        for a, x in zip(given, solution, strict=True):
             v[a] = x
         return v
 
@@ -174,10 +176,10 @@ class Jumps:
 
     def _momentum(self, at: dict[int, Any], v: Sequence[Any]) -> list[Any]:
         """Return M v + a."""
-        found = [_times(c, at[n]) for c, n in self._plain.a]
+        momentum = [_times(c, at[n]) for c, n in self._plain.a]
         for i, j, (c, node) in self._mass:
-            found[i] += _times(c, at[node]) * v[j]
-        return found
+            momentum[i] += _times(c, at[node]) * v[j]
+        return momentum
 
     def _velocity(self, at: dict[int, Any], p: Sequence[Any]) -> Any:
         """Return M^-1 (p - a)."""

@@ -50,13 +50,13 @@ def by_pieces(
     begin_run(program, run, spec)
     look_at_step(program, run, spec)
     stride = STRIDE if spec.t_end is not None else sampling_stride(program, count)
-    found, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.recorded))]
+    taken, seen = [], [tuple(x[:1, ..., 0].copy() for x in (run.q, run.p, run.recorded))]
     if not count:
-        found.append(take(_piece(program, run, spec), 0))
+        taken.append(take(_piece(program, run, spec), 0))
     with run.watched(count, progress if spec.t_end is None else bool(progress)):
         while run.step < count and run.alive:
             run.advance(min(run.step + piece, count))
-            found.append(take(_piece(program, run, spec), run.first))
+            taken.append(take(_piece(program, run, spec), run.first))
             if stride:  # states to look at, behind those of the piece before
                 first = stride - run.first % stride
                 here = slice(first, run.step - run.first + 1, stride)
@@ -68,12 +68,12 @@ def by_pieces(
     stored = q, p, np.zeros(0, dtype=np.int64), kept
     last = trajectory_of(program, run, count, run.status, spec, stored, 0)
     if run.arrived and last.success:
-        found.append(take(_piece(program, run, spec, last), run.step))
+        taken.append(take(_piece(program, run, spec, last), run.step))
     if stride and run.status is not Status.INTERRUPTED and count:
         last = verdict(program, run, last, stored)
         sign, slack = (1 if spec.h > 0 else -1), abs(spec.h) * SLACK
-        found = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in found]
-    return run, last, found
+        taken = [tuple(x[sign * (part[0] - last.t[-1]) <= slack] for x in part) for part in taken]
+    return run, last, taken
 
 
 def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = None) -> Trajectory:
@@ -87,7 +87,7 @@ def _piece(program: Program, run: Run, spec: RunSpec, end: Trajectory | None = N
         columns = tuple(np.concatenate([x[-1:], y]) for x, y in zip(columns, ends, strict=True))
     t, tau, q, p = columns
     first = run.step if end is not None else run.first
-    acted = (one.since(first) for one in run.records if one.step >= first)
+    acted = (record.since(first) for record in run.records if record.step >= first)
     return Trajectory(
         t=t,
         q=q,

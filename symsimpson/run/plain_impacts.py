@@ -32,9 +32,9 @@ def plain_restitution(program: Program, run_events: RunEvents, spec: RunSpec) ->
     Constraints, variations and changes are Python's; so are impacts without restitution, of which
     many may act at one time. Then it is None.
     """
-    numbers = [constant_restitution(program, one, spec.parameters) for one in run_events.events]
+    numbers = [constant_restitution(program, event, spec.parameters) for event in run_events.events]
     fine = all(e is not None and 0.0 < e <= 1.0 and (spec.h > 0 or e == 1.0) for e in numbers)
-    free = not any(one.terminal for one in run_events.events)
+    free = not any(event.terminal for event in run_events.events)
     held = program.header.constraints or spec.tangents is not None
     return np.array(numbers, dtype=np.float64) if fine and free and not held else None
 
@@ -65,15 +65,15 @@ class PlainImpacts:
         first: int,
         records: list[Record],
     ) -> None:
-        header, numbers, found = program.header, program.numbers, run_events
+        header, numbers, events = program.header, program.numbers, run_events
         iterated = header.newton_unknowns > 0
         self._driver = numbers.driver("take_bouncing", iterated=iterated)
         self._parting = parts.parting
-        addresses, W = observer(program, found.watched, parts.parameters)
-        self._looking = addresses, W, header.told, len(found.watched)
-        when = [-1 if place is None else place for place in found.when]
-        signs = [event.sign for event in found.events]
-        columns = found.rate, found.slopes, when, found.sizes, signs
+        addresses, W = observer(program, events.watched, parts.parameters)
+        self._looking = addresses, W, header.told, len(events.watched)
+        when = [-1 if place is None else place for place in events.when]
+        signs = [event.sign for event in events.events]
+        columns = events.rate, events.slopes, when, events.sizes, signs
         places = np.array([*zip(*columns, strict=True)], dtype=np.int64)
         self._count, self._told = np.zeros(1, dtype=np.int64), records
         self._records = np.zeros((ROOM, STATES_OF + 4 * header.n))
@@ -101,4 +101,4 @@ class PlainImpacts:
         impulses = rows[:, IMPULSE].tolist()
         # there may be many
         every = zip(*numbers, *states, repeat(-1), impulses, repeat(False))
-        return [Record(*one) for one in every]
+        return [Record(*fields) for fields in every]

@@ -162,8 +162,8 @@ def energies_at(
     """Evaluate the energy at some of the states q, p, in the workspace of a run that is over."""
     t = run.t0 + run.h * np.minimum(places * run.every, steps)  # the last may stand behind a stride
     states = t, q[places], p[places]
-    found = evaluate_in(run.W, program, "energy", "ENERGY", 2, states)
-    total, kinetic = np.asarray(found, dtype=np.float64).T
+    energies = evaluate_in(run.W, program, "energy", "ENERGY", 2, states)
+    total, kinetic = np.asarray(energies, dtype=np.float64).T
     if run.header.retimed:  # K = g (H - E0) is what does not drift
         rate = np.asarray(evaluate_in(run.W, program, "energy", "RATE", 1, states), float)[:, 0]
         total, kinetic = total[0] + rate * (total - total[0]), rate * kinetic
@@ -227,8 +227,8 @@ def look_at_energy(
     """
     last, steps = len(q) - 1, trajectory.steps
     if not program.header.real_everywhere:
-        found = energies_at(program, run, steps, q, p, np.arange(last + 1))
-        return _explained(found, program, run, trajectory, q, p)
+        energies = energies_at(program, run, steps, q, p, np.arange(last + 1))
+        return _explained(energies, program, run, trajectory, q, p)
     few = count_looked_at(program, last)
     if not few:
         return None
@@ -240,8 +240,8 @@ def look_at_energy(
         if steady(energy, setting, (run.q, run.p), (last, few, LIMIT), rate):
             return None
     places = np.arange(few + 1) * last // few
-    found = energies_at(program, run, steps, q, p, places)
-    return _explained(found, program, run, trajectory, q, p)
+    energies = energies_at(program, run, steps, q, p, places)
+    return _explained(energies, program, run, trajectory, q, p)
 
 
 def _explained(

@@ -76,11 +76,11 @@ class Saltation:
                 f"{program.system}: derivatives of a run with events do not go with inputs that "
                 "vary within a step.\nGive one value for each step."
             )
-        own = program.header.varied_by or ()
+        varied = program.header.varied_by or ()
         by = ("h",) if program.header.autonomous else ("h", "t")
-        self._program, self._by = varied_program(program, (*own, *by)), by
+        self._program, self._by = varied_program(program, (*varied, *by)), by
         self._events, self._parameters = run_events, parameters
-        self._h, self._inputs, self._own = h, inputs, own
+        self._h, self._inputs, self._own = h, inputs, varied
         self._jumps = Jumps(program, run_events, parameters)
         self.columns, self.moved = np.zeros((2 * program.n, 0)), np.zeros(0)
         #: The event whose time it is that has come.
@@ -140,8 +140,8 @@ class Saltation:
         with workdps(DIGITS):
             at = self._jumps.point(t, *state)
             ways = self._jumps.ways(self.moved, self.columns, self._own)
-            found = [slope(lambda z: self._jumps.act(event, z), at, way) for way in ways]
-        self.columns = np.array(found, dtype=np.float64).T.reshape(self.columns.shape)
+            slopes = [slope(lambda z: self._jumps.act(event, z), at, way) for way in ways]
+        self.columns = np.array(slopes, dtype=np.float64).T.reshape(self.columns.shape)
 
     def _later(
         self, event: int, t: float, end: State, columns: Floats, by_length: Floats, mean: Any
@@ -153,8 +153,8 @@ class Saltation:
         at = self._jumps.point(t, *end)
         value: Callable[[Any], Any] = lambda z: [self._jumps.value(event, z)]  # noqa: E731
         ways = self._jumps.ways(self.moved, columns, self._own)
-        (own,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
-        (rate,) = slope(value, at, own)
+        (motion,) = self._jumps.ways(np.ones(1), by_length[:, None], ())
+        (rate,) = slope(value, at, motion)
         if abs(rate) <= GRAZED * abs(mean):
             warn(
                 f"{self._program.system}: at t={t:g} {self._events.names[event]!r} is grazed: the "
@@ -173,16 +173,16 @@ class Saltation:
         program, count = self._program, self.columns.shape[1]
         n, more = program.n, len(self._by)
         held = since(self._inputs, min(step, self._inputs.shape[1] - 1))[:, :1]
-        own = (tangents(program.header, count + more),)
-        run = Run(program, self._parameters, size, t, 0, 1, inputs=held, recorders=own)
+        recorders = (tangents(program.header, count + more),)
+        run = Run(program, self._parameters, size, t, 0, 1, inputs=held, recorders=recorders)
         run.begin(*state, velocity=False)
         run.rows("TANGENTS", 1)[:] = count + more
         begun = np.concatenate([self.columns, np.zeros((2 * n, more))], axis=1)
         run.rows("TANGENT", begun.size)[:] = begun.T.ravel()
         run.advance(1)
-        found = run.left().reshape(count + more, 2 * n).T
+        columns = run.left().reshape(count + more, 2 * n).T
         if not run.alive:
-            found = np.full_like(found, np.nan)
-        by_time = found[:, count + 1] if more > 1 else np.zeros(2 * n)
+            columns = np.full_like(columns, np.nan)
+        by_time = columns[:, count + 1] if more > 1 else np.zeros(2 * n)
         q, p = (x[0] for x in run.end())
-        return found[:, :count], found[:, count], by_time, (q, p)
+        return columns[:, :count], columns[:, count], by_time, (q, p)

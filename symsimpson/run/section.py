@@ -24,10 +24,10 @@ def poincare(
     """
     read_failure(on_failure)
     spec = read_run(program, request)
-    run, last, found = by_pieces(
+    run, last, crossings = by_pieces(
         program, spec, lambda piece, before: zeros(piece, wanted, begins=before == 0), progress
     )
-    events = gather(last, wanted, found)
+    events = gather(last, wanted, crossings)
     if not last.success and on_failure == "raise":
         raise_failure(run, last, events)
     return events

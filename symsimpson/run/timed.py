@@ -65,8 +65,10 @@ def timed_run(
     begun = integrate(
         program, replace(plain, steps=0, t_end=None, every=1), None, None, False, "raise"
     )
-    found = _Derivatives(program, moving, names, wanted, begun, run, spec.velocities, fixed_steps)
-    return replace(run, variations=found.tangents(), varied_by=names)
+    derivatives = _Derivatives(
+        program, moving, names, wanted, begun, run, spec.velocities, fixed_steps
+    )
+    return replace(run, variations=derivatives.tangents(), varied_by=names)
 
 
 @dataclass(frozen=True)
@@ -112,9 +114,9 @@ class _Derivatives:
         states = np.concatenate([whole.q, whole.p], axis=1)
         first = 0 if run.every else len(states) - 1
         rates = self._rates(whole)
-        found = [self._held(ways[k], rates[k], start) for k in range(first, len(states))]
+        variations = [self._held(ways[k], rates[k], start) for k in range(first, len(states))]
         part = run.tau[-1] - h * run.steps
-        if len(found) < len(run) or (run.every is None and part != 0):
+        if len(variations) < len(run) or (run.every is None and part != 0):
             rest = run.steps % every
             z, way = states[-1], ways[-1]
             if rest:
@@ -127,8 +129,8 @@ class _Derivatives:
                 last = self._held(self._joined(more, way), by_size, start)
             else:  # less than rounding: the end is that of the whole steps
                 last = self._held(way, self._rates(self._here(z))[0], start)
-            found = [last] if run.every is None else [*found, last]
-        result: Reals = np.array(found)
+            variations = [last] if run.every is None else [*variations, last]
+        result: Reals = np.array(variations)
         return result
 
     def _steps(self, z: Reals, h: Any, steps: int, every: int, columns: Reals) -> Trajectory:
@@ -211,5 +213,5 @@ class _Derivatives:
         change = way @ start
         if not self.fixed_steps:
             change = change - np.outer(moved, change[-1] / moved[-1])
-        found: Reals = np.concatenate([change[:n], change[n + 1 : -1]])
-        return found
+        variations: Reals = np.concatenate([change[:n], change[n + 1 : -1]])
+        return variations
