@@ -76,9 +76,9 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     try:
         if kind == ".nc":
             with xarray.open_dataset(where, engine="netcdf4", decode_times=False) as opened:
-                found = opened.load()
+                dataset = opened.load()
         else:
-            found = xarray.open_zarr(
+            dataset = xarray.open_zarr(
                 where, chunks=None, consolidated=False, decode_times=False
             ).load()
     except Exception as error:  # whatever a damaged file makes the libraries raise
@@ -86,9 +86,9 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             f"{where}: the file cannot be read: {str(error)[:200]}.\n"
             "It is damaged, or no trajectory."
         ) from None
-    missing = [name for name in VARIABLES if name not in found]
-    missing += [name for name in ATTRIBUTES if name not in found.attrs]
-    if missing and all(name in found.attrs for name in RESULT):
+    missing = [name for name in VARIABLES if name not in dataset]
+    missing += [name for name in ATTRIBUTES if name not in dataset.attrs]
+    if missing and all(name in dataset.attrs for name in RESULT):
         raise StorageError(
             f"{where}: this is a result of symsimpson, but no run that could go on: states at "
             f"chosen times, chosen quantities or zeros. It has no {missing[0]!r}.\nRead it with "
@@ -101,10 +101,10 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             "Open it with xarray to see what it holds."
         )
     try:
-        text = np.asarray(found["module"], dtype=np.uint8).tobytes().decode()
+        text = np.asarray(dataset["module"], dtype=np.uint8).tobytes().decode()
         program = read_program(text, os.fspath(where))
-        run = _trajectory(found, program)
-        if digest_of(run) != found.attrs["sha256"]:
+        run = _trajectory(dataset, program)
+        if digest_of(run) != dataset.attrs["sha256"]:
             raise ValueError("its content does not have the digest that it names")
         return run
     except (StaleKernelError, InputError):
@@ -115,23 +115,23 @@ def open_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         ) from None
 
 
-def _trajectory(found: Any, program: Program) -> Trajectory:
+def _trajectory(dataset: Any, program: Program) -> Trajectory:
     """Put a trajectory together, of which all parts must fit."""
-    about = found.attrs
-    t = np.asarray(found["time"], dtype=np.float64)
-    q, p = (np.ascontiguousarray(found[name], dtype=np.float64) for name in "qp")
+    about = dataset.attrs
+    t = np.asarray(dataset["time"], dtype=np.float64)
+    q, p = (np.ascontiguousarray(dataset[name], dtype=np.float64) for name in "qp")
     values = np.atleast_1d(np.asarray(about["parameter_values"], dtype=np.float64))
-    iterations = np.asarray(found["newton_iterations"], dtype=np.int64)
+    iterations = np.asarray(dataset["newton_iterations"], dtype=np.int64)
     h, steps, every = float(about["h"]), int(about["steps"]), int(about["every"])
     stored = steps // every + 1 if every > 0 else 1
     tau, retimed = t - t[0], program.header.retimed
     told: dict[str, Any] = {"names": [], "ended_by": None, "records": []}
-    if EVENTS in found:
-        told = json.loads(np.asarray(found[EVENTS], dtype=np.uint8).tobytes().decode())
+    if EVENTS in dataset:
+        told = json.loads(np.asarray(dataset[EVENTS], dtype=np.uint8).tobytes().decode())
     if told["ended_by"] is not None:  # within a step
         stored += int(every > 0 and len(t) == stored + 1)
     if retimed:
-        tau = np.asarray(found["tau"], dtype=np.float64)
+        tau = np.asarray(dataset["tau"], dtype=np.float64)
         stored += int(every > 0 and len(tau) == stored + 1)  # the end, behind part of a step
     shapes = (t.shape, q.shape, p.shape, iterations.shape, values.shape)
     wanted = (
@@ -145,8 +145,8 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         raise ValueError(f"arrays have shapes {shapes}, not {wanted}")
     whole = steps // every + 1 if every > 0 else 0
     exact = t[0] * (not retimed) + h * every * np.arange(whole)
-    own = (tau if retimed else t)[:whole]
-    if not np.abs(own - exact).max(initial=0) <= 16 * np.finfo(float).eps * np.abs(exact).max(
+    grid = (tau if retimed else t)[:whole]
+    if not np.abs(grid - exact).max(initial=0) <= 16 * np.finfo(float).eps * np.abs(exact).max(
         initial=0
     ):
         raise ValueError("times are not steps apart")
@@ -154,22 +154,22 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         raise ValueError("times do not go on")
     inputs = NO_INPUTS
     if program.inputs:
-        inputs = np.ascontiguousarray(found["inputs"], dtype=np.float64)[None]
+        inputs = np.ascontiguousarray(dataset["inputs"], dtype=np.float64)[None]
         if inputs.shape[1] not in (1, steps) or inputs.shape[3] != len(program.inputs):
             raise ValueError(f"inputs have shape {inputs.shape[1:]}")
         if inputs.shape[2] not in (1, len(program.header.input_places)):
             raise ValueError(f"inputs have {inputs.shape[2]} nodes")
     ways = varied = None
-    if "variations" in found:
-        ways = np.ascontiguousarray(found["variations"], dtype=np.float64)
+    if "variations" in dataset:
+        ways = np.ascontiguousarray(dataset["variations"], dtype=np.float64)
         if ways.ndim != 3 or ways.shape[:2] != (stored, 2 * program.n):
             raise ValueError(f"variations have shape {ways.shape}")
         if "varied_by" in about:
             varied = tuple(x for x in np.atleast_1d(about["varied_by"]).tolist() if x)
     reduced = json.loads(str(about.get("reduced", "[]")))
     recorded = [
-        (name.removeprefix(RECORDED), np.ascontiguousarray(found[name], dtype=np.float64))
-        for name in map(str, found)
+        (name.removeprefix(RECORDED), np.ascontiguousarray(dataset[name], dtype=np.float64))
+        for name in map(str, dataset)
         if name.startswith(RECORDED)
     ]
     for name, rows in recorded:
@@ -193,7 +193,7 @@ def _trajectory(found: Any, program: Program) -> Trajectory:
         varied_by=varied,
         recorded_values=tuple(recorded),
         reduced_values=tuple((str(k), float(x)) for k, x in reduced),
-        records=tuple(Record.read(one) for one in told["records"]),
+        records=tuple(Record.read(entry) for entry in told["records"]),
         event_names=tuple(told["names"]),
         ended_by=told["ended_by"],
     )

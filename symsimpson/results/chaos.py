@@ -72,8 +72,8 @@ class Chaos:
         return plot_exponents(self, ax=ax)
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{x:.4g}" for x in self.exponents)
-        return f"Chaos(exponents {found}; t = {self.t[-1]:g}, megno {self.megno[-1]:.4g})"
+        exponents = ", ".join(f"{x:.4g}" for x in self.exponents)
+        return f"Chaos(exponents {exponents}; t = {self.t[-1]:g}, megno {self.megno[-1]:.4g})"
 
 
 def chaos_of(program: Program, kept: Floats, trajectory: Trajectory, count: int) -> Chaos:

@@ -62,9 +62,9 @@ class Differentiated:
         (51, 2)
         """
         names = self._names_varied
-        found = self._carried("sensitivities='l'")
-        first = found.shape[-1] - len(names)
-        return {name: found[..., first + j] for j, name in enumerate(names)}
+        variations = self._carried("sensitivities='l'")
+        first = variations.shape[-1] - len(names)
+        return {name: variations[..., first + j] for j, name in enumerate(names)}
 
     def _carried(self, how: str) -> NDArray[Any]:
         if self.variations is None:

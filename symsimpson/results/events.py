@@ -94,7 +94,7 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
     names = program.names.coordinates
     several = isinstance(wrap, (tuple, list, set, frozenset))
     given = program.coordinates if wrap is True else wrap if several else [wrap] if wrap else []
-    places = [names.place(one) for one in given]
+    places = [names.place(coordinate) for coordinate in given]
     if None in places:
         unknown = spelled(list(given)[places.index(None)])
         raise InputError(
@@ -102,15 +102,15 @@ def read_zeros(program: Program, expression: Any, direction: int, wrap: Any) -> 
             f"The system has {', '.join(names.shown)}; True wraps all."
         )
     wrapped = tuple(place for place in places if place is not None)
-    found = read_expression(program, expression, wrapped)
-    refuse_constant(found, found.expression)
-    if found.rest:
+    query = read_expression(program, expression, wrapped)
+    refuse_constant(query, query.expression)
+    if query.rest:
         raise InputError(
-            f"{found.expression} is a rest alone, which jumps back to 0 and never changes its sign."
+            f"{query.expression} is a rest alone, which jumps back to 0 and never changes its sign."
             "\nWrite where it is to be: Mod(q1, 2*pi) - pi has a zero in each turn at q1 = pi, "
             "Mod(q1 + pi, 2*pi) - pi at q1 = 0."
         )
-    return found, int(direction)
+    return query, int(direction)
 
 
 def find_events(run: Stored, expression: Any, direction: int, wrap: Any) -> Events:
@@ -119,11 +119,11 @@ def find_events(run: Stored, expression: Any, direction: int, wrap: Any) -> Even
     return gather(run, wanted, [zeros(run, wanted)])
 
 
-def gather(run: Stored, wanted: Zeros, found: Sequence[tuple[Floats, ...]]) -> Events:
+def gather(run: Stored, wanted: Zeros, crossings: Sequence[tuple[Floats, ...]]) -> Events:
     """Put zeros together that were found one after the other."""
     n = run.program.n
     none = np.zeros(0), np.zeros((0, n)), np.zeros((0, n)), np.zeros(0)
-    t, q, p, direction = (np.concatenate(parts) for parts in zip(none, *found, strict=True))
+    t, q, p, direction = (np.concatenate(parts) for parts in zip(none, *crossings, strict=True))
     for a in wanted[0].wrapped:
         q[:, a] -= TURN * np.floor(q[:, a] / TURN + 0.5)
     return Events(
@@ -158,8 +158,11 @@ def zeros(run: Stored, sought: Zeros, *, begins: bool = True) -> tuple[Floats, .
     begin = np.arange(len(times) - 1)
     passing = np.flatnonzero((turns[1:] != turns[:-1]).any(axis=1))
     start, turn = np.append(begin, passing), np.concatenate([turns[:-1], turns[passing + 1]])
-    own = value(times, positions, momenta, turns)  # each state in its own turn
-    first, last = np.append(own[:-1], own[passing]), np.append(own[1:], own[passing + 1])
+    values = value(times, positions, momenta, turns)  # each state in its own turn
+    first, last = (
+        np.append(values[:-1], values[passing]),
+        np.append(values[1:], values[passing + 1]),
+    )
     if passing.size:  # an interval has one turn for both of its ends
         new, end = np.arange(len(begin), len(start)), passing + 1
         first[new] = value(times[passing], positions[passing], momenta[passing], turn[new])

@@ -43,9 +43,9 @@ class Gradient(tuple[Any, Reals]):
     def __new__(cls, value: Any, parts: Mapping[str, Reals]) -> Gradient:
         """Join the parts."""
         flat = [np.ravel(part) for part in parts.values()]
-        made = super().__new__(cls, (value, np.concatenate(flat) if flat else np.zeros(0)))
-        made.parts = dict(parts)
-        return made
+        gradient = super().__new__(cls, (value, np.concatenate(flat) if flat else np.zeros(0)))
+        gradient.parts = dict(parts)
+        return gradient
 
     def __getnewargs__(self) -> tuple[Any, dict[str, Reals]]:
         return self.value, self.parts

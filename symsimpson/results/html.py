@@ -49,17 +49,17 @@ def states(some: Any) -> str:
     return box(repr(some), facts(_drawn(some)))
 
 
-def events(found: Any) -> str:
+def events(crossings: Any) -> str:
     """Show the states in which something happens."""
-    rows: list[tuple[str, Any]] = [("zeros of", found.expression)]
-    if found.status is not Status.SUCCESS:
-        rows.append(("the run", verdict(found.message, False)))
-    if len(found) > 1:
+    rows: list[tuple[str, Any]] = [("zeros of", crossings.expression)]
+    if crossings.status is not Status.SUCCESS:
+        rows.append(("the run", verdict(crossings.message, False)))
+    if len(crossings) > 1:
         rows += [
-            (f"{q} and p_{q}", scatter(found[q], found[f"p_{q}"]))
-            for q in found.program.coordinates[:DRAWN]
+            (f"{q} and p_{q}", scatter(crossings[q], crossings[f"p_{q}"]))
+            for q in crossings.program.coordinates[:DRAWN]
         ]
-    return box(repr(found), facts(rows))
+    return box(repr(crossings), facts(rows))
 
 
 def trajectory(run: Any) -> str:
@@ -93,26 +93,26 @@ def _drawn(some: Any) -> list[tuple[str, Any]]:
     return [(name, curves(some.t, [some[name]])) for name in names]
 
 
-def ensemble(found: Any) -> str:
+def ensemble(members: Any) -> str:
     """Show the outcome of many runs, with pictures of their ends."""
-    names = found.program.coordinates
-    good = bool((found.status == Status.SUCCESS).all())
+    names = members.program.coordinates
+    good = bool((members.status == Status.SUCCESS).all())
     rows: list[tuple[str, Any]] = [
-        ("scheme", f"{found.program.scheme}, order {found.program.order}"),
-        ("members", len(found)),
-        ("to t", f"{np.nanmax(found.t):g}, {found.stored} states of each stored"),
-        ("status", verdict(found.message, good)),
+        ("scheme", f"{members.program.scheme}, order {members.program.order}"),
+        ("members", len(members)),
+        ("to t", f"{np.nanmax(members.t):g}, {members.stored} states of each stored"),
+        ("status", verdict(members.message, good)),
     ]
-    if found.store is not None:
-        rows.append(("store", found.store))
-    elif len(found) > 1:
-        last = found.q[:, -1] if found.q.ndim == 3 else found.q
+    if members.store is not None:
+        rows.append(("store", members.store))
+    elif len(members) > 1:
+        last = members.q[:, -1] if members.q.ndim == 3 else members.q
         x, y = (last[:, 0], last[:, 1]) if len(names) > 1 else (np.arange(len(last)), last[:, 0])
         what = f"{names[1]} over {names[0]}" if len(names) > 1 else f"{names[0]} of each member"
         rows.append((f"ends: {what}", scatter(x, y)))
-    for name, values in found.reduced.items():
+    for name, values in members.reduced.items():
         rows.append((name, curves(np.arange(len(values)), [np.sort(values)])))
-    return box(f"Ensemble of {found.program.system}", facts(rows))
+    return box(f"Ensemble of {members.program.system}", facts(rows))
 
 
 def verdict(text: str, good: bool) -> Markup:

@@ -133,7 +133,7 @@ class DenseOutput:
         if not self._run.records:
             return self._after_states(start, later)
         asked, sign = np.asarray(self._run.t[start] + later, dtype=float), self._sign
-        acted = sign * np.array([one.t for one in self._run.records])
+        acted = sign * np.array([record.t for record in self._run.records])
         last = np.searchsorted(acted, sign * asked, side="right") - 1
         behind = (last >= 0) & (acted[last] >= sign * np.asarray(self._run.t[start], dtype=float))
         q, p = np.zeros((2, len(start), self._run.program.n))

@@ -57,15 +57,15 @@ class Part(States):
     def __getattr__(self, name: str) -> Any:
         if name not in ROWS:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        found = getattr(self._run, name)
-        if isinstance(found, dict):
-            return {key: rows[self._places] for key, rows in found.items()}
-        return found[self._places]
+        values = getattr(self._run, name)
+        if isinstance(values, dict):
+            return {key: rows[self._places] for key, rows in values.items()}
+        return values[self._places]
 
     def __getitem__(self, key: Any) -> Any:
         """Return a quantity by its name, shape (N,), or some of the states."""
-        found = super().__getitem__(key)
-        return found if isinstance(found, np.ndarray) else part_of(self._run, self._places, key)
+        item = super().__getitem__(key)
+        return item if isinstance(item, np.ndarray) else part_of(self._run, self._places, key)
 
     def at(self, t: ArrayLike) -> States:
         """Return the states at any times of the whole run, as :meth:`Trajectory.at`."""

@@ -31,13 +31,13 @@ class Quantities:
 
     def _of_table(self, name: str) -> NDArray[Any]:
         """Return a quantity of the table; its numbers, if there are several, on the last axis."""
-        one = QUANTITIES[name]
-        assert one.kernel is not None
-        shown = one.shown(self.program.names)
+        quantity = QUANTITIES[name]
+        assert quantity.kernel is not None
+        shown = quantity.shown(self.program.names)
         if not shown:
             return np.zeros((*np.shape(self.q)[:-1], 0))
-        found = self._evaluated(one.kernel(self.program.header), one.block, len(shown))
-        return found if one.axis else found[..., 0]
+        values = self._evaluated(quantity.kernel(self.program.header), quantity.block, len(shown))
+        return values if quantity.axis else values[..., 0]
 
     @cached_property
     def v(self) -> NDArray[Any]:
@@ -65,8 +65,8 @@ class Quantities:
         names = self.program.invariants
         if not names:
             return {}
-        found = self._evaluated("invariants", "INVARIANT", len(names))
-        return {name: found[..., i] for i, name in enumerate(names)}
+        values = self._evaluated("invariants", "INVARIANT", len(names))
+        return {name: values[..., i] for i, name in enumerate(names)}
 
     @cached_property
     def points(self) -> dict[str, NDArray[np.float64]]:
@@ -146,22 +146,24 @@ class Quantities:
         names, key = self.program.names, spelled(key)
         if key in names.coordinates.places:
             return np.asarray(self.q[..., names.coordinates.places[key]])
-        if (found := self._own(key)) is not None:
-            return cast(NDArray[Any], found)
-        for one in QUANTITIES.values():
-            place = one.places(names).get(key.removeprefix(one.prefix))
-            if place is not None and key.startswith(one.prefix):
-                return np.asarray(getattr(self, one.name)[..., place])
+        if (values := self._own(key)) is not None:
+            return cast(NDArray[Any], values)
+        for quantity in QUANTITIES.values():
+            place = quantity.places(names).get(key.removeprefix(quantity.prefix))
+            if place is not None and key.startswith(quantity.prefix):
+                return np.asarray(getattr(self, quantity.name)[..., place])
         watched = names.invariants
         if key in watched.places:
             return self.invariants[watched.shown[watched.places[key]]]
-        if key == "t" or key in {one.name for one in SCALARS}:
+        if key == "t" or key in {scalar.name for scalar in SCALARS}:
             return cast(NDArray[Any], getattr(self, key))
         if key in self.points:
             return self.points[key]
-        every = [name for one in QUANTITIES.values() if one.axis for name in one.shown(names)]
+        every = [
+            name for vector in QUANTITIES.values() if vector.axis for name in vector.shown(names)
+        ]
         every += [*watched.shown, *self._own_names(), *self.points, "t"]
-        every += [one.name for one in SCALARS]
+        every += [scalar.name for scalar in SCALARS]
         raise UnknownNameError(
             f"there is no {key!r}.{did_you_mean(key, every)} "
             f"There are {', '.join(every[:-1])} and {every[-1]}."
@@ -169,14 +171,16 @@ class Quantities:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """Return numbers of stored quantities, invariants and points by name, as tables do."""
-        names, found = self.program.names, dict[str, NDArray[Any]]()
-        for one in (*VECTORS, *SCALARS):
-            value = np.asarray(getattr(self, one.name))
-            shown = one.shown(names)
-            found |= {name: value[..., k] if one.axis else value for k, name in enumerate(shown)}
-        found |= self.invariants
+        names, columns = self.program.names, dict[str, NDArray[Any]]()
+        for quantity in (*VECTORS, *SCALARS):
+            value = np.asarray(getattr(self, quantity.name))
+            shown = quantity.shown(names)
+            columns |= {
+                name: value[..., k] if quantity.axis else value for k, name in enumerate(shown)
+            }
+        columns |= self.invariants
         for name, place in self.points.items():
             if place.ndim == self.energy.ndim + 1:  # no body of several corners
                 axes = "xyz"[: place.shape[-1]]
-                found |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
-        return found
+                columns |= {f"{name}_{axis}": place[..., k] for k, axis in enumerate(axes)}
+        return columns

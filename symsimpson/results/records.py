@@ -96,17 +96,17 @@ class Actions(Events):
 def actions_of(run: Any, name: str) -> Actions:
     """Return what an event of a run did, by its name."""
     number = run.event_names.index(name)
-    found = [one for one in run.records if one.event == number]
+    records = [record for record in run.records if record.event == number]
 
     def rows(what: str) -> Floats:
-        values = [getattr(one, what) for one in found]
-        return np.reshape(np.array(values, dtype=np.float64), (len(found), run.program.n))
+        values = [getattr(record, what) for record in records]
+        return np.reshape(np.array(values, dtype=np.float64), (len(records), run.program.n))
 
     return Actions(
-        t=np.array([one.t for one in found]),
+        t=np.array([record.t for record in records]),
         q=rows("q"),
         p=rows("p"),
-        direction=np.array([one.direction for one in found], dtype=np.int64),
+        direction=np.array([record.direction for record in records], dtype=np.int64),
         expression=name,
         status=run.status,
         message=run.message,
@@ -114,21 +114,21 @@ def actions_of(run: Any, name: str) -> Actions:
         parameter_values=run.parameter_values,
         q_after=rows("q_after"),
         p_after=rows("p_after"),
-        impulse=np.array([one.impulse for one in found]),
-        simultaneous=np.array([one.simultaneous for one in found], dtype=np.bool_),
+        impulse=np.array([record.impulse for record in records]),
+        simultaneous=np.array([record.simultaneous for record in records], dtype=np.bool_),
     )
 
 
 def energies_given(run: Any) -> Floats:
     """Return the energy that events gave up to each stored state of a run."""
     program, values = run.program, run.parameter_values
-    t = np.array([one.t for one in run.records])
+    t = np.array([record.t for record in run.records])
     sides = (("q", "p"), ("q_after", "p_after"))
     before, behind = (
         States(
             t=t,
-            q=np.array([getattr(one, q) for one in run.records]),
-            p=np.array([getattr(one, p) for one in run.records]),
+            q=np.array([getattr(record, q) for record in run.records]),
+            p=np.array([getattr(record, p) for record in run.records]),
             program=program,
             parameter_values=values,
         ).energy
@@ -136,5 +136,5 @@ def energies_given(run: Any) -> Floats:
     )
     sign = 1.0 if run.h > 0 else -1.0
     total = np.concatenate([[0.0], np.cumsum(behind - before)])
-    found: Floats = total[np.searchsorted(sign * t, sign * run.t, side="right")]
-    return found
+    energies: Floats = total[np.searchsorted(sign * t, sign * run.t, side="right")]
+    return energies

@@ -26,7 +26,7 @@ from symsimpson.support.names import did_you_mean, spelled
 __all__ = ["Sampled", "Saved"]
 
 #: Quantities that have a number for each coordinate.
-VECTORS = tuple(one.name for one in WITH_COORDINATES)
+VECTORS = tuple(vector.name for vector in WITH_COORDINATES)
 
 
 class WithEvents:
@@ -235,8 +235,8 @@ class Saved(WithEvents, Outcome):
         xarray = library("xarray", "to_xarray", "data")
         variables = {}
         for name, values in self.values.items():
-            own = ("coord",) if name in VECTORS else (f"axis_{name}", f"corner_{name}")
-            variables[name] = ("time", *own[: values.ndim - 1]), values
+            axes = ("coord",) if name in VECTORS else (f"axis_{name}", f"corner_{name}")
+            variables[name] = ("time", *axes[: values.ndim - 1]), values
         places = {"time": self.t, "coord": list(self.program.coordinates)}
         return with_units(xarray.Dataset(variables, places, self._about()), self.program.units)
 

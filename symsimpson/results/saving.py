@@ -25,39 +25,39 @@ def save(run: Stored, path: str | os.PathLike[str]) -> None:
     """Write a trajectory to a file that it can be read from again, or a table of its states."""
 
     def arrays() -> dict[str, Any]:
-        stored = (one.name for one in (*VECTORS, *SCALARS))
-        found = {name: getattr(run, name) for name in ("t", *stored)}
-        return found | {f"point_{name}": x for name, x in run.points.items()}
+        stored = (quantity.name for quantity in (*VECTORS, *SCALARS))
+        columns = {name: getattr(run, name) for name in ("t", *stored)}
+        return columns | {f"point_{name}": x for name, x in run.points.items()}
 
     write(path, "trajectory", arrays, run._table, lambda: _dataset(run), trajectory=run)
 
 
 def _dataset(run: Stored) -> Any:
     """Return an ``xarray.Dataset`` from which the trajectory can be made again."""
-    found = run.to_xarray()
+    dataset = run.to_xarray()
     text = np.frombuffer(run.program.source.encode(), dtype=np.uint8)  # long, for an attribute
-    found["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
+    dataset["module"] = (("byte",), text, {"long_name": "the generated module, a text in UTF-8"})
     if run.event_names:
         text = np.frombuffer(_of_events(run).encode(), dtype=np.uint8)
-        found[EVENTS] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
+        dataset[EVENTS] = (("byte_of_events",), text, {"long_name": "records of events, JSON"})
     if run.input_values.size:
         about = {"long_name": "inputs of steps, at their nodes"}
-        found["inputs"] = (("step", "node", "input"), run.input_values[0], about)
-    found.attrs |= {
+        dataset["inputs"] = (("step", "node", "input"), run.input_values[0], about)
+    dataset.attrs |= {
         "every": run.every or 0,
         "parameter_values": run.parameter_values.tolist(),
         "sha256": digest_of(run),
     }
     for name, rows in run.recorded_values:
-        found[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
+        dataset[f"{RECORDED}{name}"] = (("time", f"{name}_number"), rows)
     if run.reduced_values:
-        found.attrs["reduced"] = json.dumps(run.reduced_values)
+        dataset.attrs["reduced"] = json.dumps(run.reduced_values)
     if run.variations is not None:
         about = {"long_name": "variations of the state, then of what is varied"}
-        found["variations"] = (("time", "state", "variation"), run.variations, about)
+        dataset["variations"] = (("time", "state", "variation"), run.variations, about)
         if run.varied_by is not None:
-            found.attrs["varied_by"] = list(run.varied_by) or [""]
-    return found
+            dataset.attrs["varied_by"] = list(run.varied_by) or [""]
+    return dataset
 
 
 def _of_events(run: Stored) -> str:

@@ -34,18 +34,18 @@ def with_units(data: Any, units: Mapping[str, str]) -> Any:
         key = key.removeprefix("point_")
         if key in units and name != "coord":
             data[name].attrs["units"] = units[key]
-    for name, prefix in ((one.name, one.prefix) for one in VECTORS):
-        own = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
-        if name in data and any(own):
-            data = data.assign_coords({f"units_{name}": ("coord", own)})
-            if len(set(own)) == 1:
-                data[name].attrs["units"] = own[0]
+    for name, prefix in ((vector.name, vector.prefix) for vector in VECTORS):
+        unit_names = [units.get(f"{prefix}{q}", "") for q in data["coord"].values.tolist()]
+        if name in data and any(unit_names):
+            data = data.assign_coords({f"units_{name}": ("coord", unit_names)})
+            if len(set(unit_names)) == 1:
+                data[name].attrs["units"] = unit_names[0]
     return data
 
 
-def attribute_name(name: str, own: str) -> str:
+def attribute_name(name: str, identifier: str) -> str:
     """Return a name if attributes of files may have it, else the name in the module."""
-    return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else own
+    return name if re.fullmatch(r"[^/\x00-\x1f\x7f]*[^/\s\x00-\x1f\x7f]", name) else identifier
 
 
 @explaining()
@@ -257,9 +257,13 @@ class States(Quantities):
         """
         xarray = library("xarray", "to_xarray", "data")
         variables: dict[str, Any] = {
-            one.name: (("time", "coord")[: 1 + bool(one.axis)], getattr(self, one.name), about)
-            for one in (*VECTORS, *SCALARS)
-            for about in [{"long_name": one.doc}]
+            quantity.name: (
+                ("time", "coord")[: 1 + bool(quantity.axis)],
+                getattr(self, quantity.name),
+                about,
+            )
+            for quantity in (*VECTORS, *SCALARS)
+            for about in [{"long_name": quantity.doc}]
         }
         for k, (name, values) in enumerate(self.invariants.items()):
             variables[f"invariant_{k}"] = (("time",), values, {"long_name": name})
@@ -284,8 +288,8 @@ class States(Quantities):
             "order": program.order,
             "digest": program.header.digest,
             **{
-                f"parameter {attribute_name(name, own)}": float(value)
-                for (name, value), own in zip(
+                f"parameter {attribute_name(name, identifier)}": float(value)
+                for (name, value), identifier in zip(
                     self.parameters.items(), program.names.parameters.own, strict=True
                 )
             },

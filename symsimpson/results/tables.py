@@ -100,8 +100,8 @@ def write(
     place = read_path(f"the {what}'s file", path)
     kind = check_kind(place)
     check_folder(place, what, trajectory=trajectory)  # before anything is computed
-    made = arrays()
-    if any(np.asarray(x).dtype == object for x in made.values()):
+    named_arrays = arrays()
+    if any(np.asarray(x).dtype == object for x in named_arrays.values()):
         raise InputError(
             "numbers of many digits do not fit into this kind of file.\n"
             "Keep the arrays q and p in a file of your own."
@@ -112,7 +112,7 @@ def write(
         elif kind == ".zarr":
             dataset().to_zarr(whole, mode="w", consolidated=consolidated, zarr_format=2)
         elif kind == ".npz":
-            np.savez(whole, **made)
+            np.savez(whole, **named_arrays)
         elif kind == ".csv":
             head, rows = csv_of(table())
             np.savetxt(whole, rows, delimiter=",", header=head, comments="", fmt="%.17g")

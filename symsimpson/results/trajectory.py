@@ -92,9 +92,9 @@ class Trajectory(Energies, Differentiated):
 
         As :class:`States`; what the run knows of these states, such as their ``tangent``, stays.
         """
-        found = super().__getitem__(key)
-        if isinstance(found, np.ndarray):
-            return found
+        item = super().__getitem__(key)
+        if isinstance(item, np.ndarray):
+            return item
         from symsimpson.results.part import part_of
 
         return part_of(self, np.arange(len(self)), key)

@@ -65,8 +65,8 @@ def _at_states(run: Stored, arriving: bool) -> Reals:
 def named_parts(program: Program, parts: Reals) -> dict[str, Reals]:
     """Name the columns of forces, and add them up."""
     names = [*program.names.forces.shown, *([CONSTRAINTS] if program.header.carried else [])]
-    own = {name: parts[..., k] for k, name in enumerate(names)}
-    return own | {TOTAL: sum(own.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
+    by_force = {name: parts[..., k] for k, name in enumerate(names)}
+    return by_force | {TOTAL: sum(by_force.values(), np.zeros(parts.shape[:-1], dtype=parts.dtype))}
 
 
 def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
@@ -94,9 +94,9 @@ def integrals(run: Stored) -> tuple[dict[str, Reals], Reals]:
             "\nRecord it: record='work'; or store states on the way: every=1, or every=100."
         )
     work(header)  # refuses explicit steps
-    found = _integrated(run)
-    lost = 0 * run.t if header.autonomous else found[:, -1]
-    return named_parts(program, found), lost
+    parts = _integrated(run)
+    lost = 0 * run.t if header.autonomous else parts[:, -1]
+    return named_parts(program, parts), lost
 
 
 def rough_parts(run: Stored) -> Reals:
