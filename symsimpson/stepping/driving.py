@@ -106,15 +106,15 @@ def read_driving(
         )
     read = [_one(program, name, values[name], h, steps, members) for name in names]
     try:
-        shape = np.broadcast_shapes(*(one.shape for one in read))
+        shape = np.broadcast_shapes(*(array.shape for array in read))
     except ValueError:
         sizes = ", ".join(f"{name} of {len(x)}" for name, x in zip(names, read, strict=True))
         raise InputError(
             f"inputs are given for different numbers of members: {sizes}.\n"
             "Give each input an axis of all members, or none."
         ) from None
-    found = np.stack([np.broadcast_to(one, shape) for one in read], axis=-1)
-    return found if steps else numbers.zeros((1, 1, 1, len(names)))
+    inputs = np.stack([np.broadcast_to(array, shape) for array in read], axis=-1)
+    return inputs if steps else numbers.zeros((1, 1, 1, len(names)))
 
 
 def given_inputs(program: Program, given: Any) -> dict[str, Any]:
@@ -123,13 +123,13 @@ def given_inputs(program: Program, given: Any) -> dict[str, Any]:
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for key, value in given.items():
             place = program.names.inputs.found(key)
-            if names[place] in found:
+            if names[place] in values:
                 raise InputError(f"the input {names[place]} is given twice.\nGive it once.")
-            found[names[place]] = value
-        return found
+            values[names[place]] = value
+        return values
     array = read_array("inputs", given, program.numbers)
     if len(names) == 1 and (array.ndim < 2 or array.shape[-1] != 1):
         return {names[0]: array}
@@ -230,18 +230,18 @@ def at_places(program: Program, inputs: Reals, step: NDArray[np.int64], at: Real
     ndarray, shape (1, k, r, m)
         With r = 1 where inputs are held.
     """
-    own = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
+    node_values = inputs[0, np.minimum(step, inputs.shape[1] - 1)]
     if inputs.shape[2] == 1 or inputs.shape[3] == 0:
-        return own[None]
+        return node_values[None]
     c = places(program)
-    found = 0 * at[:, :, None] * own[:, :1]
+    values = 0 * at[:, :, None] * node_values[:, :1]
     for j in range(c.size):
         basis = 1 + 0 * at
         for i in range(c.size):
             if i != j:
                 basis = basis * (at - c[i]) / (c[j] - c[i])
-        found = found + basis[:, :, None] * own[:, j : j + 1]
-    return found[None]
+        values = values + basis[:, :, None] * node_values[:, j : j + 1]
+    return values[None]
 
 
 def node_times(program: Program, h: Any, steps: Any, t0: Any) -> Reals:

@@ -96,8 +96,8 @@ def project_start(
         return _relative(np.abs(phi.astype(np.float64)) - noise, size, reach)
 
     def rounded() -> Reals:
-        found: Reals = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
-        return found
+        noise: Reals = CANCELLED * numbers.epsilon * size * bending_length(slopes_at, q)
+        return noise
 
     for attempt in range(MOST):
         phi = at("CONSTRAINT", m, rest)
@@ -218,7 +218,7 @@ def _violation_error(
         near = system.consistent(
             q[member].astype(np.float64), velocities.astype(np.float64), (), parameters, float(t)
         )
-        rounded = [[float(f"{one:.6g}") for one in x] for x in near]
+        rounded = [[float(f"{number:.6g}") for number in x] for x in near]
         shown = f"q0={rounded[0]}, v0={rounded[1]}"
         text += f"\n{call} gives the nearest start" + (f": {shown}." if given == "v0" else ".")
     except InputError:

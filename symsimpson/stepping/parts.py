@@ -69,20 +69,20 @@ class Parts:
             return (q, p), Status.SUCCESS
         (kernels, W, told), n = self.parting, len(q)
         rests = self._rests(size, step, share)
-        found, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
-        one = np.zeros(1, dtype=np.int64)
+        ends, fine = np.zeros((2, 2, n)), np.zeros(1, dtype=np.bool_)
+        zero = np.zeros(1, dtype=np.int64)
         self._between(
             kernels,
             (self._h, np.array([t]), W, told),
             (np.ascontiguousarray(q[None]), np.ascontiguousarray(p[None])),
-            (one, one, np.array([size])),
-            (found[0], found[1], fine),
+            (zero, zero, np.array([size])),
+            (ends[0], ends[1], fine),
             1,
             self._inputs,
             rests,
         )
         if fine[0]:
-            return (found[0, 0], found[1, 0]), Status.SUCCESS
+            return (ends[0, 0], ends[1, 0]), Status.SUCCESS
         return steps_from(self._program, self.parameters, t, state, size, 1, rests)
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:

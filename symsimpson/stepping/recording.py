@@ -46,9 +46,9 @@ def recorders_of(
 ) -> tuple[Recorder, ...]:
     """Return the recorders of a run that carries so many variations along, or none."""
     carried = (*more, *(() if variations is None else (tangents(header, variations),)))
-    first, named = header.rows + sum(one.room for one in carried), list[Recorder]()
+    first, named = header.rows + sum(carrier.room for carrier in carried), list[Recorder]()
     for name in record:
-        if (one := NAMED[name](header, first)) is not None:
-            named.append(one)
-            first += one.room
+        if (recorder := NAMED[name](header, first)) is not None:
+            named.append(recorder)
+            first += recorder.room
     return *carried, *named, *observers(header, reductions, first)

@@ -66,9 +66,11 @@ class Run:
         self._driver, self._undisturbed = numbers.driver, numbers.undisturbed
         self._recorders = ordered(header, recorders)
         self.told = told(header, self._recorders)
-        if any(one.renewed for one in recorders):
+        if any(recorder.renewed for recorder in recorders):
             self._driver = partial(numbers.driver, renewing=True)
-        self.W = workspace(header, numbers, parameters, sum(one.room for one in recorders))
+        self.W = workspace(
+            header, numbers, parameters, sum(recorder.room for recorder in recorders)
+        )
         self._column = self.W[:, 0]
         self._status = header.layout["STATUS"]
         self._watcher: Watcher | None = None
@@ -76,7 +78,9 @@ class Run:
         self._stretch = numbers.stretch
         self.q, self.p = numbers.zeros((2, stored, header.n, 1))
         #: What recorders left beside them, of one behind the other.
-        self.recorded = numbers.zeros((stored, sum(one.rows for one in self._recorders), 1))
+        self.recorded = numbers.zeros(
+            (stored, sum(recorder.rows for recorder in self._recorders), 1)
+        )
         self.iterations = np.zeros((stored, 1), dtype=np.int64)
         self._stores = self.q, self.p, self.recorded, self.iterations
         #: Steps before those whose states stand in the arrays; and what was done since.
@@ -133,11 +137,11 @@ class Run:
 
     def look(self) -> None:
         """Let recorders of states look at that where the run begins."""
-        for one in self._recorders:
-            if one.kernel == "observe":
-                rows = self._column[one.first : one.first + one.room]
+        for candidate in self._recorders:
+            if candidate.kernel == "observe":
+                rows = self._column[candidate.first : candidate.first + candidate.room]
                 rows[:-1], rows[-1] = np.nan, 0.0
-        number = sum(one.of_states for one in self._recorders)
+        number = sum(recorder.of_states for recorder in self._recorders)
         for kernel in self._kernels()[len(self._kernels()) - number :]:
             self._driver("apply")(kernel, self.h, self.t0, self.W)
 
@@ -147,7 +151,9 @@ class Run:
         if first is None:
             return ()
         rows = self._column[first : first + 2 * len(reductions) : 2].tolist()
-        return tuple((one.name, value) for one, value in zip(reductions, rows, strict=True))
+        return tuple(
+            (reduction.name, value) for reduction, value in zip(reductions, rows, strict=True)
+        )
 
     def apply(self, kernel: str) -> None:
         """Call a kernel of the state where the run is."""
@@ -167,7 +173,10 @@ class Run:
 
     def left(self) -> NDArray[Any]:
         """Return what recorders have left beside the present state."""
-        rows = [self._column[one.first : one.first + one.rows] for one in self._recorders]
+        rows = [
+            self._column[recorder.first : recorder.first + recorder.rows]
+            for recorder in self._recorders
+        ]
         return np.concatenate([self._column[:0], *rows])
 
     def beside(self, recorded: NDArray[Any], result: Callable[[Any], Any]) -> dict[str, Any]:

@@ -57,14 +57,17 @@ class RunEvents:
         """Return the record with which an event ends a run, if there is one."""
         for k, event in enumerate(self.events):
             if event.terminal:  # there may be many records
-                acted = [one for one in records if one.event == k]
+                acted = [record for record in records if record.event == k]
                 if len(acted) >= int(event.terminal):
                     return acted[-1]
         return None
 
     def watchers(self, header: Header, first: int) -> tuple[Recorder, ...]:
         """Return what looks for the events, with rows from the first free one on."""
-        signs, gaps = [one.sign for one in self.events], [rate is not None for rate in self.rate]
+        signs, gaps = (
+            [event.sign for event in self.events],
+            [rate is not None for rate in self.rate],
+        )
         return watchers(header, self.watched[: len(self.events)], signs, gaps, first)
 
 
@@ -110,18 +113,20 @@ def read_events(program: Program, given: Any) -> RunEvents:
             "Pass events=[symsimpson.Event(expression, action=...)]."
         )
     events = tuple(given)
-    for one in events:
-        if not isinstance(one, Event):
+    for candidate in events:
+        if not isinstance(candidate, Event):
             raise InputError(
-                f"events contains {one!r}, which is no Event.\n"
+                f"events contains {candidate!r}, which is no Event.\n"
                 "Pass events=[symsimpson.Event(expression, action=...)]."
             )
     _check_names(program, events)
-    for one in events:
-        _check_restitution(program, one)
+    for event in events:
+        _check_restitution(program, event)
     watched = [
-        read_expression(program, one.expression, what=f"the expression of the event {one.key!r}")
-        for one in events
+        read_expression(
+            program, entry.expression, what=f"the expression of the event {entry.key!r}"
+        )
+        for entry in events
     ]
     for event, expression in zip(events, watched, strict=True):
         refuse_constant(expression, f"the expression of the event {event.key!r}")
@@ -132,23 +137,24 @@ def read_events(program: Program, given: Any) -> RunEvents:
         return len(watched) - 1
 
     when = tuple(
-        None if one.when is None else place("condition", one, _positive(one.when)) for one in events
+        None if entry.when is None else place("condition", entry, _positive(entry.when))
+        for entry in events
     )
     gaps = [
-        _of_gap(program, one, partial(place, "gap", one))
-        if isinstance(one.action, Impact)
+        _of_gap(program, entry, partial(place, "gap", entry))
+        if isinstance(entry.action, Impact)
         else (None, None)
-        for one in events
+        for entry in events
     ]
-    changes = tuple(_changes(program, one, partial(place, "change", one)) for one in events)
+    changes = tuple(_changes(program, entry, partial(place, "change", entry)) for entry in events)
     rates, slopes = (tuple(gap[k] for gap in gaps) for k in range(2))
     sizes = tuple(range(len(watched), len(watched) + len(events)))
-    watched += [replace(one, text=one.size) for one in watched[: len(events)]]
+    watched += [replace(observed, text=observed.size) for observed in watched[: len(events)]]
     return RunEvents(events, tuple(watched), when, rates, slopes, changes, sizes)
 
 
 def _check_names(program: Program, events: Sequence[Event]) -> None:
-    names = [one.key for one in events]
+    names = [event.key for event in events]
     for name in names:
         if names.count(name) > 1:
             raise InputError(
@@ -193,7 +199,7 @@ def _check_restitution(program: Program, event: Event) -> None:
     given: Any = getattr(event.action, "restitution", 1.0)
     if hasattr(given, "atoms"):  # coordinates and velocities by their names, not by the t in them
         for kind in (Derivative, AppliedUndef):
-            given = given.xreplace({one: Symbol(spelled(one)) for one in given.atoms(kind)})
+            given = given.xreplace({atom: Symbol(spelled(atom)) for atom in given.atoms(kind)})
     names = {str(symbol) for symbol in getattr(given, "free_symbols", ())}
     strange = sorted(names - {"approach", *program.parameters})
     if strange:
@@ -216,20 +222,22 @@ def _of_gap(program: Program, event: Event, place: Any) -> tuple[int, int]:
             "Write it as a SymPy expression in the coordinates of the system."
         )
     places = {f: program.names.coordinates.place(f) for f in gap.atoms(AppliedUndef)}
-    own = {place: f for f, place in places.items() if place is not None}
-    if not own:
+    coordinates = {place: f for f, place in places.items() if place is not None}
+    if not coordinates:
         raise InputError(
             f"the gap {event.key!r} depends on no coordinate.\nAn impact changes velocities along "
             "its slope. Use Change, with this expression of the time."
         )
-    ((t,),) = {f.args for f in own.values()}
-    moving = [q.diff(t) for q in own.values() if gap.has(q.diff(t))]
+    ((t,),) = {f.args for f in coordinates.values()}
+    moving = [q.diff(t) for q in coordinates.values() if gap.has(q.diff(t))]
     if moving:
         raise InputError(
             f"the gap of an impact is a function of positions and t, and {event.key!r} contains "
             f"the velocity of {spelled(moving[0].expr)}.\nUse Change for what is to happen there."
         )
-    slopes = [place(gap.diff(own[k]) if k in own else 0 * t) for k in range(program.n)]
+    slopes = [
+        place(gap.diff(coordinates[k]) if k in coordinates else 0 * t) for k in range(program.n)
+    ]
     return place(gap.diff(t)), slopes[0]
 
 
@@ -237,7 +245,7 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
     """Return what an event changes."""
     if not isinstance(event.action, Change):
         return ()
-    names, found = program.names.coordinates, []
+    names, changes = program.names.coordinates, []
     for what, block in CHANGED.items():
         for coordinate, expression in getattr(event.action, what).items():
             number = names.place(coordinate)
@@ -248,5 +256,5 @@ def _changes(program: Program, event: Event, place: Any) -> tuple[tuple[str, int
                     f"Change names {spelled(coordinate)!r}, which is no coordinate.\n"
                     f"The system has {', '.join(names.shown)}."
                 )
-            found.append((block, number, place(expression)))
-    return tuple(found)
+            changes.append((block, number, place(expression)))
+    return tuple(changes)

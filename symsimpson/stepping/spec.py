@@ -140,11 +140,11 @@ def _reductions(
     program: Program, given: Any, event_names: tuple[str, ...]
 ) -> tuple[Reduction, ...]:
     """Read what values of the states of one run are reduced to."""
-    found = read_reductions(program, given, event_names)
-    for one in found:
-        if one.of_variations:
+    reductions = read_reductions(program, given, event_names)
+    for reduction in reductions:
+        if reduction.of_variations:
             raise InputError(
-                f"reduce[{one.name!r}] is {one.kind!r}, which ensembles tell.\n"
+                f"reduce[{reduction.name!r}] is {reduction.kind!r}, which ensembles tell.\n"
                 "Ask for that of one motion: stepper.lyapunov."
             )
-    return found
+    return reductions

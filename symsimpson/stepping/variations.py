@@ -37,38 +37,38 @@ def read_varied(program: Program, names: Any, *, of_steps: bool = False) -> tupl
     """
     given: Iterable[Any] = names if isinstance(names, (tuple, list)) else (names,)
     names_of, header = program.names, program.header
-    found: list[str] = []
+    varied: list[str] = []
     for name in given:
         place, driven = names_of.parameters.place(name), names_of.inputs.place(name)
         key = spelled(name)
         if place is not None:
-            found.append(header.parameters[place])
-            if found[-1] in header.from_start:
+            varied.append(header.parameters[place])
+            if varied[-1] in header.from_start:
                 raise InputError(
                     f"{key} follows from the start of a run of {program.system}: nothing is "
                     "differentiated by it.\nDifferentiate by the state, tangents=, or by other "
                     "parameters."
                 )
         elif driven is not None:
-            found.append(header.inputs[driven])
+            varied.append(header.inputs[driven])
         elif key in STEP and not header.retimed:
             if key == "h" and not (of_steps or header.autonomous):
                 raise InputError(
                     f"{program.system} depends on time, and h moves the times of all steps of "
                     "a run.\nDifferentiate single steps by h: stepper.tangent, stepper.linearise."
                 )
-            found.append(key)
+            varied.append(key)
         else:
             known = (*program.parameters, *program.inputs)
             raise InputError(
                 f"{key!r} is no parameter or input of {program.system}.{did_you_mean(key, known)}\n"
                 f"It has {', '.join(known) or 'none'}."
             )
-    if len(set(found)) < len(found):
+    if len(set(varied)) < len(varied):
         raise InputError(
-            f"one of {', '.join(found)} is named twice.\nName each parameter or input once."
+            f"one of {', '.join(varied)} is named twice.\nName each parameter or input once."
         )
-    return tuple(found)
+    return tuple(varied)
 
 
 def varied_program(
@@ -83,9 +83,9 @@ def varied_program(
     InputError
         If the module was loaded from a file that does not.
     """
-    own = program.header.varied_by
-    made = "curvature" in program.header.functions or not second
-    if own == names and running is None and made:
+    varied_by = program.header.varied_by
+    complete = "curvature" in program.header.functions or not second
+    if varied_by == names and running is None and complete:
         return program
     key = names, running, second
     if key not in program.findings.variants:
@@ -95,7 +95,9 @@ def varied_program(
                     f"this module of {program.system} does not differentiate its runs.\n"
                     "Make a stepper with symsimpson.compile."
                 )
-            known = "" if own is None else f" but by {', '.join(own) or 'the state alone'}"
+            known = (
+                "" if varied_by is None else f" but by {', '.join(varied_by) or 'the state alone'}"
+            )
             raise InputError(
                 f"this module of {program.system} does not differentiate its steps by "
                 f"{', '.join(names) or 'the state'}{known}.\nMake a stepper with "
