@@ -62,15 +62,15 @@ def cache_folder() -> Path:
     folder = Path(os.environ.get(_VARIABLE) or Path(base) / "symsimpson")
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = folder.lstat()
+        info = folder.lstat()
         writable = os.access(folder, os.W_OK)
     except OSError as error:
         return _temporary_folder(folder, str(error.strerror or error))
-    foreign = hasattr(os, "getuid") and found.st_uid != os.getuid()
-    shared = os.name == "posix" and found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    if not stat.S_ISDIR(found.st_mode) or foreign or shared:
+    foreign = hasattr(os, "getuid") and info.st_uid != os.getuid()
+    shared = os.name == "posix" and info.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    if not stat.S_ISDIR(info.st_mode) or foreign or shared:
         raise GenerationError(
-            f"the cache folder {folder} is not private to you (mode {found.st_mode & 0o777:04o}).\n"
+            f"the cache folder {folder} is not private to you (mode {info.st_mode & 0o777:04o}).\n"
             "Files in it are executed, so nobody else may write there. "
             f"Run chmod 700 on it, or name another folder in ${_VARIABLE}."
         )
@@ -171,13 +171,13 @@ def _content(text: str, label: str) -> str:
 
 def _load_or_build(text: str, key: str, use: Callable[[ModuleType, bool], Result]) -> Result:
     folder = cache_folder()
-    found = _loaded(folder, key, use)
-    if found is not None:
-        return found
+    result = _loaded(folder, key, use)
+    if result is not None:
+        return result
     with waiting("compiling, once for this machine"), rarely_collected(), _alone(folder, key):
-        found = _loaded(folder, key, use)  # another process may have made it meanwhile
-        if found is not None:
-            return found
+        result = _loaded(folder, key, use)  # another process may have made it meanwhile
+        if result is not None:
+            return result
         try:
             return _build(folder, key, text, use)
         except OSError as error:  # a disk that is full

@@ -121,16 +121,18 @@ class Kernels(KernelSets):
 
         start = time.perf_counter()
         try:
-            found = compiled(self._cache_key(text), label, compile_kernels, stubs(text, some))[1]
+            pointers = compiled(self._cache_key(text), label, compile_kernels, stubs(text, some))[1]
         except (NumbaError, GenerationError) as error:
             not_walked.append(f"{label}: {str(error)[-400:]}")
-            found = compiled(text, label, by_numba)[1]
+            pointers = compiled(text, label, by_numba)[1]
         self.seconds += time.perf_counter() - start
-        return [found[name] if name else 0 for name in names]
+        return [pointers[name] if name else 0 for name in names]
 
 
 def _compiled(module: ModuleType, names: list[str], keep: bool) -> tuple[list[Any], dict[str, int]]:
     """Return kernels of a module, and their addresses."""
     options = {**module.OPTIONS, "cache": keep}
     kernels = [cfunc(module.SIGNATURE, **options)(getattr(module, name)) for name in names]
-    return kernels, {name: int(one.address or 0) for name, one in zip(names, kernels, strict=True)}
+    return kernels, {
+        name: int(kernel.address or 0) for name, kernel in zip(names, kernels, strict=True)
+    }

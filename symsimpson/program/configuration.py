@@ -59,7 +59,7 @@ def show_config(mode: str = "stdout") -> Config | None:
     from symsimpson.program.machine import MANY, available_threads, lanes_for, vector_bits
 
     folder = cache_folder()
-    found: Config = {
+    config: Config = {
         "versions": {"python": platform.python_version(), **_versions()},
         "machine": {
             "system": platform.platform(),
@@ -74,8 +74,8 @@ def show_config(mode: str = "stdout") -> Config | None:
         },
     }
     if mode == "dicts":
-        return found
-    for group, values in found.items():
+        return config
+    for group, values in config.items():
         print(group)
         width = max(map(len, values))
         for name, value in values.items():
@@ -84,11 +84,11 @@ def show_config(mode: str = "stdout") -> Config | None:
 
 
 def _versions() -> dict[str, str]:
-    found = {}
+    versions = {}
     for name in (*_NEEDED, *_OPTIONAL):
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             if name in _NEEDED:
-                found[name] = "no package metadata"
-    return found
+                versions[name] = "no package metadata"
+    return versions

@@ -141,8 +141,8 @@ class Digits(Numbers):
         """Convert numbers, decimal strings and SymPy numbers, each to all digits."""
         given = np.array(value, dtype=object)
         array = self.zeros(given.shape)
-        for index, one in np.ndenumerate(given):
-            array[index] = self._inner(self._number(one))
+        for index, number in np.ndenumerate(given):
+            array[index] = self._inner(self._number(number))
         return array
 
     def _number(self, value: Any) -> Any:
@@ -155,10 +155,10 @@ class Digits(Numbers):
             return context.mpf(int(value))
         if hasattr(value, "evalf") and hasattr(value, "free_symbols"):  # SymPy, if it is loaded
             return context.mpf(str(value.evalf(self.digits + 10)))
-        found = context.convert(value if not hasattr(value, "as_tuple") else str(value))
-        if not isinstance(found, context.mpf):
+        number = context.convert(value if not hasattr(value, "as_tuple") else str(value))
+        if not isinstance(number, context.mpf):
             raise TypeError(value)
-        return +found  # rounded to these digits, however many it came with
+        return +number  # rounded to these digits, however many it came with
 
     def _inner(self, number: Any) -> Any:
         """Return a number as the kernels take it."""
@@ -185,14 +185,14 @@ class Digits(Numbers):
         """Return a function that takes numbers of arrays one by one."""
         import sympy as sp
 
-        own = {name: getattr(self.context, name) for name in dir(self.context)}
-        single = sp.lambdify(symbols, expressions, [own, "mpmath"], cse=True)
+        functions = {name: getattr(self.context, name) for name in dir(self.context)}
+        single = sp.lambdify(symbols, expressions, [functions, "mpmath"], cse=True)
         outer, inner = np.frompyfunc(self._outer, 1, 1), np.frompyfunc(self._inner, 1, 1)
 
         def every(*arguments: Any) -> list[NDArray[Any]]:
             given = np.broadcast_arrays(*map(outer, arguments))
-            found = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
-            columns = zip(*found, strict=True)
+            rows = [single(*row) for row in zip(*(x.ravel() for x in given), strict=True)]
+            columns = zip(*rows, strict=True)
             return [inner(np.array(self._converted(x), dtype=object)) for x in columns]
 
         return every

@@ -67,8 +67,8 @@ def driver_text(lanes: int = 1, *, renewing: bool = False, iterated: bool = True
     ``iterated`` solve their steps by iteration.
     """
     text = "\n\n".join(map(_without_own_imports, _files()))
-    own = _constants(lanes, renewing, iterated)
-    return redefined(text, {name: f"{name} = {value}" for name, value in own.items()})
+    values = _constants(lanes, renewing, iterated)
+    return redefined(text, {name: f"{name} = {value}" for name, value in values.items()})
 
 
 def _without_own_imports(text: str) -> str:
@@ -93,16 +93,20 @@ def driver(
         return read_functions(driver_text(lanes, renewing=renewing, iterated=iterated))
 
     def build(module: ModuleType, keep: bool) -> dict[str, Callable[..., Any]]:
-        made = {}
-        for one in names:
-            walk = walking_function(text, one, known[one], bits)
-            setattr(module, f"walk_{one}", walk)
+        functions = {}
+        for function_name in names:
+            walk = walking_function(text, function_name, known[function_name], bits)
+            setattr(module, f"walk_{function_name}", walk)
             options: dict[str, Any] = {**DRIVER_OPTIONS, "cache": keep, "no_cpython_wrapper": False}
-            made[one] = njit(known[one], **options)(getattr(module, one))
-        return made
+            functions[function_name] = njit(known[function_name], **options)(
+                getattr(module, function_name)
+            )
+        return functions
 
     of = (walker_digest(), bits, _constants(lanes, renewing, iterated), names, *_files())
-    file = "\n\n".join(stub(one, len(known[one].args)) for one in names)
+    file = "\n\n".join(
+        stub(function_name, len(known[function_name].args)) for function_name in names
+    )
     return compiled("\n".join(map(str, of)), "-".join(["driver", *names]), build, file)[name]
 
 

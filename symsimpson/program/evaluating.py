@@ -59,15 +59,15 @@ def evaluate_members(
     or that of all but the last; gives shape (K, ..., count).
     """
     t = np.broadcast_to(t, q.shape[:-1])
-    found = np.empty((*q.shape[:-1], count))
-    own, group = np.unique(values, axis=0, return_inverse=True)
-    for k, parameters in enumerate(own):
+    results = np.empty((*q.shape[:-1], count))
+    distinct, group = np.unique(values, axis=0, return_inverse=True)
+    for k, parameters in enumerate(distinct):
         here = np.flatnonzero(group.ravel() == k)
         some_q, some_p = (x[here].reshape(-1, program.n) for x in (q, p))
         states = t[here].ravel(), some_q, some_p
         rows = evaluate(program, kernel, block, count, states, parameters)
-        found[here] = rows.reshape(found[here].shape)
-    return found
+        results[here] = rows.reshape(results[here].shape)
+    return results
 
 
 def evaluate_in(
@@ -93,18 +93,18 @@ def evaluate_in(
         first = kernels.address(before, any_angle=any_angle) if before else 0
         return _evaluated(program, W, (first, address), place, t, q, p, inputs)
 
-    found = values(t, q, p, inputs, any_angle=False)
-    if program.header.fast_sines and not numbers.all_finite(found):
-        again = ~numbers.finite(found).all(axis=1)
+    rows = values(t, q, p, inputs, any_angle=False)
+    if program.header.fast_sines and not numbers.all_finite(rows):
+        again = ~numbers.finite(rows).all(axis=1)
         again &= numbers.finite(q).all(axis=1) & numbers.finite(p).all(axis=1)
         if again.any():
-            own = inputs if inputs.shape[1] == 1 else inputs[:, again]
-            found[again] = values(t[again], q[again], p[again], own, any_angle=True)
-    return found
+            some_inputs = inputs if inputs.shape[1] == 1 else inputs[:, again]
+            rows[again] = values(t[again], q[again], p[again], some_inputs, any_angle=True)
+    return rows
 
 
 def observer(
-    program: Program, found: Sequence[Observed], values: Reals
+    program: Program, observed: Sequence[Observed], values: Reals
 ) -> tuple[tuple[int, int, int], Reals]:
     """Return what evaluates expressions: prepare, the energy and a kernel; and their workspace.
 
@@ -114,15 +114,15 @@ def observer(
         If the stepper has many digits.
     """
     header, numbers, kernels = program.header, program.numbers, program.kernels
-    kernel = kernels.compile_observer(observing_kernel(header, found), len(found))
-    W = workspace(header, numbers, numbers.read(values), more=len(found))
+    kernel = kernels.compile_observer(observing_kernel(header, observed), len(observed))
+    W = workspace(header, numbers, numbers.read(values), more=len(observed))
     return (kernels.address("prepare"), kernels.address("energy"), kernel), W
 
 
 def watching(
-    program: Program, found: Sequence[Observed], values: Reals
+    program: Program, observed: Sequence[Observed], values: Reals
 ) -> Callable[[Reals, Reals, Reals], Reals]:
-    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(found)).
+    """Return what evaluates expressions at many states (t, q, p); shape (len(q), len(observed)).
 
     Raises
     ------
@@ -130,10 +130,15 @@ def watching(
         If the stepper has many digits.
     """
     header, numbers = program.header, program.numbers
-    (prepare, energy, kernel), W = observer(program, found, values)
+    (prepare, energy, kernel), W = observer(program, observed, values)
     # asked for one state often: all but the states is found once
-    addresses = prepare, energy if any(one.energetic for one in found) else 0, kernel
-    driver, first, about, count = numbers.driver("evaluate"), header.rows, header.told, len(found)
+    addresses = prepare, energy if any(quantity.energetic for quantity in observed) else 0, kernel
+    driver, first, about, count = (
+        numbers.driver("evaluate"),
+        header.rows,
+        header.told,
+        len(observed),
+    )
 
     def watch(t: Reals, q: Reals, p: Reals) -> Reals:
         out = np.zeros((len(q), count))
@@ -184,5 +189,5 @@ def evaluate_energy(
         values = program.values(parameters)
         times = np.broadcast_to(read_array("t", t, numbers), len(states[0]))
     q, p = states
-    found: Reals = evaluate(program, "energy", "ENERGY", 1, (times, q, p), values)
-    return found[:, 0]
+    energies: Reals = evaluate(program, "energy", "ENERGY", 1, (times, q, p), values)
+    return energies[:, 0]

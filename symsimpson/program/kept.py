@@ -44,11 +44,11 @@ def kept(
     place = cache_folder() / kind / f"{digest}.json"
     with contextlib.suppress(*DAMAGE):
         return read(json.loads(place.read_text(encoding="utf-8")))
-    made = make()
-    content = write(made)
+    answer = make()
+    content = write(answer)
     if content is not None:
         with contextlib.suppress(StorageError, OSError):  # a full disk keeps nothing
             place.parent.mkdir(mode=0o700, exist_ok=True)
             with written_beside(place, "answer") as whole:
                 whole.write_text(json.dumps(content), encoding="utf-8")
-    return made
+    return answer

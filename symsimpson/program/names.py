@@ -28,10 +28,10 @@ class Names:
     """
 
     def __init__(self, header: Header, declared: Any, defaults: Mapping[str, Any] | None) -> None:
-        def named(what: str, own: tuple[str, ...], users: Iterable[Any] | None) -> Named:
-            given = None if users is None else [spelled(one) for one in users]
-            fits = given is not None and len(given) == len(own)
-            return Named(what, own, given if fits else None)
+        def named(what: str, identifiers: tuple[str, ...], users: Iterable[Any] | None) -> Named:
+            given = None if users is None else [spelled(key) for key in users]
+            fits = given is not None and len(given) == len(identifiers)
+            return Named(what, identifiers, given if fits else None)
 
         self._declared, has = declared, declared is not None
         self.coordinates = named(
@@ -60,9 +60,9 @@ class Names:
         for point in (self._declared.positions or {}).values():
             corners = point if isinstance(point[0], tuple) else (point,)
             drawn.update(*(x.free_symbols for x in chain(*corners)))
-        own = zip(self._declared.parameters, plain.numbers(plain.parameters), strict=True)
+        parameters = zip(self._declared.parameters, plain.numbers(plain.parameters), strict=True)
         return frozenset(
-            i for i, (symbol, n) in enumerate(own) if n not in used and symbol not in drawn
+            i for i, (symbol, n) in enumerate(parameters) if n not in used and symbol not in drawn
         )
 
     def warn_of_idle(self, system: str, changed: Iterable[int], beside: Any = None) -> None:
@@ -71,8 +71,10 @@ class Names:
         They may stand ``beside`` the system, in events of a run or in what is observed of it.
         """
         idle = [self.parameters.shown[i] for i in sorted(self.idle.intersection(changed))]
-        own = re.compile("|".join(rf"(?<!\w){re.escape(name)}(?!\w)" for name in idle) or "(?!)")
-        idle = [name for name in idle if name not in own.findall(str(beside))]
+        pattern = re.compile(
+            "|".join(rf"(?<!\w){re.escape(name)}(?!\w)" for name in idle) or "(?!)"
+        )
+        idle = [name for name in idle if name not in pattern.findall(str(beside))]
         if idle:
             verb = "stand" if len(idle) > 1 else "stands"
             warn(
@@ -85,5 +87,9 @@ class Names:
     def varied(self, names: Iterable[str]) -> tuple[str, ...]:
         """Return what a user calls parameters and inputs that have these names in the module."""
         tables = self.parameters, self.inputs
-        known = {own: shown for x in tables for own, shown in zip(x.own, x.shown, strict=True)}
+        known = {
+            identifier: shown
+            for x in tables
+            for identifier, shown in zip(x.own, x.shown, strict=True)
+        }
         return tuple(known.get(name, name) for name in names)

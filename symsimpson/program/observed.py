@@ -131,14 +131,14 @@ def read_expression(
     return Observed(str(expression), text, reader.energetic, wrapped, reader.rest)
 
 
-def refuse_constant(found: Observed, what: str) -> None:
+def refuse_constant(observed: Observed, what: str) -> None:
     """Refuse an expression that never changes its sign, as nothing that changes stands in it.
 
     Raises
     ------
     InputError
     """
-    if found.constant:
+    if observed.constant:
         raise InputError(
             f"{what} has no coordinate, velocity or time in it: it never changes.\n"
             "Write what is zero where the event takes place."
@@ -164,7 +164,7 @@ def read_reductions(
             f"reduce is {type(given).__name__}, not a mapping.\n"
             "Pass reduce={'highest': ('max', 'q1')}."
         )
-    found = []
+    reductions = []
     for name, pair in given.items():
         if event_names and (
             pair in OF_VARIATIONS or (isinstance(pair, tuple) and pair[0] in OF_VARIATIONS)
@@ -175,7 +175,7 @@ def read_reductions(
             )
         kind = pair[0] if isinstance(pair, tuple) and len(pair) == 2 and not pair[1] else pair
         if isinstance(kind, str) and kind in OF_VARIATIONS:
-            found.append(Reduction("", "0.0", False, name=str(name), kind=kind))
+            reductions.append(Reduction("", "0.0", False, name=str(name), kind=kind))
             continue
         if isinstance(pair, tuple) and len(pair) == 2 and pair[0] == OF_EVENTS:
             if event_names is not None and str(pair[1]) not in event_names:
@@ -183,7 +183,7 @@ def read_reductions(
                     f"reduce[{name!r}] counts {str(pair[1])!r}, and no event is called so.\n"
                     f"Events of this call are {', '.join(event_names) or 'none: pass events='}."
                 )
-            found.append(Reduction(str(pair[1]), "0.0", False, name=str(name), kind=OF_EVENTS))
+            reductions.append(Reduction(str(pair[1]), "0.0", False, name=str(name), kind=OF_EVENTS))
             continue
         if not (isinstance(pair, tuple) and len(pair) == 2 and pair[0] in OF_STATES):
             raise InputError(
@@ -194,17 +194,19 @@ def read_reductions(
         reader = Reader(program, f"reduce[{name!r}]")
         text = reader.read_any(pair[1])
         told = reader.portable(pair[1], text)
-        found.append(Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0])))
-    return tuple(found)
+        reductions.append(
+            Reduction(told, text, reader.energetic, name=str(name), kind=str(pair[0]))
+        )
+    return tuple(reductions)
 
 
-def observing_kernel(header: Header, found: Sequence[Observed]) -> str:
+def observing_kernel(header: Header, observed: Sequence[Observed]) -> str:
     """Write a kernel that puts the quantities into rows behind those of the module."""
-    places = enumerate(found, header.rows)
+    places = enumerate(observed, header.rows)
     return _kernel(
         "Quantities that are watched.",
         _names(header),
-        (f"W[{row}, lane] = {one.text}" for row, one in places),
+        (f"W[{row}, lane] = {quantity.text}" for row, quantity in places),
     )
 
 
@@ -214,7 +216,9 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
     From the ``first`` row on, which is behind all others, there are two for each: what it came to,
     NaN at first, and the value at the state before; then how many states were looked at.
     """
-    watched = [(first + 2 * k, one) for k, one in enumerate(reductions) if one.of_states]
+    watched = [
+        (first + 2 * k, reduction) for k, reduction in enumerate(reductions) if reduction.of_states
+    ]
     if not watched:
         return ()
     count = first + 2 * len(reductions)
@@ -224,8 +228,8 @@ def observers(header: Header, reductions: Sequence[Reduction], first: int) -> tu
         names.append("t = W[TIME, lane]")
         passed = "W[TIME, lane] - W[TIME + 2, lane]"
     lines = [*names, f"number = W[{count}, lane]"]
-    for row, one in watched:
-        lines += [f"value = {one.text}", *_reduced(one.kind, row, now, passed)]
+    for row, quantity in watched:
+        lines += [f"value = {quantity.text}", *_reduced(quantity.kind, row, now, passed)]
     lines.append(f"W[{count}, lane] = number + 1.0")
     text = _kernel("Quantities that are watched, reduced over states.", [], _where_active(lines))
     energy = (Recorder("energy", of_states=True),) if any(x.energetic for _, x in watched) else ()
@@ -249,14 +253,14 @@ def watchers(
     within a step.
     """
     lines, kept = list(_names(header)), list[str]()
-    for k, (one, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
+    for k, (quantity, sign, gap) in enumerate(zip(watched, signs, gaps, strict=True)):
         row = first + WATCHED * k
         side, size, before, earlier = (f"W[{row + i}, lane]" for i in range(WATCHED))
         waited = f"side * now_{k} < 0.0" + (f" and now_{k} == {sign}.0" if sign else "")
         lines += [
-            f"value_{k} = {one.text}",
+            f"value_{k} = {quantity.text}",
             f"side = {side}",
-            f"size_{k} = {one.size}",
+            f"size_{k} = {quantity.size}",
             f"least = {1.0 if gap else FADED} * {size}",
             f"size_{k} = size_{k} if size_{k} > least else least",
             f"small = {ZERO!r} * size_{k}",
@@ -342,19 +346,19 @@ def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
 
 
 def reduce_values(
-    found: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
+    reductions: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[float]:
-    """Reduce values of quantities at the states of a run, shape (len(t), len(found)).
+    """Reduce values of quantities at the states of a run, shape (len(t), len(reductions)).
 
     What variations and events tell is not known of states.
     """
     return [
         float("nan")
-        if not one.of_states
+        if not reduction.of_states
         else _first_crossing(t, value)
-        if one.kind == "first"
-        else float(getattr(value, one.kind)())
-        for one, value in zip(found, values.T, strict=True)
+        if reduction.kind == "first"
+        else float(getattr(value, reduction.kind)())
+        for reduction, value in zip(reductions, values.T, strict=True)
     ]
 
 

@@ -235,8 +235,8 @@ class Program:
 
     def free_values(self, given: Mapping[Any, Any] | None = None) -> dict[str, Any]:
         """Return the values of those parameters that do not follow from the start."""
-        values, own = self.named_values(given), self.header.from_start
-        return {name: value for name, value in values.items() if name not in own}
+        values, from_start = self.named_values(given), self.header.from_start
+        return {name: value for name, value in values.items() if name not in from_start}
 
     def check_given(self, given: Mapping[Any, Any] | None) -> None:
         """Refuse values of parameters that follow from the start of a run.
@@ -245,10 +245,10 @@ class Program:
         ------
         InputError
         """
-        own = self.header.from_start
-        if own and isinstance(given, Mapping) and not own.isdisjoint(map(spelled, given)):
+        keys = self.header.from_start
+        if keys and isinstance(given, Mapping) and not keys.isdisjoint(map(spelled, given)):
             raise InputError(
-                f"parameters give {', '.join(sorted(own))}, or one of them, which follow from the "
+                f"parameters give {', '.join(sorted(keys))}, or one of them, which follow from the "
                 "start of a run.\nLeave them out: E0 is the energy there."
             )
 

@@ -49,7 +49,9 @@ _SIGNS: dict[type[ast.AST], str] = {
 SYNTAX = re.compile(r"[\w\s.+\-*/%(),]*")
 OPERATORS = re.compile(r"[.+\-*/%(),]")
 #: Symbols of what a kernel computes before an expression is evaluated.
-COMPUTED = tuple(one.symbol for one in QUANTITIES.values() if one.symbol and one.kernel)
+COMPUTED = tuple(
+    quantity.symbol for quantity in QUANTITIES.values() if quantity.symbol and quantity.kernel
+)
 #: Characters of a text that users write, and of one that SymPy writes for them.
 LONGEST, LONGEST_OF_SYMPY = 2000, 100_000
 LARGEST = 10**300
@@ -73,20 +75,20 @@ class Reader:
         self.energetic = self.rest = False
         coordinates, parameters = program.names.coordinates, program.names.parameters
         self._known = {"t": "t", "pi": "3.141592653589793"}
-        self._known |= {one.name: one.symbol for one in SCALARS}
+        self._known |= {scalar.name: scalar.symbol for scalar in SCALARS}
         alone = set(self._known) - {"pi"}
         self._known |= {a: f"a_{i}" for a, i in parameters.places.items()}
         of_state = {
-            f"{one.prefix}{q}": f"{one.symbol}{i}"
-            for one in reversed(VECTORS)  # names of coordinates come first
+            f"{vector.prefix}{q}": f"{vector.symbol}{i}"
+            for vector in reversed(VECTORS)  # names of coordinates come first
             for q, i in coordinates.places.items()
         }
         self._double = set(parameters.places) & (alone | (of_state.keys() - coordinates.places))
         self._known |= of_state
         self._moving = set(coordinates.places)
-        shown = [one.shown(program.names) for one in VECTORS]
+        shown = [vector.shown(program.names) for vector in VECTORS]
         self._listed = [*chain(*shown), *parameters.shown]
-        self._listed += ["t", *(one.name for one in SCALARS), "pi"]
+        self._listed += ["t", *(scalar.name for scalar in SCALARS), "pi"]
         self._used: set[str] = set()
         #: What stands for names that no text can have in it, and these names.
         self._standing: dict[str, str] = {}
@@ -106,19 +108,21 @@ class Reader:
 
         Those are the module's own; ``text`` is what was written of the expression.
         """
-        own = {"q": self._header.coordinates, "a": self._header.parameters}
-        known = {"t": "t", "pi": self._known["pi"]} | {one.name: one.symbol for one in SCALARS}
+        identifiers = {"q": self._header.coordinates, "a": self._header.parameters}
+        known = {"t": "t", "pi": self._known["pi"]} | {
+            scalar.name: scalar.symbol for scalar in SCALARS
+        }
         for kind in "qpva":
             before = f"{kind}_" if kind in "pv" else ""
-            names = own.get(kind, self._header.coordinates)
+            names = identifiers.get(kind, self._header.coordinates)
             known |= {f"{before}{name}": f"{kind}_{i}" for i, name in enumerate(names)}
         if all(known.get(name) == self._known[name] for name in self._used):
             return str(expression)
 
-        def name(found: re.Match[str]) -> str:
-            kind, place = found[1], int(found[2])
+        def name(match: re.Match[str]) -> str:
+            kind, place = match[1], int(match[2])
             before = f"{kind}_" if kind in "pv" else ""
-            return before + own.get(kind, self._header.coordinates)[place]
+            return before + identifiers.get(kind, self._header.coordinates)[place]
 
         return re.sub(r"\b([qpva])_(\d+)\b", name, text)
 
@@ -176,13 +180,13 @@ class Reader:
             + edges[bool(word.match(name[-1]))][1]
             for name in strange
         )
-        found: dict[str, str] = {}
+        plain_names: dict[str, str] = {}
 
         def stand_in(match: re.Match[str]) -> str:
             name = match[0]
-            if name not in found:
-                found[name] = self._stand_in(name)
-            return f" {found[name]} "
+            if name not in plain_names:
+                plain_names[name] = self._stand_in(name)
+            return f" {plain_names[name]} "
 
         return re.sub(pattern, stand_in, text)
 
@@ -203,8 +207,8 @@ class Reader:
         return written
 
     def _refuse(self, why: str, name: str = "") -> InputError:
-        for plain, own in self._standing.items():
-            why = why.replace(plain, own)
+        for plain, original in self._standing.items():
+            why = why.replace(plain, original)
         hint = did_you_mean(name, self._listed) if name else ""
         return InputError(
             f"{self._where}: {why}.{hint}\nUse numbers, + - * / ** %, "

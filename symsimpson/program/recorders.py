@@ -105,7 +105,9 @@ NAMED: dict[str, Callable[[Header, int], Recorder | None]] = {"work": work}
 def ordered(header: Header, recorders: Sequence[Recorder]) -> tuple[Recorder, ...]:
     """Return recorders in the order of their calls: of events, the clock, others, of states."""
     first = (clock(header),) if header.retimed else ()
-    return tuple(sorted((*first, *recorders), key=lambda one: one.of_states - one.of_events))
+    return tuple(
+        sorted((*first, *recorders), key=lambda recorder: recorder.of_states - recorder.of_events)
+    )
 
 
 def split(
@@ -116,24 +118,29 @@ def split(
     The variations are None where none are carried along.
     """
     variations, named, first = None, dict[str, NDArray[Any]](), 0
-    for one in recorders:
-        rows = recorded[..., first : first + one.rows]
-        first += one.rows
-        if one.kernel == "tangent" and not one.renewed:
+    for recorder in recorders:
+        rows = recorded[..., first : first + recorder.rows]
+        first += recorder.rows
+        if recorder.kernel == "tangent" and not recorder.renewed:
             variations = rows.reshape(*rows.shape[:-1], -1, 2 * n).swapaxes(-1, -2)
-        elif one.name:
-            named[one.name] = rows
+        elif recorder.name:
+            named[recorder.name] = rows
     return variations, named
 
 
 def told(header: Header, recorders: Sequence[Recorder]) -> NDArray[np.int64]:
     """Return what the driver is told of a module and of the recorders of a run."""
-    found = header.told.copy()
-    found[TOLD["OF_EVENTS"]] = sum(one.of_events for one in recorders)
-    found[TOLD["OF_STATES"]] = sum(one.of_states for one in recorders)
-    for one in recorders:
-        if one.renewed:
-            found[TOLD["GROWN"]] = one.first
-            found[TOLD["RENEWED"]], found[TOLD["RENEWAL"]] = one.renewed, one.renewal
-    stored = [number for one in recorders if one.rows for number in (one.first, one.rows)]
-    return np.array([*found, *stored], dtype=np.int64)
+    numbers = header.told.copy()
+    numbers[TOLD["OF_EVENTS"]] = sum(recorder.of_events for recorder in recorders)
+    numbers[TOLD["OF_STATES"]] = sum(recorder.of_states for recorder in recorders)
+    for entry in recorders:
+        if entry.renewed:
+            numbers[TOLD["GROWN"]] = entry.first
+            numbers[TOLD["RENEWED"]], numbers[TOLD["RENEWAL"]] = entry.renewed, entry.renewal
+    stored = [
+        number
+        for recorder in recorders
+        if recorder.rows
+        for number in (recorder.first, recorder.rows)
+    ]
+    return np.array([*numbers, *stored], dtype=np.int64)

@@ -70,7 +70,7 @@ class KernelSets(ABC):
         kernels = self.compile_set(name, names, any_angle=robust)
         # the energy is a kernel of its own, for whoever asks for it
         measure = self.address(energy, any_angle=robust) if energy else 0
-        behind = [self._recording(one, robust) for one in recorders]
+        behind = [self._recording(recorder, robust) for recorder in recorders]
         return self.pack(mode, [*kernels, measure, *behind])
 
     def _recording(self, recorder: Recorder, robust: bool) -> Any:

@@ -37,23 +37,23 @@ def kept_text(source: Iterable[str], derive: Callable[[], Derivation]) -> Deriva
     return kept("texts", "\n".join([_generator(), *source]), _read, derive, _content)
 
 
-def _read(found: Any) -> Derivation:
-    text = found["text"]
-    if _digest(text) != found["sha256"]:
+def _read(content: Any) -> Derivation:
+    text = content["text"]
+    if _digest(text) != content["sha256"]:
         raise ValueError("the text does not have the digest that it names")
-    seconds = dict.fromkeys(map(str, found["stages"]), 0.0)
-    return Derivation(text, seconds, found["operations"], found["unrolled"] is True)
+    seconds = dict.fromkeys(map(str, content["stages"]), 0.0)
+    return Derivation(text, seconds, content["operations"], content["unrolled"] is True)
 
 
-def _content(made: Derivation) -> dict[str, Any] | None:
-    if sum(made.seconds.values()) <= BRIEF:
+def _content(derivation: Derivation) -> dict[str, Any] | None:
+    if sum(derivation.seconds.values()) <= BRIEF:
         return None
     return {
-        "text": made.text,
-        "sha256": _digest(made.text),
-        "operations": made.operations,
-        "unrolled": made.unrolled,
-        "stages": [*made.seconds],
+        "text": derivation.text,
+        "sha256": _digest(derivation.text),
+        "operations": derivation.operations,
+        "unrolled": derivation.unrolled,
+        "stages": [*derivation.seconds],
     }
 
 
@@ -74,4 +74,4 @@ def _generator() -> str:
 def _files(place: Traversable) -> list[Traversable]:
     if place.is_file():
         return [place] if place.name.endswith(".py") else []
-    return [x for one in sorted(place.iterdir(), key=lambda x: x.name) for x in _files(one)]
+    return [x for entry in sorted(place.iterdir(), key=lambda x: x.name) for x in _files(entry)]
