@@ -41,23 +41,23 @@ def take_last_parts(program: Program, task: Task, results: Results) -> None:
     results.codes[arrived[~fine], 0] = Status.NOT_CONVERGED
 
 
-def with_ends(found: Ensemble, ends: Ensemble, every: int) -> Ensemble:
+def with_ends(ensemble: Ensemble, ends: Ensemble, every: int) -> Ensemble:
     """Return members that have every so-many-th state with the state at the end behind them.
 
     One that did not reach its ``ends`` has the states before that and its status.
     """
-    steps = np.minimum(found.steps, ends.steps)
-    status = np.where(ends.status == Status.SUCCESS, found.status, ends.status)
+    steps = np.minimum(ensemble.steps, ends.steps)
+    status = np.where(ends.status == Status.SUCCESS, ensemble.status, ends.status)
     place = steps // every + 1
-    last = np.take_along_axis(found.t, place[:, None] - 1, axis=1)[:, 0]
+    last = np.take_along_axis(ensemble.t, place[:, None] - 1, axis=1)[:, 0]
     some = np.flatnonzero((status == Status.SUCCESS) & (last != ends.t))
     stored = int(max(place.max(), 1 + place[some].max(initial=0)))
     columns: dict[str, Any] = {}
     for name in ("t", "tau", "q", "p"):
-        own = getattr(found, name)
-        columns[name] = np.full((len(own), stored, *own.shape[2:]), np.nan)
-        room = min(stored, own.shape[1])
-        columns[name][:, :room] = own[:, :room]
+        column = getattr(ensemble, name)
+        columns[name] = np.full((len(column), stored, *column.shape[2:]), np.nan)
+        room = min(stored, column.shape[1])
+        columns[name][:, :room] = column[:, :room]
         columns[name][np.arange(stored) >= place[:, None]] = np.nan
         columns[name][some, place[some]] = getattr(ends, name)[some]
-    return replace(found, **columns, status=status, steps=steps, reduced=ends.reduced)
+    return replace(ensemble, **columns, status=status, steps=steps, reduced=ends.reduced)

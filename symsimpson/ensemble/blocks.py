@@ -112,9 +112,13 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
         growing = (replace(growth(header, PAIR, RENEWAL), rows=0),)
     asked = recorders_of(header, count, task.record, task.reductions, growing)
     if task.run_events is not None:  # a member stops where an event is, and is run by itself
-        asked += task.run_events.watchers(header, header.rows + sum(one.room for one in asked))
+        asked += task.run_events.watchers(
+            header, header.rows + sum(recorder.room for recorder in asked)
+        )
     called = ordered(header, asked)
-    rows = {one.kernel: (one.first, one.room) for one in called if one.room}
+    rows = {
+        recorder.kernel: (recorder.first, recorder.room) for recorder in called if recorder.room
+    }
     observed, watched = (rows.get(kernel, (0, 0)) for kernel in ("observe", "watch"))
     legendre = kernels.address("legendre") if task.velocities else 0
     retime = kernels.address("retime") if header.retimed else 0
@@ -122,7 +126,7 @@ def _prepared(program: Program, task: Task, results: Results) -> Callable[..., N
     kinds = np.array([KINDS.index(r.kind) for r in task.reductions], dtype=np.float64)
     step, at = kernels.set(kernels.fallbacks[0], called), told(header, called)
     advance_blocks = program.numbers.driver("advance_blocks", lanes, renewing=task.of_variations)
-    width, room = results.recorded.shape[2], sum(one.room for one in called)
+    width, room = results.recorded.shape[2], sum(recorder.room for recorder in called)
 
     def work(first: int, last: int, queue: _Queue, done: Callable[[int], None]) -> None:
         W = _aligned(header.rows + room + 1, lanes)  # the last is the driver's

@@ -159,9 +159,9 @@ def compute_chunk(path: str, module: str, chunk: int) -> int:
         record=tuple(asked["record"]),
         reductions=reductions,
     )
-    found, _ = run_blocks(program, task, lambda done: None)
-    write_chunk(path, group, members, found)
-    return len(found)
+    ensemble, _ = run_blocks(program, task, lambda done: None)
+    write_chunk(path, group, members, ensemble)
+    return len(ensemble)
 
 
 @lru_cache(maxsize=16)

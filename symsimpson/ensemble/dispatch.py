@@ -48,12 +48,12 @@ def run_ensemble(
     program = _telling(program, request, store)
     task = read_task(program, request, threads, progress, on_disk=store is not None)
     look_at_steps(program, task)
-    found, stopped = _run(program, task, store, client)
+    ensemble, stopped = _run(program, task, store, client)
     if not stopped and task.run_events is None:  # else energies change with what events do
-        look_at_ends(program, task, found)
+        look_at_ends(program, task, ensemble)
     elif stopped and on_failure == "raise":
-        raise Interrupted(found.message, trajectory=found)
-    return found
+        raise Interrupted(ensemble.message, trajectory=ensemble)
+    return ensemble
 
 
 def _telling(program: Program, request: Request, store: Any) -> Program:
@@ -64,7 +64,7 @@ def _telling(program: Program, request: Request, store: Any) -> Program:
     InputError
         If both are asked for.
     """
-    telling = any(one.of_variations for one in read_reductions(program, request.reduce))
+    telling = any(reduction.of_variations for reduction in read_reductions(program, request.reduce))
     if request.varied or telling:
         refuse_retimed(program, "derivatives of ensembles")
     if request.varied and telling:
@@ -118,11 +118,11 @@ def _run_to_ends(
     steps = int(ends.steps.max()) + 1  # of the last one a part is taken
     again = replace(task, steps=steps, reductions=())
     try:
-        found, stopped = run_blocks(program, again, lambda done: None)
+        ensemble, stopped = run_blocks(program, again, lambda done: None)
     except MemoryError:
         raise InputError(
             f"{task.members} members with up to {again.stored} stored states of {2 * program.n} "
             "numbers do not fit into memory.\nStore fewer: every=100, or every=None for the last "
             "states only."
         ) from None
-    return with_ends(found, ends, task.every), stopped
+    return with_ends(ensemble, ends, task.every), stopped

@@ -224,12 +224,12 @@ class Ensemble(Quantities, Differentiated):
         ('member', 'coord')
         """
         xarray = library("xarray", "to_xarray", "data")
-        own = self.program.names.parameters.own  # identifiers, as in a store
-        reduced, parameters = names_in_dataset(self.reduced, own)
+        identifiers = self.program.names.parameters.own  # identifiers, as in a store
+        reduced, parameters = names_in_dataset(self.reduced, identifiers)
         coordinates = dict(zip(parameters.values(), self.parameters.values(), strict=True))
         if self.store is not None:
-            found = xarray.open_zarr(self.store, chunks=None, consolidated=False)
-            return found.set_coords(list(coordinates))
+            dataset = xarray.open_zarr(self.store, chunks=None, consolidated=False)
+            return dataset.set_coords(list(coordinates))
         dims = ("member", "time", "coord") if self.q.ndim == 3 else ("member", "coord")
         variables: dict[str, Any] = {"q": (dims, self.q), "p": (dims, self.p)}
         if self.variations is not None:
@@ -274,14 +274,14 @@ class Ensemble(Quantities, Differentiated):
 
     def _table(self) -> dict[str, NDArray[Any]]:
         shape = np.shape(self.energy)
-        own = {"member": np.arange(len(self)), **self.parameters, **self.reduced}
-        found = {
+        by_member = {"member": np.arange(len(self)), **self.parameters, **self.reduced}
+        table = {
             name: np.broadcast_to(np.asarray(x)[(...,) + (None,) * (len(shape) - 1)], shape)
-            for name, x in own.items()
+            for name, x in by_member.items()
         }
         columns = {"t": np.broadcast_to(self.t, shape), **self._columns()}
-        found |= {name: x for name, x in columns.items() if name not in own}
-        return {name: np.asarray(x).reshape(-1) for name, x in found.items()}
+        table |= {name: x for name, x in columns.items() if name not in by_member}
+        return {name: np.asarray(x).reshape(-1) for name, x in table.items()}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the members in a file, of the kind that its ending says.
@@ -383,7 +383,7 @@ def names_in_dataset(
     path, gives way to a number.
     """
     taken = set(RESERVED)
-    found: list[dict[str, str]] = []
+    mappings: list[dict[str, str]] = []
     for prefix, names in (("reduced", reduced), ("parameter", parameters)):
         chosen: dict[str, str] = {}
         for k, name in enumerate(names):
@@ -391,5 +391,5 @@ def names_in_dataset(
             free = (x for x in choices if x.isidentifier() and x not in taken)
             chosen[name] = next(x for x in free if not x.startswith(RECORDED))
             taken.add(chosen[name])
-        found.append(chosen)
-    return found[0], found[1]
+        mappings.append(chosen)
+    return mappings[0], mappings[1]

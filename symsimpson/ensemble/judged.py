@@ -53,15 +53,15 @@ def look_at_steps(program: Program, task: Task) -> None:
         inputs = task.inputs[min(member, len(task.inputs) - 1), 0, 0]
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
-            own = np.concatenate([values, inputs])
-            tools.check_step(program, system, q, v, own, task.h, task.t0)
+            constants = np.concatenate([values, inputs])
+            tools.check_step(program, system, q, v, constants, task.h, task.t0)
         for warning in told:
             if issubclass(warning.category, StabilityWarning):
                 warn(f"member {member}: {warning.message}", warning.category)
                 return
 
 
-def look_at_ends(program: Program, task: Task, found: Ensemble) -> None:
+def look_at_ends(program: Program, task: Task, ensemble: Ensemble) -> None:
     """Say why, where no member could begin; warn of members whose motion was not resolved.
 
     Raises
@@ -69,14 +69,14 @@ def look_at_ends(program: Program, task: Task, found: Ensemble) -> None:
     InputError
         If no member could begin.
     """
-    status = np.asarray(found.status[:])
+    status = np.asarray(ensemble.status[:])
     if (status == Status.BAD_INPUT).all():
         _refuse(program, task)
     if task.steps < FEWEST or task.of_variations:
         return
     some = spread(task.members, MEASURED)
     some = some[status[some] == Status.SUCCESS]
-    left = _energies_left(program, task, found, some)
+    left = _energies_left(program, task, ensemble, some)
     worst = some[np.argsort(-left)[:AGAIN]][: int((left > LAST_LIMIT).sum())]
     for member in worst:
         with warnings.catch_warnings(record=True) as told:
@@ -100,7 +100,7 @@ def _refuse(program: Program, task: Task) -> None:
 
 
 def _energies_left(
-    program: Program, task: Task, found: Ensemble, some: NDArray[np.int64]
+    program: Program, task: Task, ensemble: Ensemble, some: NDArray[np.int64]
 ) -> Floats:
     """Return how far energies are from those at the start, in units of the kinetic energy."""
     if not some.size:
@@ -115,7 +115,7 @@ def _energies_left(
     part = replace(task.part(some), threads=1, **nothing)
     begun, _ = run_blocks(program, part, lambda done: None)
     last = (slice(None), -1) if task.every else (slice(None),)
-    ends: list[Any] = [np.asarray(x[:][some])[last] for x in (found.q, found.p)]
+    ends: list[Any] = [np.asarray(x[:][some])[last] for x in (ensemble.q, ensemble.p)]
     q, p = (np.stack([a, b], axis=1) for a, b in zip((begun.q, begun.p), ends, strict=True))
     t = task.t0 + task.h * np.array([0.0, task.steps])
     values = np.array(part.parameters)

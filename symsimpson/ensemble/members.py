@@ -66,7 +66,7 @@ def read_task(
             )
     stride, run_events = read_every(request.every), read_run_events(program, request)
     reductions = read_reductions(program, request.reduce, run_events.names if run_events else ())
-    if retimed and any(one.kind == "mean" for one in reductions):
+    if retimed and any(reduction.kind == "mean" for reduction in reductions):
         raise InputError(
             f"{program.system} is retimed: the mean over its steps is no mean over the time.\n"
             "Store states, every=..., and take the mean of them."
@@ -114,8 +114,10 @@ def read_task(
 def _columns(program: Program, tangents: Any) -> NDArray[np.float64]:
     """Return variations of the state, and behind them those of what is varied, which begin at 0."""
     varied = len(program.header.varied_by or ())
-    own = read_tangents(program, tangents)
-    return np.ascontiguousarray(np.concatenate([own, np.zeros((len(own), varied))], axis=1))
+    state_columns = read_tangents(program, tangents)
+    return np.ascontiguousarray(
+        np.concatenate([state_columns, np.zeros((len(state_columns), varied))], axis=1)
+    )
 
 
 def _states(name: str, value: Any, program: Program) -> NDArray[np.float64]:
@@ -156,7 +158,7 @@ def _parameters(
     """Read parameter values, one or K of each."""
     program.check_given(given)
     names = program.names.parameters
-    found = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
+    columns = dict(zip(names.shown, (np.asarray(x) for x in program.defaults), strict=True))
     if given is not None and not isinstance(given, Mapping):
         raise InputError(
             f"parameters is {type(given).__name__}, not a mapping.\nPass parameters={{'m': 1.0}}."
@@ -170,12 +172,12 @@ def _parameters(
             )
         for extreme in (column.min(), column.max()):  # signs and names, as for a single run
             read_parameters(names, program.header.signs, program.defaults, {key: extreme}, FLOAT64)
-        found[names.shown[names.found(key)]] = column
+        columns[names.shown[names.found(key)]] = column
     if program.names.idle:
-        places = enumerate(zip(found.values(), program.defaults, strict=True))
+        places = enumerate(zip(columns.values(), program.defaults, strict=True))
         changed = [i for i, (x, default) in places if (x != default).any()]
         program.names.warn_of_idle(program.system, changed, beside)
-    return found
+    return columns
 
 
 def _threads(threads: int | None) -> int:

@@ -55,7 +55,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
                 warnings.simplefilter("ignore", ConstraintWarning)
                 carried = {"record": task.record, **_carrying(program, task)}
                 asked = task.of_member(member, program, every=every, **carried)
-                found = run(program, asked, on_failure="return")
+                trajectory = run(program, asked, on_failure="return")
         except InputError:
             for array in (results.q, results.p, results.recorded, results.seen):
                 array[member] = np.nan
@@ -63,9 +63,9 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
             continue
         except KeyboardInterrupt:
             return True
-        if found.status is Status.INTERRUPTED:
+        if trajectory.status is Status.INTERRUPTED:
             return True
-        _put(program, task, results, member, found)
+        _put(program, task, results, member, trajectory)
     return False
 
 
@@ -83,16 +83,16 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
         values = reduce_values(task.reductions, t, seen)
         if task.of_variations and run.success:
             values = _of_variations(program, task, member, values)
-        for k, one in enumerate(task.reductions):
-            if one.kind == OF_EVENTS:
-                values[k] = len(run.events(one.expression))
+        for k, reduction in enumerate(task.reductions):
+            if reduction.kind == OF_EVENTS:
+                values[k] = len(run.events(reduction.expression))
         results.seen[member, : 2 * len(values) : 2] = values
     if task.retimed:
         results.part[member] = run.tau[-1] - run.h * run.steps
     stride = task.every // (run.every or 1)
     for array, states in ((results.q, run.q), (results.p, run.p), (results.recorded, kept)):
-        found = states[:whole][::stride] if task.every else states[-1:]
-        array[member, : len(found)], array[member, len(found) :] = found, np.nan
+        stored = states[:whole][::stride] if task.every else states[-1:]
+        array[member, : len(stored)], array[member, len(stored) :] = stored, np.nan
     results.codes[member] = run.status, run.steps, run.newton_iterations.sum()
     results.ended_at[member] = run.t[-1]
 
@@ -108,14 +108,14 @@ def _carrying(program: Program, task: Task) -> dict[str, Any]:
 
 def _of_variations(program: Program, task: Task, member: Any, values: list[float]) -> list[float]:
     """Return what reductions of a member come to, with those of its variations."""
-    own = replace(
+    member_task = replace(
         task,
         q0=task.q0[member],
         other0=task.other0[member],
         parameters=task.parameters[member],
         inputs=task.inputs[min(member, len(task.inputs) - 1)][None],
     )
-    chaos = run_lyapunov(program, own, PAIR, RENEWAL, progress=False)
+    chaos = run_lyapunov(program, member_task, PAIR, RENEWAL, progress=False)
     told = {"lyapunov": chaos.exponents[0], "megno": chaos.megno[-1], "sali": chaos.sali[-1]}
     pairs = zip(task.reductions, values, strict=True)
     return [float(told.get(reduction.kind, value)) for reduction, value in pairs]

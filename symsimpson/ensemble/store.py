@@ -156,15 +156,15 @@ def open_store(path: object, program: Program, task: Task) -> Store:
             ):
                 raise _other(place, "holds something that is no ensemble") from None
             return _create(place, program, task, asked)
-        found: dict[str, Any] = dict(group.attrs)
-        if found.get("begun_by") != "symsimpson":
+        attributes: dict[str, Any] = dict(group.attrs)
+        if attributes.get("begun_by") != "symsimpson":
             raise _other(place, "holds a dataset that is no ensemble of symsimpson")
-        if "asked" not in found:  # broken off while it was made: nothing is lost
+        if "asked" not in attributes:  # broken off while it was made: nothing is lost
             return _create(place, program, task, asked)
-        differing = [key for key in asked if found["asked"].get(key) != asked[key]]
+        differing = [key for key in asked if attributes["asked"].get(key) != asked[key]]
         if differing:
             raise _other(place, f"holds another ensemble: {', '.join(differing)} differ")
-        return Store(place, zarr.open_group(place, mode="r+"), program, task, found["chunk"])
+        return Store(place, zarr.open_group(place, mode="r+"), program, task, attributes["chunk"])
 
 
 def _other(place: str, what: str) -> InputError:
@@ -195,16 +195,18 @@ def _create(place: str, program: Program, task: Task, asked: dict[str, Any]) -> 
     from zarr.codecs import ZstdCodec
 
     chunk = _chunk(program, task)
-    one = task.part(slice(0, 1))
-    template = ensemble_of(program, one, **Results(one, program.header).columns()).to_xarray()
+    first_task = task.part(slice(0, 1))
+    template = ensemble_of(
+        program, first_task, **Results(first_task, program.header).columns()
+    ).to_xarray()
     about = {key: value for key, value in template.attrs.items() if key != "outcome"}
     group = zarr.create_group(
         place, overwrite=True, attributes=about | {"begun_by": "symsimpson", "chunk": chunk}
     )
     given = {"q0": task.q0, task.given: task.other0, "member": np.arange(task.members)}
-    own = program.names.parameters.own
-    _, names = names_in_dataset([r.name for r in task.reductions], own)
-    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(own)}
+    identifiers = program.names.parameters.own
+    _, names = names_in_dataset([r.name for r in task.reductions], identifiers)
+    given |= {names[name]: task.parameters[:, k] for k, name in enumerate(identifiers)}
     for name, variable in template.variables.items():
         integers, text = variable.dtype.kind == "i", variable.dtype.kind not in "if"
         shape, chunks = variable.shape, variable.shape
@@ -256,26 +258,26 @@ def run_missing(store: Store) -> bool:
             progress.add(task.members - sum(map(store.size, missing)))
             for chunk in missing:
                 part = task.part(store.members(chunk))
-                found, interrupted = run_blocks(store.program, part, progress.add)
+                ensemble, interrupted = run_blocks(store.program, part, progress.add)
                 if interrupted:
                     return True
-                write_chunk(store.path, store.group, store.members(chunk), found)
+                write_chunk(store.path, store.group, store.members(chunk), ensemble)
     except KeyboardInterrupt:
         return True
     return False
 
 
-def write_chunk(path: str, group: Any, members: slice, found: Ensemble) -> None:
+def write_chunk(path: str, group: Any, members: slice, ensemble: Ensemble) -> None:
     """Write what some members came to, statuses last."""
-    names, _ = names_in_dataset(found.reduced, found.parameters)
-    columns = {"q": found.q, "p": found.p}
-    columns |= {f"{RECORDED}{name}": rows for name, rows in found.recorded.items()}
-    if found.variations is not None:
-        columns["variations"] = found.variations
-    columns |= {names[name]: values for name, values in found.reduced.items()}
-    columns |= {"steps": found.steps, "newton_iterations": found.newton_iterations}
+    names, _ = names_in_dataset(ensemble.reduced, ensemble.parameters)
+    columns = {"q": ensemble.q, "p": ensemble.p}
+    columns |= {f"{RECORDED}{name}": rows for name, rows in ensemble.recorded.items()}
+    if ensemble.variations is not None:
+        columns["variations"] = ensemble.variations
+    columns |= {names[name]: values for name, values in ensemble.reduced.items()}
+    columns |= {"steps": ensemble.steps, "newton_iterations": ensemble.newton_iterations}
     with said(path, "written"):
-        for name, values in (columns | {"status": found.status}).items():
+        for name, values in (columns | {"status": ensemble.status}).items():
             group[name][members] = values
 
 

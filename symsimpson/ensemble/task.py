@@ -39,8 +39,8 @@ class Task(RunSpec):
 
     def inputs_of(self, member: Any) -> Floats | None:
         """Return the inputs of a member as a run of its own takes them."""
-        own = self.inputs[min(member, len(self.inputs) - 1)]
-        return np.broadcast_to(own, (self.steps, *own.shape[1:])) if own.size else None
+        inputs = self.inputs[min(member, len(self.inputs) - 1)]
+        return np.broadcast_to(inputs, (self.steps, *inputs.shape[1:])) if inputs.size else None
 
     def of_member(self, member: Any, program: Program, **more: Any) -> Request:
         """Return how a run of one member is asked for."""
@@ -96,7 +96,9 @@ class Results:
         # status, steps, iterations
         self.codes = np.zeros((task.members, 3), dtype=np.int64)
         self.codes[:, 0] = Status.INTERRUPTED
-        self.recorded = np.full((*shape[:2], sum(one.rows for one in self._recorders)), np.nan)
+        self.recorded = np.full(
+            (*shape[:2], sum(recorder.rows for recorder in self._recorders)), np.nan
+        )
         #: Of a step that was taken last, in tau.
         self.part = np.zeros(task.members)
         #: When members came to their ends, where they are known to be run by themselves.
@@ -111,7 +113,7 @@ class Results:
         status[status == MET] = Status.INTERRUPTED  # before it was run by itself
         q, p = (self.q, self.p) if task.every else (self.q[:, 0], self.p[:, 0])
         reduced = {r.name: self.seen[:, 2 * k] for k, r in enumerate(task.reductions)}
-        found: dict[str, Any] = {
+        columns: dict[str, Any] = {
             "q": q,
             "p": p,
             "status": status,
@@ -120,27 +122,27 @@ class Results:
             "reduced": reduced,
         }
         recorded = self.recorded if task.every else self.recorded[:, 0]
-        found["variations"], found["recorded"] = split(self._recorders, recorded, q.shape[-1])
+        columns["variations"], columns["recorded"] = split(self._recorders, recorded, q.shape[-1])
         if task.run_events is not None:
             whole_steps = task.t0 + task.h * steps
-            found["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
+            columns["ended_at"] = np.where(np.isnan(self.ended_at), whole_steps, self.ended_at)
             if not task.every and not task.retimed:
-                found["t"] = found["ended_at"]
+                columns["t"] = columns["ended_at"]
         if task.retimed:
             whole = task.every * np.arange(task.stored) if task.every else steps
             t = recorded[..., 0]  # the clock is the first of recorders
             tau = task.h * whole + (0 if task.every else self.part)
-            found |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
-        return found
+            columns |= {"t": t, "tau": np.where(np.isfinite(t), tau, np.nan)}
+        return columns
 
 
-def ensemble_of(program: Program, task: Task, **found: Any) -> Ensemble:
+def ensemble_of(program: Program, task: Task, **columns: Any) -> Ensemble:
     """Return what a task came to as an ensemble, with what it was asked for."""
-    if "t" not in found:
-        found["t"] = task.times
+    if "t" not in columns:
+        columns["t"] = task.times
     return Ensemble(
         parameters=dict(zip(program.parameters, task.parameters.T, strict=True)),
         initial={"q0": task.q0, task.given: task.other0},
         program=program,
-        **found,
+        **columns,
     )
