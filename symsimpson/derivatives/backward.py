@@ -177,10 +177,10 @@ class _Back:
             return
         numbers = self.program.numbers
         t = numbers.read([spec.t0 + spec.h * spec.steps])
-        found = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
-        self._value = self._value + found.value[0]
-        self._state += found.state[0]
-        self._parameters = self._parameters + found.parameters[0]
+        slopes = cost.slopes(t, way.q1[None], way.p1[None], spec.parameters)
+        self._value = self._value + slopes.value[0]
+        self._state += slopes.state[0]
+        self._parameters = self._parameters + slopes.parameters[0]
 
     def carry(self, first: int, records: Reals, q: Reals, p: Reals) -> None:
         """Go back over the steps of a segment."""
@@ -220,13 +220,13 @@ class _Back:
         """Add the samples at some states to the cost; return its derivatives by these states."""
         spec, numbers = self._spec, self.program.numbers
         t = spec.t0 + numbers.read(places * self._objective.every) * spec.h
-        found = numbers.zeros((len(places), 2 * self.program.n))
+        by_state = numbers.zeros((len(places), 2 * self.program.n))
         for samples in self._objective.samples:
             slopes = samples.slopes(slice(places[0], places[-1] + 1), t, q, p, spec.parameters)
             self._value = self._value + slopes.value.sum()
             self._parameters = self._parameters + slopes.parameters.sum(axis=0)
-            found = found + slopes.state
-        return found
+            by_state = by_state + slopes.state
+        return by_state
 
     def arrived(self, way: Way) -> Backward:
         """Return what there is at the start."""

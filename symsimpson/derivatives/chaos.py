@@ -34,8 +34,8 @@ Floats = NDArray[np.float64]
 
 def directions(size: int, count: int) -> Floats:
     """Return random orthonormal columns as first variations, the same ones each time."""
-    found, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
-    return np.ascontiguousarray(found)
+    basis, _ = np.linalg.qr(np.random.default_rng(1980).normal(size=(size, count)))
+    return np.ascontiguousarray(basis)
 
 
 def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) -> Floats:
@@ -56,8 +56,8 @@ def _tangent_to_constraints(program: Program, spec: RunSpec, columns: Floats) ->
     )
     moved = integrate(program, there, None, None, False, "raise").variations
     assert moved is not None
-    found, _ = np.linalg.qr(moved[0])
-    return np.ascontiguousarray(found)
+    basis, _ = np.linalg.qr(moved[0])
+    return np.ascontiguousarray(basis)
 
 
 def lyapunov(

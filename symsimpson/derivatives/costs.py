@@ -45,8 +45,8 @@ class Slopes:
 
     def times(self, factors: Reals) -> Slopes:
         """Return the slopes of a cost whose derivatives by the quantity are these."""
-        one = factors[:, None]
-        return Slopes(self.value, one * self.state, one * self.parameters)
+        weights = factors[:, None]
+        return Slopes(self.value, weights * self.state, weights * self.parameters)
 
 
 class _Written:
@@ -59,7 +59,7 @@ class _Written:
         names += [f"a_{j}" for j in range(parameters)] + ["t"]
         symbols = {name: sp.Symbol(name, real=True) for name in names}
         functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max}
-        computed = {one.symbol: sp.Symbol(one.symbol) for one in SCALARS}
+        computed = {scalar.symbol: sp.Symbol(scalar.symbol) for scalar in SCALARS}
         # the text was written anew from a list of what is allowed; numbers are what they say
         self._expression = sp.sympify(text, locals=symbols | functions | computed, rational=True)
         self.computed = self._expression.has(*computed.values())
@@ -79,9 +79,9 @@ class _Written:
 
         value = self._expression.replace(sp.Mod, lambda a, b: a - b * Whole(a / b))
         every = [value, *(sp.diff(value, symbol) for symbol in self._symbols[:-1])]
-        whole = [one.replace(Whole, sp.floor) for one in every]
-        made: Callable[..., list[Reals]] = self._numbers.lambdified(self._symbols, whole)
-        return made
+        whole = [expression.replace(Whole, sp.floor) for expression in every]
+        function: Callable[..., list[Reals]] = self._numbers.lambdified(self._symbols, whole)
+        return function
 
 
 #: A search asks for the same quantity many times.
@@ -119,9 +119,9 @@ class StateCost:
                 f"{what} contains velocities, whose derivatives are not known with constraints.\n"
                 "Write it with coordinates and momenta, or as running=."
             )
-        varied, own = program.header.varied_by or (), program.header.parameters
+        varied, parameters = program.header.varied_by or (), program.header.parameters
         #: Which of the parameters are varied; inputs are none of them.
-        self._varied = [own.index(name) if name in own else None for name in varied]
+        self._varied = [parameters.index(name) if name in parameters else None for name in varied]
 
     def slopes(self, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
         """Return the quantity at states, and its derivatives by q, p and what is varied.
@@ -132,13 +132,13 @@ class StateCost:
         program, n = self.program, self.program.n
         numbers = program.numbers
         v = evaluate(program, "start", "VELOCITY", n, (t, q, p), values)
-        found = self._written.evaluate(*q.T, *p.T, *v.T, *values, t)
-        rows = [np.broadcast_to(numbers.read(row), len(q)) for row in found]
+        results = self._written.evaluate(*q.T, *p.T, *v.T, *values, t)
+        rows = [np.broadcast_to(numbers.read(row), len(q)) for row in results]
         value, state = rows[0], np.stack(rows[1 : 2 * n + 1], axis=1)
         by_velocity = np.stack(rows[2 * n + 1 : 3 * n + 1], axis=1)
         zero = numbers.zeros(len(q))
-        own = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
-        parameters = np.stack(own, axis=1) if own else numbers.zeros((len(q), 0))
+        by_parameter = [zero if j is None else rows[1 + 3 * n + j] for j in self._varied]
+        parameters = np.stack(by_parameter, axis=1) if by_parameter else numbers.zeros((len(q), 0))
         if self._written.moving:
             # with dp = P_q dq + M dv + P_a da: mu = M^-1 g_v is the derivative by p
             still = evaluate(program, "start", "VELOCITY", n, (t, q, 0 * p), values)
@@ -178,10 +178,10 @@ class Measured:
 
     def slopes(self, place: slice, t: Reals, q: Reals, p: Reals, values: Reals) -> Slopes:
         """Return the squares of what the quantity differs by, at some of these states."""
-        found, data = self.quantity.slopes(t, q, p, values), self.values[place]
+        slopes, data = self.quantity.slopes(t, q, p, values), self.values[place]
         known = data == data  # NaN differs from itself
-        off = np.where(known, found.value - data, 0 * found.value)
-        changed = found.times(2 * off)
+        off = np.where(known, slopes.value - data, 0 * slopes.value)
+        changed = slopes.times(2 * off)
         return Slopes(off * off, changed.state, changed.parameters)
 
 
@@ -200,7 +200,7 @@ def read_samples(
     InputError
         If their number is not that of the states, or none is a number.
     """
-    numbers, found = program.numbers, []
+    numbers, measured = program.numbers, []
     count = steps // every + 1
     for expression, given in (samples or {}).items():
         values = read_array(f"samples of {expression}", given, numbers)
@@ -212,5 +212,7 @@ def read_samples(
             )
         if not numbers.finite(values).any():
             raise InputError(f"samples of {expression}: none is finite.\nPass at least one number.")
-        found.append(Measured(StateCost(program, f"samples of {expression}", expression), values))
-    return tuple(found)
+        measured.append(
+            Measured(StateCost(program, f"samples of {expression}", expression), values)
+        )
+    return tuple(measured)

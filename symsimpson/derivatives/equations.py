@@ -58,12 +58,12 @@ def evaluate_equations(program: Program, at: At, p0: ArrayLike) -> tuple[Reals, 
         p = read_vector("p0", p0, program.names.coordinates, numbers)
         step = _Step.read(program, at)
         step.evaluate("equations", p)
-        found = (
+        equations = (
             equations_of(header, step.run)
             if at.multipliers is None
             else held_equations_of(header, step.run, step.h)
         )
-        residual, jacobian = map(numbers.result, found)
+        residual, jacobian = map(numbers.result, equations)
     return residual.ravel(), jacobian.reshape(residual.size, residual.size)
 
 

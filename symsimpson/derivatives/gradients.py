@@ -63,7 +63,7 @@ def gradient_of(
     """
     refuse_retimed(program, "gradients of costs")
     several = isinstance(wanted.wrt, (tuple, list, set, frozenset))
-    asked = [spelled(one) for one in (wanted.wrt if several else [wanted.wrt])]
+    asked = [spelled(variable) for variable in (wanted.wrt if several else [wanted.wrt])]
     names = [name for name in asked if name not in STATE]
     _check(wanted, asked, velocities=request.v0 is not None)
     program = varied_program(program, read_varied(program, names), wanted.running)
@@ -77,21 +77,21 @@ def gradient_of(
     header = program.header
     varied = header.varied_by or ()
     of_inputs = [j for j, name in enumerate(varied) if name in header.inputs]
-    found = differentiate_back(program, spec, objective, of_inputs, progress)
+    derivatives = differentiate_back(program, spec, objective, of_inputs, progress)
     given = given_inputs(program, request.inputs) if of_inputs else {}
     n, parts = program.n, {}
     for name in asked:
         if name in STATE:
-            parts[name] = found.state[:n] if name == "q" else found.state[n:]
+            parts[name] = derivatives.state[:n] if name == "q" else derivatives.state[n:]
             continue
-        own = varied[names.index(name)]
-        if own in header.inputs:
-            slopes = found.by_step[:, of_inputs.index(names.index(name))]
-            key = program.inputs[header.inputs.index(own)]
+        varied_name = varied[names.index(name)]
+        if varied_name in header.inputs:
+            slopes = derivatives.by_step[:, of_inputs.index(names.index(name))]
+            key = program.inputs[header.inputs.index(varied_name)]
             parts[name] = _of_input(key, slopes, given[key], spec, program.numbers)
         else:
-            parts[name] = np.asarray(found.parameters[names.index(name)])
-    return Gradient(found.value, parts)
+            parts[name] = np.asarray(derivatives.parameters[names.index(name)])
+    return Gradient(derivatives.value, parts)
 
 
 def _check(wanted: Wanted, asked: Sequence[str], *, velocities: bool) -> None:
@@ -120,11 +120,11 @@ def _of_input(name: str, slopes: Reals, given: Any, spec: RunSpec, numbers: Numb
         if not values.ndim:
             return np.asarray(slopes.sum())
         starts = np.arange(0, spec.steps, steps_a_period(name, given.period, spec.h, numbers))
-        found = 0 * np.resize(slopes[0], values.shape)
-        found[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
-        return found
+        by_sample = 0 * np.resize(slopes[0], values.shape)
+        by_sample[: starts.size] = np.add.reduceat(slopes.sum(axis=1), starts)
+        return by_sample
     shape = np.shape(given)
     if not shape:
         return np.asarray(slopes.sum())
-    own = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)
-    return own.reshape(shape)
+    derivatives = slopes if slopes.size == np.prod(shape) else slopes.sum(axis=1)
+    return derivatives.reshape(shape)

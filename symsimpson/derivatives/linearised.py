@@ -54,8 +54,8 @@ def linearise(program: Program, request: Request, wrt: Any, progress: bool | Non
         q,
         p,
         rows,
-        {name: found.sum(axis=2) for name, found in by_name.items() if name not in inputs},
-        {name: found for name, found in by_name.items() if name in inputs},
+        {name: slope.sum(axis=2) for name, slope in by_name.items() if name not in inputs},
+        {name: slope for name, slope in by_name.items() if name in inputs},
     )
 
 
@@ -70,11 +70,11 @@ def _linearise(
     setting, places = (spec.h, spec.t0, W, header.told), (begun, header.layout["COST_SLOPE"])
     carry_back, no_jumps = numbers.driver("carry_back"), numbers.zeros((0, 0))
     unit = numbers.read(np.eye(size))
-    totals, found = numbers.zeros((2, every.size)), numbers.zeros((1, every.size))
+    totals, row_slopes = numbers.zeros((2, every.size)), numbers.zeros((1, every.size))
     for k in range(len(records) - 1):
         given = records[k : k + 2], no_jumps, spec.inputs
         for row in range(size):
             W[begun : begun + size, 0] = unit[row]
-            carry_back(kernels, setting, places, first + k, given, totals, every, found)
+            carry_back(kernels, setting, places, first + k, given, totals, every, row_slopes)
             rows[k, row] = W[begun : begun + size, 0]
-            slopes[k, row] = found.reshape(slopes.shape[2:])
+            slopes[k, row] = row_slopes.reshape(slopes.shape[2:])
