@@ -81,6 +81,8 @@ class Findings:
         Steps and lengths of runs that are not short, though it did not seem so.
     wide : dict
         By numbers of lanes: kernels for so many trajectories at a time.
+    events : dict
+        Events of runs, as they were read.
     """
 
     variants: dict[tuple[tuple[str, ...], Any, bool], Program] = field(default_factory=dict)
@@ -90,6 +92,7 @@ class Findings:
     prepared: list[Any] | None = None
     long: set[tuple[float, float]] = field(default_factory=set)
     wide: dict[int, KernelSets] = field(default_factory=dict)
+    events: dict[Any, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

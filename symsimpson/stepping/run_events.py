@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["RunEvents", "read_run_events"]
 
+#: Events that a program remembers: reading them takes SymPy milliseconds.
+MOST_KNOWN = 64
+
 
 @dataclass(frozen=True)
 class RunEvents:
@@ -94,7 +97,16 @@ def read_run_events(program: Program, request: Request) -> RunEvents | None:
             f"{program.system}: events that act do not go with {why}.\nLeave one of them out; "
             "events without an action are found behind a run, by run.events(expression)."
         )
-    return read_events(program, given)
+    known = program.findings.events
+    try:
+        key = tuple(given) if isinstance(given, (list, tuple)) else given
+        if key not in known:
+            if len(known) == MOST_KNOWN:
+                known.clear()
+            known[key] = read_events(program, given)
+        return known[key]
+    except TypeError:  # mappings of a Change have no hash
+        return read_events(program, given)
 
 
 def read_events(program: Program, given: Any) -> RunEvents:

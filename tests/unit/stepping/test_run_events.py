@@ -1,0 +1,48 @@
+"""Events are read once, whatever they are."""
+
+import pytest
+from support.impacts import BALL, floor, z
+
+import symsimpson as ss
+from symsimpson.stepping import run_events
+from symsimpson.stepping.request import Request
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    read, seen = run_events.read_events, []
+
+    def counted(program, given):
+        seen.append(given)
+        return read(program, given)
+
+    monkeypatch.setattr(run_events, "read_events", counted)
+    return seen
+
+
+def test_equal_events_are_read_once(reads):
+    program = ss.compile(BALL).program
+    request = Request([1.0], events=[floor()])
+    first = run_events.read_run_events(program, request)
+    assert run_events.read_run_events(program, request._replace(events=(floor(),))) is first
+    assert len(reads) == 1
+    other = run_events.read_run_events(program, request._replace(events=[floor(0.5)]))
+    assert other.events[0].action.restitution == 0.5
+    assert len(reads) == 2
+
+
+def test_so_many_are_remembered_and_no_more(reads, monkeypatch):
+    monkeypatch.setattr(run_events, "MOST_KNOWN", 2)
+    program = ss.compile(BALL).program
+    for height in (0.1, 0.2, 0.3):
+        asked = Request([1.0], events=[ss.Event(z - height, name="half", terminal=True)])
+        assert run_events.read_run_events(program, asked).events[0].expression == z - height
+        assert len(program.findings.events) <= 2
+
+
+def test_changes_are_read_each_time(reads):
+    program = ss.compile(BALL).program
+    lifted = ss.Event(z, name="floor", action=ss.Change(positions={z: 1.0}))
+    for _ in range(2):
+        run_events.read_run_events(program, Request([1.0], events=[lifted]))
+    assert len(reads) == 2
