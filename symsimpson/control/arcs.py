@@ -22,14 +22,14 @@ def arcs_of(result: Any) -> list[dict[Any, float]]:
     for k, (low, high) in read.of_inputs.items():
         if np.isfinite(low) and np.isfinite(high) and low < high:
             labels[:, k] = labels_of((means[:, k] - low) / (high - low))
-    found: list[dict[Any, float]] = []
+    arcs: list[dict[Any, float]] = []
     for row, _ in groupby(map(tuple, labels.tolist())):
         arc = {}
         for k, label in enumerate(row):
             if label:
                 arc[read.system.inputs[k]] = read.of_inputs[k][label > 0]
-        found.append(arc)
-    return found
+        arcs.append(arc)
+    return arcs
 
 
 def labels_of(part: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -37,11 +37,11 @@ def labels_of(part: NDArray[np.float64]) -> NDArray[np.int64]:
 
     A few steps between two bounds have a switch in them, and belong to the nearer one.
     """
-    found = np.where(part < AT_BOUND, -1, np.where(part > 1 - AT_BOUND, 1, 0))
+    labels = np.where(part < AT_BOUND, -1, np.where(part > 1 - AT_BOUND, 1, 0))
     first = 0
-    for label, same in groupby(found.tolist()):
+    for label, same in groupby(labels.tolist()):
         last = first + len([*same])
         if not label and last - first <= OF_A_SWITCH:
-            found[first:last] = np.where(part[first:last] < 0.5, -1, 1)
+            labels[first:last] = np.where(part[first:last] < 0.5, -1, 1)
         first = last
-    return found
+    return labels

@@ -26,14 +26,14 @@ def balanced(layout: Any, x: Floats) -> bool:
     """Return whether equations of steps are satisfied with more nodes, for the same polynomials."""
     read, u = layout.read, x[layout.inputs]
     functions = PointFunctions(read.graph, [], [*read.forces, *read.momenta])
-    found, done = _rows(layout, functions, x, layout.c, layout.b, u)
+    rows, done = _rows(layout, functions, x, layout.c, layout.b, u)
     places, weights = np.polynomial.legendre.leggauss(layout.nodes + MORE)
     places = (places + 1) / 2
     inputs = np.einsum("ij,kjm->kim", lagrange(layout.c, places), u)
     finer, _ = _rows(layout, functions, x, places, weights / 2, inputs)
     # by the speeds of coordinates all are of one unit
     speeds = np.abs(np.diff(x[layout.points], axis=1)).sum(axis=1)
-    off = (np.abs(finer - found).max(axis=1) * speeds).sum()
+    off = (np.abs(finer - rows).max(axis=1) * speeds).sum()
     return not off > OFF * (done * speeds).sum()
 
 
@@ -49,14 +49,14 @@ def _rows(
     read, q = layout.read, x[layout.points]
     sizes, (N, s, n) = layout.sizes(x), (layout.steps, len(places), layout.n)
     h = sizes[layout.grid.phase]
-    k, i = (one.ravel() for one in np.mgrid[:N, :s])
+    k, i = (index.ravel() for index in np.mgrid[:N, :s])
     values, slopes = lagrange(layout.places, places), lagrange_slopes(layout.places, places)
     positions = np.einsum("ij,kja->aki", values, q)
     velocities = np.einsum("ij,kja->aki", slopes, q) / h[:, None]
     known = [*read.q, *read.v, *read.u]
     at = [*positions, *velocities, *np.moveaxis(inputs, -1, 0)]
     times = layout.grid.before(k, places[i]) @ sizes
-    point = {node: one.ravel() for node, one in zip(known, at, strict=True)}
+    point = {node: value.ravel() for node, value in zip(known, at, strict=True)}
     point |= {**layout.parameter_values(x), read.t: times}
     F, P = functions.values(point, N * s).reshape(2, n, N, s)
     F = F * h[:, None]

@@ -110,9 +110,9 @@ class Condensed:
             return np.full(len(w), np.nan), np.full(self.shape[0] * len(w), np.nan)
         (gradient, jacobian), Z = at["slopes"], self._moved(at)
         rest = jacobian[self._rest]
-        own = rest[:, self.unknowns].toarray() + rest[:, self._states] @ Z
-        found = np.concatenate([own, Z[self._bounded]])
-        return gradient[self.unknowns] + gradient[self._states] @ Z, found.ravel(order="F")
+        reduced = rest[:, self.unknowns].toarray() + rest[:, self._states] @ Z
+        entries = np.concatenate([reduced, Z[self._bounded]])
+        return gradient[self.unknowns] + gradient[self._states] @ Z, entries.ravel(order="F")
 
     def curvatures(self, w: Floats, cost: float, multipliers: Floats) -> Floats:
         """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
@@ -128,16 +128,18 @@ class Condensed:
         H = upper + upper.T - sparse.diags(upper.diagonal())
         Z, u, y = self._moved(at), self.unknowns, self._states
         crossed = H[u][:, y] @ Z
-        found = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)
-        lower: Floats = found[self._upper]
+        reduced = H[u][:, u].toarray() + crossed + crossed.T + Z.T @ (H[y][:, y] @ Z)
+        lower: Floats = reduced[self._upper]
         return lower
 
-    def outcome(self, found: Outcome) -> Outcome:
+    def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to, with all unknowns and multipliers of the full form."""
-        at = self._at(found.x)
+        at = self._at(outcome.x)
         if "x" not in at:  # the last motion that was found
             at = self._at(self._x[self.unknowns])
-        return replace(found, x=at["x"], multipliers=self._multipliers(at, 1.0, found.multipliers))
+        return replace(
+            outcome, x=at["x"], multipliers=self._multipliers(at, 1.0, outcome.multipliers)
+        )
 
     def _slopes(self, x: Floats) -> tuple[Floats, Any]:
         gradient, entries = self._full.slopes(x)
@@ -182,16 +184,16 @@ class Condensed:
         moved: Floats = at["moved"]
         return moved
 
-    def _multipliers(self, at: dict[str, Any], cost: float, own: Floats) -> Floats:
+    def _multipliers(self, at: dict[str, Any], cost: float, multipliers: Floats) -> Floats:
         """Return the multipliers of all rows: those of steps follow from the others."""
         gradient, jacobian = at["slopes"]
-        rest, of_bounds = np.split(own, [len(self._rest)])
+        rest, of_bounds = np.split(multipliers, [len(self._rest)])
         by_states = cost * gradient[self._states] + rest @ jacobian[self._rest][:, self._states]
         by_states[self._bounded] += of_bounds
-        found = np.zeros(self._full.shape[0])
-        found[self._rest] = rest
-        found[self._steps] = -at["factors"].solve(by_states, trans="T")
-        return found
+        full = np.zeros(self._full.shape[0])
+        full[self._rest] = rest
+        full[self._steps] = -at["factors"].solve(by_states, trans="T")
+        return full
 
 
 def at_start(layout: Layout, x: Floats) -> Floats:
@@ -208,11 +210,11 @@ def at_start(layout: Layout, x: Floats) -> Floats:
             f"{read.system.name} has constraints, and their multipliers are unknowns.\n{HOW}"
         )
     q, v = x[layout.points[0, 0]], x[layout.velocities[0]]
-    for one in read.ends[0]:
-        factor, node = one.value
+    for limit in read.ends[0]:
+        factor, node = limit.value
         for names, values in ((read.q, q), (read.v, v)):
-            if one.low == one.high and node in names:
-                values[names.index(node)] = one.low / float(factor)
+            if limit.low == limit.high and node in names:
+                values[names.index(node)] = limit.low / float(factor)
     at = {**layout.parameter_values(x), **dict(zip([*read.q, *read.v], [*q, *v], strict=True))}
     momenta = PointFunctions(read.graph, read.q, read.momenta)
     x[layout.points[0, 0]], x[layout.velocities[0]] = q, v
@@ -233,14 +235,14 @@ def moved(layout: Layout, x: Floats) -> Floats:
     with warnings.catch_warnings():  # this is the way to a solution, which is judged
         warnings.simplefilter("ignore")
         runs = [*motions(layout, x, start, x[layout.inputs], on_failure="return")]
-    for own, run in zip(layout.grid.slices, runs, strict=True):
+    for phase, run in zip(layout.grid.slices, runs, strict=True):
         if not run.success:
             raise InputError(
                 f"the motion of the guess ends early, at t = {run.t[-1]:.6g}: {run.message}\n{HOW}"
             )
         within = run.t[:-1, None] + run.h * layout.places
         states = run.at(np.minimum(within, run.t[-1]).ravel())
-        x[layout.points[own]] = states.q.reshape(*within.shape, layout.n)
-        x[layout.momenta[own.start : own.stop + 1]] = run.p
+        x[layout.points[phase]] = states.q.reshape(*within.shape, layout.n)
+        x[layout.momenta[phase.start : phase.stop + 1]] = run.p
         x[layout.velocities[1]] = run.v[-1]
     return x

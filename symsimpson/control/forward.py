@@ -33,18 +33,20 @@ def motions(
     read, refine = layout.read, len(inputs) // layout.steps
     stepper, sizes = layout.stepper, layout.sizes(x) / refine
     names = [spelled(a) for a in read.system.parameters]
-    found = dict(zip([names[i] for i in read.found], x[layout.parameters].tolist(), strict=True))
+    parameters = dict(
+        zip([names[i] for i in read.found], x[layout.parameters].tolist(), strict=True)
+    )
     begin, (q, p) = layout.grid.times(layout.sizes(x)), state
-    for own, h in zip(layout.grid.slices, sizes, strict=True):
-        first, last = own.start * refine, own.stop * refine
+    for phase, h in zip(layout.grid.slices, sizes, strict=True):
+        first, last = phase.start * refine, phase.stop * refine
         run = stepper.integrate(
             q,
             p0=p,
             h=float(h),
             steps=last - first,
-            t0=float(begin[own.start]),
+            t0=float(begin[phase.start]),
             inputs={name: inputs[first:last, :, j] for j, name in enumerate(read.inputs)} or None,
-            parameters=found or None,
+            parameters=parameters or None,
             **how,
         )
         yield run
@@ -56,8 +58,8 @@ def simulated(result: Any, refine: int) -> tuple[Any, float]:
     layout, refine = result.layout, read_count("refine", refine, least=1)
     start = result.q[0], result.p[0]
     runs = tuple(motions(layout, result.x, start, refined(result, refine)))
-    found: Any = runs[0] if len(runs) == 1 else runs
-    return found, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
+    motion: Any = runs[0] if len(runs) == 1 else runs
+    return motion, float(np.abs(runs[-1].q[-1] - result.q[-1]).max())
 
 
 def refined(result: Any, refine: int) -> Floats:
@@ -79,43 +81,43 @@ def gains(result: Any, Q: ArrayLike, R: ArrayLike) -> Floats:
             f"({len(names)})."
         )
     A, B = (np.concatenate(x) for x in zip(*linearised(result), strict=True))
-    P, found = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
+    P, K = Q, np.zeros((layout.steps, len(names), 2 * layout.n))
     for k in reversed(range(layout.steps)):
         A_k, B_k = A[k], B[k]
-        own = R + B_k.T @ P @ B_k
-        if not (np.linalg.eigvalsh(own) > 0).all():  # it is, if Q has no negative eigenvalue
+        hessian = R + B_k.T @ P @ B_k
+        if not (np.linalg.eigvalsh(hessian) > 0).all():  # it is, if Q has no negative eigenvalue
             raise InputError(
                 f"Q is so negative that no gains are best from step {k} on.\n"
                 "Pass a matrix without negative eigenvalues, or a larger R."
             )
-        found[k] = np.linalg.solve(own, B_k.T @ P @ A_k)
-        P = Q + A_k.T @ P @ (A_k - B_k @ found[k])
-    return found
+        K[k] = np.linalg.solve(hessian, B_k.T @ P @ A_k)
+        P = Q + A_k.T @ P @ (A_k - B_k @ K[k])
+    return K
 
 
 def _weights(name: str, given: ArrayLike, size: int, of: str) -> Floats:
     """Read the matrix of a square sum, of which the symmetric part alone counts."""
     how = f"Pass a symmetric matrix of shape ({size}, {size}), for {of}."
-    found = read_reals(name, given, how)
-    if found.shape != (size, size):
-        raise InputError(f"{name} has shape {found.shape}, not ({size}, {size}).\n{how}")
-    if not np.isfinite(found).all():
-        raise InputError(f"{name} has an entry that is not finite: {found.tolist()}.\n{how}")
-    return (found + found.T) / 2
+    matrix = read_reals(name, given, how)
+    if matrix.shape != (size, size):
+        raise InputError(f"{name} has shape {matrix.shape}, not ({size}, {size}).\n{how}")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} has an entry that is not finite: {matrix.tolist()}.\n{how}")
+    return (matrix + matrix.T) / 2
 
 
 def linearised(result: Any) -> Iterator[tuple[Floats, Floats]]:
     """Give how the states at the ends of steps depend on those before, and on inputs held."""
     layout, names, q, p = result.layout, result.layout.read.inputs, result.q, result.p
     stepper, t = layout.stepper, result.t
-    for own, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
+    for phase, h in zip(layout.grid.slices, layout.sizes(result.x), strict=True):
         linear = stepper.linearise(
-            q[own.start],
-            p0=p[own.start],
+            q[phase.start],
+            p0=p[phase.start],
             h=float(h),
-            steps=own.stop - own.start,
-            t0=float(t[own.start]),
-            inputs={name: result.input_values[own, :, j] for j, name in enumerate(names)},
+            steps=phase.stop - phase.start,
+            t0=float(t[phase.start]),
+            inputs={name: result.input_values[phase, :, j] for j, name in enumerate(names)},
             parameters=result.unknowns or None,
             wrt=list(layout.read.system.inputs),
         )

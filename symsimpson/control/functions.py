@@ -91,12 +91,12 @@ def values_at(what: str, function: Any, times: Floats) -> Floats:
             f"{what} cannot be evaluated at an array of times: {type(error).__name__}: {error}.\n"
             "Write it with functions of numpy."
         ) from None
-    found = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
-    if found.shape not in (times.shape, ()):
+    values = read_reals(f"what {what} gives", given, "Return real numbers, as of numpy.real.")
+    if values.shape not in (times.shape, ()):
         raise InputError(
-            f"{what} gives shape {found.shape} for times of shape {times.shape}.\n"
+            f"{what} gives shape {values.shape} for times of shape {times.shape}.\n"
             "It takes an array of times, and gives one of values."
         )
-    if not np.isfinite(found).all():
+    if not np.isfinite(values).all():
         raise InputError(f"{what} is not finite at all times.\nGive it a value at each.")
-    return np.broadcast_to(found, times.shape)
+    return np.broadcast_to(values, times.shape)

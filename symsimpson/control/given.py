@@ -28,16 +28,16 @@ def read_mapping(what: str, given: Any, how: str) -> list[tuple[str, Any, Any]]:
     if not isinstance(given, Mapping):
         shown = None if given is None else type(given).__name__
         raise InputError(f"{what} is {shown}, not a mapping.\nPass {how}.")
-    found = {}
+    entries = {}
     for key, value in given.items():
         name = spelled(key)
-        if name in found:  # a symbol and its name are two keys to Python
+        if name in entries:  # a symbol and its name are two keys to Python
             raise InputError(
                 f"{what} gives {name} twice: one of the two would have no effect.\n"
                 "Give it once, by symbol or by name."
             )
-        found[name] = (name, key, value)
-    return list(found.values())
+        entries[name] = (name, key, value)
+    return list(entries.values())
 
 
 def read_pair(
@@ -79,15 +79,15 @@ def read_duration(given: Any) -> tuple[float, float]:
         raise InputError(f"duration is missing: how long the motion is.\nPass {how}.")
     pair = read_pair("duration", given, how)
     if pair[0] <= 0:
-        one = pair[0] == pair[1]
+        fixed = pair[0] == pair[1]
         raise InputError(
-            f"duration is {given!r}: {'it' if one else 'low'} must be above 0, as steps have a "
+            f"duration is {given!r}: {'it' if fixed else 'low'} must be above 0, as steps have a "
             f"size.\nPass {how}."
         )
     if pair[1] == math.inf:
-        one = pair[0] == pair[1]
+        fixed = pair[0] == pair[1]
         raise InputError(
-            f"duration is {given!r}: {'it' if one else 'high'} must be finite.\nPass {how}."
+            f"duration is {given!r}: {'it' if fixed else 'high'} must be finite.\nPass {how}."
         )
     return pair
 
@@ -101,7 +101,7 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
         If a key is something else.
     """
     taken = {*map(spelled, (*system.coordinates, *system.parameters, *system.inputs)), "t"}
-    found = {}
+    signals = {}
     how = "functions of the time by symbol: {s: numpy.sin}"
     for name, key, value in read_mapping("signals", given, how):
         if not isinstance(key, sp.Symbol) or name in taken:
@@ -110,8 +110,8 @@ def read_signals(system: Any, given: Any) -> dict[sp.Symbol, Any]:
                 f"{'a name of the system' if isinstance(key, sp.Symbol) else 'no symbol'}.\n"
                 "Take a symbol of its own: s = sympy.Symbol('s', real=True)."
             )
-        found[key] = value
-    return found
+        signals[key] = value
+    return signals
 
 
 def read_reals(what: str, given: Any, how: str) -> NDArray[np.float64]:

@@ -60,15 +60,15 @@ class Grid:
 
         The time at a place is that times the sizes of steps.
         """
-        own = k[..., None] - [steps.start for steps in self.slices]
-        within = (own >= 0) & (own < self.steps)
-        found: Floats = np.clip(own, 0, self.steps) + within * place[..., None]
-        return found
+        offset = k[..., None] - [steps.start for steps in self.slices]
+        within = (offset >= 0) & (offset < self.steps)
+        counts: Floats = np.clip(offset, 0, self.steps) + within * place[..., None]
+        return counts
 
     def times(self, sizes: Floats) -> Floats:
         """Return the times of the ends of steps, shape (N + 1,), for the size of each phase's."""
-        found: Floats = self.before(np.arange(self.count + 1), np.zeros(self.count + 1)) @ sizes
-        return found
+        times: Floats = self.before(np.arange(self.count + 1), np.zeros(self.count + 1)) @ sizes
+        return times
 
 
 def read_grid(steps: Any, phases: int) -> Grid:

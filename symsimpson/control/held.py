@@ -58,7 +58,7 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     InputError
         If the conditions contradict one.
     """
-    graph, own = read.graph, {*read.q, *read.v}
+    graph, state = read.graph, {*read.q, *read.v}
     low, high = read.duration
 
     def number(x: float) -> Value:
@@ -67,12 +67,12 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
     given = {x: number(y) for x, y in read.given.items()}
     if not end or low == high:
         given[read.t] = number(end * low)
-    for one in read.ends[end]:
-        c, n = one.value
-        if one.low == one.high and c == 1 and n in own:
-            given[n] = number(one.low)
+    for limit in read.ends[end]:
+        c, n = limit.value
+        if limit.low == limit.high and c == 1 and n in state:
+            given[n] = number(limit.low)
     tied = {last[1]: (-c, n) for _, last, (c, n) in read.tied if end and last[0] == 1}
-    found = []
+    flags = []
     for name, value in values:
         (there,) = rebuilt(graph, [value], given)
         known = not there[0] or not graph.nodes[there[1]].symbols
@@ -82,8 +82,8 @@ def implied(read: Reading, end: int, values: Iterable[tuple[str, Value]]) -> lis
                 f"{off:.3g} there.\nGive values that satisfy it, as system.consistent(q0, v0) "
                 "finds them."
             )
-        found.append(known or (bool(tied) and rebuilt(graph, [value], tied) == [value]))
-    return found
+        flags.append(known or (bool(tied) and rebuilt(graph, [value], tied) == [value]))
+    return flags
 
 
 def held_blocks(layout: Any, rows: Any) -> list[Any]:
@@ -93,7 +93,7 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     """
     read, graph, N, d = layout.read, layout.read.graph, layout.steps, layout.degree
     phi, rates = read.held.phi, read.held.rates(graph, read.v)
-    names, made = [*read.constraints], []
+    names, blocks = [*read.constraints], []
     k, j = (x.ravel() for x in np.mgrid[:N, :d])
     count = np.arange(N * d)
     forces = layout.block(
@@ -106,9 +106,9 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
     parts = []
     for a in range(layout.n):
         at = np.concatenate([layout.step_rows[k, j, a], layout.step_rows[k, -1, a]])
-        own = np.repeat([-1.0, layout.end_scale / layout.scale], N * d)
-        parts.append((at, np.tile(count, 2), own))
-    made.append((*forces, parts))
+        factors = np.repeat([-1.0, layout.end_scale / layout.scale], N * d)
+        parts.append((at, np.tile(count, 2), factors))
+    blocks.append((*forces, parts))
     if phi:
         points = layout.block(
             phi, read.q, [*map(layout.of, layout.points[k, j + 1].T)], k, layout.places[j + 1]
@@ -119,13 +119,13 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
             some = count[: N * d - out]
             at = rows.add(len(some), 0.0, 0.0, f"constraint {name!r}", 1.0 / N)
             parts.append((at, some, np.full(len(some), 1.0 / N)))
-        made.append((*points, parts))
+        blocks.append((*points, parts))
     if rates:
         places, *tables = (np.array(x, dtype=np.float64) for x in layout.scheme.at_gauss_points)
         inner = layout.block(
             rates,
             [*read.q, *read.v],
-            [one for table in tables for one in layout.on_path(table[j], k)],
+            [matrix for table in tables for matrix in layout.on_path(table[j], k)],
             k,
             places[j],
             len(rates),
@@ -134,8 +134,8 @@ def held_blocks(layout: Any, rows: Any) -> list[Any]:
         for name in names[len(phi) :]:
             at = rows.add(N * d, 0.0, 0.0, f"velocity constraint {name!r}")
             parts.append((at, count, np.ones(N * d)))
-        made.append((*inner, parts))
-    return made
+        blocks.append((*inner, parts))
+    return blocks
 
 
 def resolved(layout: Any, x: Floats, values: dict[int, Any]) -> bool:
@@ -198,8 +198,8 @@ def projected(layout: Any, q: Floats, p: Floats, values: dict[int, Any]) -> Floa
         v = np.linalg.solve(matrix, right[..., None])[:, :n]
     except np.linalg.LinAlgError:  # a constraint without a slope, where an iterate stands
         v = (np.linalg.pinv(matrix) @ right[..., None])[:, :n]
-    found: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
-    return found
+    momenta: Floats = (slopes[:, :n] @ v)[..., 0] + rest[:, :n]
+    return momenta
 
 
 def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int, Any]) -> Floats:
@@ -216,5 +216,5 @@ def turned(layout: Any, q: Floats, along: Floats, by_p: Floats, values: dict[int
     rows = PointFunctions(graph, read.v, moved).jacobian(at, count)
     weights = np.einsum("kac,ka->kc", np.linalg.pinv(rows), along)
     slopes = PointFunctions(graph, read.q, moved).jacobian(at, count)
-    found: Floats = np.einsum("kc,kca->ka", weights, slopes)
-    return found
+    by_q: Floats = np.einsum("kc,kca->ka", weights, slopes)
+    return by_q

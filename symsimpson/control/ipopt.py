@@ -78,7 +78,7 @@ def run_ipopt(
     def pattern(places: Any, shape: tuple[int, int]) -> Any:
         return ca.Sparsity.triplet(*shape, *(x.tolist() for x in places))
 
-    of_x, of_g, one = (ca.Sparsity.dense(k, 1) for k in (size, rows, 1))
+    of_x, of_g, scalar = (ca.Sparsity.dense(k, 1) for k in (size, rows, 1))
     none = ca.Sparsity.dense(0, 1)
     jacobian = pattern(programme.jacobian_places, (rows, size))
     hessian = pattern(programme.hessian_places, (size, size))
@@ -106,11 +106,11 @@ def run_ipopt(
         def has_eval_buffer(self) -> bool:
             return True  # memory of casadi's, in place of lists of numbers
 
-        def eval_buffer(self, given: Any, found: Any) -> int:
+        def eval_buffer(self, given: Any, results: Any) -> int:
             nonlocal spent
             begin = perf_counter()
             arguments = (np.frombuffer(x if x else b"", dtype=np.float64) for x in given)
-            for place, value in zip(found, self.function(*arguments), strict=True):
+            for place, value in zip(results, self.function(*arguments), strict=True):
                 if place:  # what is not asked for has none
                     np.frombuffer(place, dtype=np.float64)[:] = value
             spent += perf_counter() - begin
@@ -143,21 +143,21 @@ def run_ipopt(
             return 1
 
         def get_sparsity_in(self, i: int) -> Any:
-            kinds = {"f": one, "x": of_x, "lam_x": of_x, "g": of_g, "lam_g": of_g}
+            kinds = {"f": scalar, "x": of_x, "lam_x": of_x, "g": of_g, "lam_g": of_g}
             return kinds.get(ca.nlpsol_out(i), none)
 
         def eval(self, given: Any) -> Any:
             return [int(stopped(float(given[self.of_cost])))]
 
     x = ca.MX.sym("x", size)
-    own = Part("nlp", [of_x, none], [one, of_g], values, {})
+    nlp = Part("nlp", [of_x, none], [scalar, of_g], values, {})
     parts = {
-        "grad_f": Part("grad_f", [of_x, none], [one, of_x], gradient, {}),
+        "grad_f": Part("grad_f", [of_x, none], [scalar, of_x], gradient, {}),
         "jac_g": Part("jac_g", [of_x, none], [of_g, jacobian], slopes, {}),
-        "hess_lag": Part("hess_lag", [of_x, none, one, of_g], [hessian], curved, {}),
+        "hess_lag": Part("hess_lag", [of_x, none, scalar, of_g], [hessian], curved, {}),
     }
     watching = Watch()
-    f, g = own(x, ca.MX(0, 1))
+    f, g = nlp(x, ca.MX(0, 1))
     solver = ca.nlpsol(
         "solver",
         "ipopt",
@@ -174,12 +174,12 @@ def run_ipopt(
         },
     )
     begin = perf_counter()
-    found = solver(x0=x0, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
+    solution = solver(x0=x0, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
     seconds = perf_counter() - begin
     told = solver.stats()
     return Outcome(
-        np.array(found["x"]).ravel(),
-        np.array(found["lam_g"]).ravel(),
+        np.array(solution["x"]).ravel(),
+        np.array(solution["lam_g"]).ravel(),
         str(told["return_status"]),
         int(told.get("iter_count", 0)),
         seconds,

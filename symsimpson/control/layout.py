@@ -85,9 +85,9 @@ class Layout:
         self.n, self.degree, self.nodes, N = n, d, s, self.steps
         block = d * n + n  # control points of a step but for the last, and the momentum
         first = np.arange(N)[:, None, None] * block
-        own = first + np.arange(d)[None, :, None] * n + np.arange(n)
-        last = np.append(own[1:, :1], np.arange(n)[None, None] + N * block, axis=0)
-        self.points: Ints = np.concatenate([own, last], axis=1)
+        leading = first + np.arange(d)[None, :, None] * n + np.arange(n)
+        last = np.append(leading[1:, :1], np.arange(n)[None, None] + N * block, axis=0)
+        self.points: Ints = np.concatenate([leading, last], axis=1)
         self.momenta: Ints = np.arange(N + 1)[:, None] * block + d * n + np.arange(n)
         self.momenta[-1] = N * block + n + np.arange(n)
         size = N * block + 2 * n
@@ -183,8 +183,8 @@ class Layout:
             (rows.data, (rows.at, rows.columns)), shape=(rows.count, self.size)
         )
         self.names, self.scales = rows.names, np.concatenate(rows.scales)
-        made = [self._block(rows.count, *block) for block in blocks]
-        programme = Programme(made, linear)
+        full_blocks = [self._block(rows.count, *block) for block in blocks]
+        programme = Programme(full_blocks, linear)
         low, high = (np.concatenate(x) for x in (rows.low, rows.high))
         return programme, low, high
 
@@ -233,8 +233,8 @@ class Layout:
         """Return all parameters where the unknowns are, by their nodes in the graph."""
         read = self.read
         values = dict(zip(read.parameters, read.values, strict=True))
-        found = (read.parameters[j] for j in read.found)
-        return values | dict(zip(found, x[self.parameters].tolist(), strict=True))
+        nodes = (read.parameters[j] for j in read.found)
+        return values | dict(zip(nodes, x[self.parameters].tolist(), strict=True))
 
     def of(self, columns: Any, count: int | None = None) -> Any:
         """Return the matrix that takes unknowns to points, one each."""
@@ -247,7 +247,7 @@ class Layout:
     def on_path(self, table: Floats, k: Ints) -> list[Any]:
         """Return the matrices of coordinates at points of steps k, by rows of a table."""
         count, width = table.shape
-        found = []
+        matrices = []
         for a in range(self.n):
             columns = self.points[k, :, a].ravel()
             matrix = sparse.csr_matrix(
@@ -255,8 +255,8 @@ class Layout:
                 shape=(count, self.size),
             )
             matrix.eliminate_zeros()
-            found.append(matrix)
-        return found
+            matrices.append(matrix)
+        return matrices
 
     def block(
         self, values: Any, variables: Any, maps: Any, k: Ints, places: Floats, by_h: int = 0
@@ -287,11 +287,11 @@ class Layout:
         k, i = np.divmod(np.arange(count), s)
         maps = [*self.on_path(self.A[i], k), *self.on_path(self.B[i], k)]
         maps += [self.of(self.inputs[k, i, a]) for a in range(len(read.u))]
-        made = self.block(values, [*read.q, *read.v, *read.u], maps, k, self.c[i], n + 1)
+        block = self.block(values, [*read.q, *read.v, *read.u], maps, k, self.c[i], n + 1)
         for node, (symbol, given) in read.signals.items():
             what, whole = f"signals[{symbol}]", read.duration[0]
             function = read_function(what, given, whole)
-            made[2][node] = values_at(what, function, (k + self.c[i]) * whole / N)
+            block[2][node] = values_at(what, function, (k + self.c[i]) * whole / N)
         scales = np.repeat(np.tile([self.scale] * d + [self.end_scale], N), n)
         steps = rows.add(N * (d + 1) * n, 0.0, 0.0, "step", scales).reshape(N, d + 1, n)
         self.step_rows = steps
@@ -308,16 +308,16 @@ class Layout:
         parts.insert(n, (np.zeros(count, int), np.arange(count), self.b[i]))
         before = np.append(-1, self.grid.phase[:-1])
         again = self.shared & (i == 0) & (self.grid.phase == before)[k]
-        for one in read.within:
-            moving = not read.graph.nodes[one.value[1]].symbols.isdisjoint(read.v)
+        for limit in read.within:
+            moving = not read.graph.nodes[limit.value[1]].symbols.isdisjoint(read.v)
             some = np.flatnonzero(~again | moving)  # what is without v is the same at shared nodes
-            at = rows.add(len(some), one.low, one.high, one.name)
+            at = rows.add(len(some), limit.low, limit.high, limit.name)
             parts.append((at, some, np.ones(len(some))))
         for a, (low, high) in here.items():
             some = np.flatnonzero(~self._alone[i])
             at = rows.add(len(some), low, high, read.names[a])
             parts.append((at, some, np.ones(len(some))))
-        return *made, parts
+        return *block, parts
 
     def _driven(self, value: Value) -> bool:
         """Return whether something that is known at nodes alone stands in a value."""
@@ -326,7 +326,7 @@ class Layout:
 
     def _ends(self, rows: Rows) -> list[Any]:
         """Return the functions at both ends: momenta, conditions, and the final cost."""
-        read, graph, made = self.read, self.read.graph, []
+        read, graph, blocks = self.read, self.read.graph, []
         tied = [rows.add(1, 0.0, 0.0, f"{name} at both ends")[0] for name, *_ in read.tied]
         for end, (limits, point) in enumerate(
             zip(read.ends, (self.points[0, 0], self.points[-1, -1]), strict=True)
@@ -358,8 +358,8 @@ class Layout:
             maps = [*(self.of(x, 1) for x in unknown), *timed_maps]
             parts = [([row], [0], [1.0]) for row in at]
             functions = PointFunctions(graph, [*variables, *timed], values)
-            made.append((functions, maps, fixed, parts))
-        return made
+            blocks.append((functions, maps, fixed, parts))
+        return blocks
 
     def _held(self, end: int) -> list[Limits]:
         """Return the constraints of an end that its own conditions, or steps, do not imply."""

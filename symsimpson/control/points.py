@@ -65,12 +65,12 @@ class PointFunctions:
 
     @cached_property
     def _curvatures(self) -> Entries:
-        graph, found = self._graph, []
+        graph, entries = self._graph, []
         total = graph.add(graph.products(self._outputs, self.weights))
         for i, slope in enumerate(gradient(graph, total, self.variables)):
             row = gradient(graph, slope, self.variables[: i + 1])
-            found += [(i, j, entry) for j, entry in enumerate(row) if entry[0]]
-        return found
+            entries += [(i, j, entry) for j, entry in enumerate(row) if entry[0]]
+        return entries
 
     @property
     def curved(self) -> list[tuple[int, int]]:
@@ -87,10 +87,10 @@ class PointFunctions:
 
     def jacobian(self, at: Mapping[int, Any], count: int) -> Floats:
         """Return all slopes at points, shape (count, len(f), len(variables))."""
-        found = np.zeros((count, len(self._outputs), len(self.variables)))
-        for (r, c), own in zip(self.slopes, self.slopes_at(at, count), strict=True):
-            found[:, r, c] = own
-        return found
+        jacobian = np.zeros((count, len(self._outputs), len(self.variables)))
+        for (r, c), slope in zip(self.slopes, self.slopes_at(at, count), strict=True):
+            jacobian[:, r, c] = slope
+        return jacobian
 
     def curvatures_at(self, at: Mapping[int, Any], weights: Floats, count: int) -> Floats:
         """Return second derivatives of w.f at points, shape (len(curved), count)."""
@@ -103,10 +103,10 @@ class PointFunctions:
         if kind not in self._compiled:
             self._compiled[kind] = _function(self._graph, wanted)
         function, needed = self._compiled[kind]
-        found = np.empty((len(wanted), count))
+        values = np.empty((len(wanted), count))
         with np.errstate(all="ignore"):
-            function(found, *(at[n] for n in needed))
-        return found
+            function(values, *(at[n] for n in needed))
+        return values
 
 
 def _function(graph: Graph, wanted: Sequence[Value]) -> tuple[Callable[..., None], list[int]]:
@@ -150,18 +150,18 @@ def _power(x: str, e: Exact) -> str:
 
 def lagrange(places: Floats, at: Floats) -> Floats:
     """Return the polynomials that are 1 at one of some places and 0 at the others, last axis."""
-    found = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
-    return np.stack([value + 0 * at for value in found], axis=-1)
+    values = [np.prod([(at - y) / (x - y) for y in places if y != x], axis=0) for x in places]
+    return np.stack([value + 0 * at for value in values], axis=-1)
 
 
 def lagrange_slopes(places: Floats, at: Floats) -> Floats:
     """Return the slopes of these polynomials, last axis."""
-    found = []
+    slopes = []
     for x in places:
         others = places[places != x]
         slope = 0.0 * at
         for y in others:
             rest = others[others != y]
             slope += np.prod([(at - z) / (x - z) for z in rest], axis=0) / (x - y)
-        found.append(slope)
-    return np.stack(found, axis=-1)
+        slopes.append(slope)
+    return np.stack(slopes, axis=-1)

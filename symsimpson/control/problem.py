@@ -109,8 +109,8 @@ class OptimalControl:
     @property
     def reading(self) -> Reading:
         """The problem in a graph."""
-        found: Reading = self.__dict__["_read"]
-        return found
+        reading: Reading = self.__dict__["_read"]
+        return reading
 
     def solve(
         self,
@@ -163,7 +163,7 @@ class OptimalControl:
         """
         from symsimpson.control.solving import solve  # casadi and SciPy are slow to import
 
-        found = read_family(scheme)
+        galerkin_scheme = read_family(scheme)
         grid = read_grid(steps, len(self.reading.phases))
         for name, value in (("tolerance", tolerance), ("error", error)):
             real = isinstance(value, Real) and not isinstance(value, bool) and 0 < value < 1
@@ -177,7 +177,9 @@ class OptimalControl:
         if not whole or isinstance(most_iterations, bool) or most_iterations < 0:
             raise InputError(f"most_iterations is {most_iterations!r}.\nPass a whole number.")
         options = {"tol": float(tolerance), "max_iter": int(most_iterations), "print_level": 0}
-        return solve(self.reading, found, grid, guess, error, options, progress, bool(condensed))
+        return solve(
+            self.reading, galerkin_scheme, grid, guess, error, options, progress, bool(condensed)
+        )
 
     def open(
         self, path: str | os.PathLike[str], scheme: str | Scheme | None = None

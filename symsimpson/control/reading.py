@@ -142,8 +142,8 @@ class Reading:
             )
         allowed = (*symbols.q, *symbols.v, *symbols.a, symbols.t, *(() if ends else symbols.u))
         read = read_expression(self.system.name, what, expression, symbols, symbols.known, allowed)
-        (found,) = rebuilt(symbols.graph, [read], {}, self.graph)
-        return found
+        (value,) = rebuilt(symbols.graph, [read], {}, self.graph)
+        return value
 
     def _named(self, what: str, text: str, ends: bool) -> Any:
         """Return the coordinate, velocity or input of a name; there are no inputs at ends."""
@@ -160,15 +160,15 @@ class Reading:
     def _tied(self, given: Mapping[Any, Any]) -> list[tuple[str, Value, Value]]:
         """Read what is at the end what something is at the start, with a minus."""
         how = "expressions at the end by those at the start: {x.diff(): x.diff()}"
-        found = []
+        conditions = []
         for name, key, value in read_mapping("conditions", given, how):
             last, first = (self.value("conditions", x, ends=True) for x in (key, value))
-            found.append((name, last, scaled(-1, first)))
-        return found
+            conditions.append((name, last, scaled(-1, first)))
+        return conditions
 
     def _end(self, what: str, given: Mapping[Any, Any]) -> list[Limits]:
         """Read what holds at an end."""
-        found, how = [], "values by symbol: {x: 0, x.diff(): 0}"
+        limits, how = [], "values by symbol: {x: 0, x.diff(): 0}"
         for name, key, value in read_mapping(what, given, how):
             if not isinstance(value, (tuple, str, sp.Basic, Real)):
                 raise InputError(
@@ -176,15 +176,15 @@ class Reading:
                 )
             if isinstance(value, tuple):
                 low, high = read_pair(f"{what}[{name}]", value)
-                found.append(Limits(name, self.value(what, key, ends=True), low, high))
+                limits.append(Limits(name, self.value(what, key, ends=True), low, high))
                 continue
-            own, to = self.value(what, key, ends=True), self.value(what, value, ends=True)
+            quantity, to = self.value(what, key, ends=True), self.value(what, value, ends=True)
             if not self.graph.nodes[to[1]].symbols:  # a number of its own: bounds say it best
                 number = self.number(to)
-                found.append(Limits(name, own, number, number))
+                limits.append(Limits(name, quantity, number, number))
             else:
-                found.append(Limits(name, self.graph.add([own, scaled(-1, to)]), 0.0, 0.0))
-        return found
+                limits.append(Limits(name, self.graph.add([quantity, scaled(-1, to)]), 0.0, 0.0))
+        return limits
 
     def number(self, value: Value) -> float:
         """Return a value in which no symbol stands."""
@@ -195,15 +195,15 @@ class Reading:
         self.found: list[int] = []
         self.found_bounds: list[tuple[float, float]] = []
         symbols = list(self.system.parameters)
-        own = [*map(spelled, symbols)]
+        names = [*map(spelled, symbols)]
         for name, _, bounds in read_mapping("unknowns", given, "pairs by symbol: {m: (1, 2)}"):
-            if name not in own:
+            if name not in names:
                 raise InputError(
                     f"unknowns names {name!r}, which is no parameter."
-                    f"{did_you_mean(name, own)}\n{self.system.name} has "
-                    f"{', '.join(own) or 'none'}."
+                    f"{did_you_mean(name, names)}\n{self.system.name} has "
+                    f"{', '.join(names) or 'none'}."
                 )
-            place, pair = own.index(name), read_pair(f"unknowns[{name}]", bounds)
+            place, pair = names.index(name), read_pair(f"unknowns[{name}]", bounds)
             sign = symbols[place]
             if (sign.is_positive or sign.is_nonnegative) and pair[0] < 0:
                 raise InputError(
@@ -230,10 +230,10 @@ class Reading:
             raise InputError(
                 f"path is {problem.path!r}, no list.\nPass [expression, (low, expression, high)]."
             )
-        for one in problem.path:
-            if isinstance(one, (tuple, list)) and len(one) != 3:
-                raise InputError(f"path has {one!r}.\nPass (low, expression, high).")
-            low, expression, high = one if isinstance(one, (tuple, list)) else (None, one, 0)
+        for entry in problem.path:
+            if isinstance(entry, (tuple, list)) and len(entry) != 3:
+                raise InputError(f"path has {entry!r}.\nPass (low, expression, high).")
+            low, expression, high = entry if isinstance(entry, (tuple, list)) else (None, entry, 0)
             pair = read_pair(f"path {expression}", (low, high))
             self.within.append(Limits(str(expression), self.value("path", expression), *pair))
 
@@ -249,11 +249,11 @@ class Reading:
                 "signals are functions of the time, and where phases begin is found.\n"
                 "Leave out signals or phases."
             )
-        found: list[dict[int, tuple[float, float]]] = []
-        for number, one in enumerate(given):
+        phases: list[dict[int, tuple[float, float]]] = []
+        for number, phase in enumerate(given):
             what = f"phases[{number}]"
-            found.append({})
-            for name, _, bounds in read_mapping(what, one, "numbers or pairs by inputs: {u: 1}"):
+            phases.append({})
+            for name, _, bounds in read_mapping(what, phase, "numbers or pairs by inputs: {u: 1}"):
                 if name not in self.inputs:
                     raise InputError(
                         f"{what} names {name!r}, which is no input."
@@ -267,14 +267,14 @@ class Reading:
                         f"{what} has {name} in ({low:g}, {high:g}), outside of its bounds "
                         f"({least:g}, {most:g}).\nWiden these, or stay within."
                     )
-                found[-1][place] = max(low, least), min(high, most)
-        return found or [{}]
+                phases[-1][place] = max(low, least), min(high, most)
+        return phases or [{}]
 
     def _check(self) -> None:
         """Refuse ends that cannot be satisfied."""
         n = len(self.q)
         # by what is bounded, not by its name: x may be given by an equation at an end
-        bounds = [(one.value, one.low, one.high) for one in self.within]
+        bounds = [(limit.value, limit.low, limit.high) for limit in self.within]
         for a, pair in self.of_coordinates.items():
             bounds.append((self.value("bounds", self.names[a], ends=True), *pair))
         for limits, where in zip(self.ends, ("start", "end"), strict=True):
@@ -283,12 +283,16 @@ class Reading:
                     f"{where} has {len(limits)} conditions on {2 * n} numbers, {n} coordinates and "
                     "as many velocities.\nLeave out those that follow from others."
                 )
-            for one in limits:
-                shown = f"{one.low:g}" if one.low == one.high else f"({one.low:g}, {one.high:g})"
+            for limit in limits:
+                shown = (
+                    f"{limit.low:g}"
+                    if limit.low == limit.high
+                    else f"({limit.low:g}, {limit.high:g})"
+                )
                 for value, low, high in bounds:
-                    if value == one.value and (one.high < low or one.low > high):
+                    if value == limit.value and (limit.high < low or limit.low > high):
                         raise InputError(
-                            f"{where} has {one.name} = {shown}, outside of its bounds "
+                            f"{where} has {limit.name} = {shown}, outside of its bounds "
                             f"({low:g}, {high:g}).\nWiden them, or {where} within."
                         )
 
@@ -303,10 +307,10 @@ def read_family(scheme: Any) -> Scheme:
     InputError
         If it is a composition.
     """
-    found: Any = read_scheme(scheme)
-    if isinstance(found, Composition):
+    candidate: Any = read_scheme(scheme)
+    if isinstance(candidate, Composition):
         raise InputError(
-            f"{found.name} is a composition, whose steps have no control points.\n"
+            f"{candidate.name} is a composition, whose steps have no control points.\n"
             "Take a scheme of the Galerkin family, as 'lobatto6', 'simpson' or 'gauss6'."
         )
-    return cast("Scheme", found)
+    return cast("Scheme", candidate)

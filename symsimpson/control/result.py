@@ -111,7 +111,7 @@ class ControlResult:
     @property
     def switches(self) -> Floats:
         """Times at which a phase ends and the next begins."""
-        return self.t[[own.stop for own in self.layout.grid.slices[:-1]]]
+        return self.t[[phase.stop for phase in self.layout.grid.slices[:-1]]]
 
     @property
     def q(self) -> Floats:
@@ -134,8 +134,8 @@ class ControlResult:
         """The parameters that were found, by name."""
         layout = self.layout
         names = [str(a) for a in layout.read.system.parameters]
-        found = zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
-        return {names[i]: x for i, x in found}
+        pairs = zip(layout.read.found, self.x[layout.parameters].tolist(), strict=True)
+        return {names[i]: x for i, x in pairs}
 
     @property
     def input_values(self) -> Floats:
@@ -158,13 +158,13 @@ class ControlResult:
         InputError
             If a time lies outside of the motion.
         """
-        found = self._inputs(times_within(t, self.duration))
-        return {name: found[..., j] for j, name in enumerate(self.layout.read.inputs)}
+        values = self._inputs(times_within(t, self.duration))
+        return {name: values[..., j] for j, name in enumerate(self.layout.read.inputs)}
 
     def _inputs(self, t: Floats) -> Floats:
         basis, k = self._basis(t, self.layout.c)
-        found: Floats = np.einsum("...i,...im->...m", basis, self.input_values[k])
-        return found
+        values: Floats = np.einsum("...i,...im->...m", basis, self.input_values[k])
+        return values
 
     @property
     def functions(self) -> dict[str, Any]:
@@ -178,10 +178,10 @@ class ControlResult:
 
             return value
 
-        found = {name: coordinate(a) for a, name in enumerate(layout.read.names)}
+        functions = {name: coordinate(a) for a, name in enumerate(layout.read.names)}
         for j, name in enumerate(layout.read.inputs):
-            found[name] = lambda t, j=j: self._inputs(t)[..., j]
-        return found
+            functions[name] = lambda t, j=j: self._inputs(t)[..., j]
+        return functions
 
     def _basis(self, t: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
         """Return Lagrange's polynomials of places in steps, at times, and the steps' numbers."""
@@ -212,10 +212,10 @@ class ControlResult:
                 entries = points.tocoo()
                 k = entries.row // (block.count // N)
                 values = entries.data * slopes[entries.row]
-                own = first[entries.col] // n == k
-                np.add.at(by_q.reshape(-1), first[entries.col[own]], values[own])
-                own = (last[entries.col] >= 0) & (k == N - 1)
-                np.add.at(by_q[-1], last[entries.col[own]], -values[own])
+                mask = first[entries.col] // n == k
+                np.add.at(by_q.reshape(-1), first[entries.col[mask]], values[mask])
+                mask = (last[entries.col] >= 0) & (k == N - 1)
+                np.add.at(by_q[-1], last[entries.col[mask]], -values[mask])
         if layout.read.constraints:
             at = {**layout.parameter_values(self.x), layout.read.t: self.t}
             by_q += turned(layout, self.q, self.x[layout.momenta] - self.p, by_p, at)
@@ -244,28 +244,28 @@ class ControlResult:
         from symsimpson.results.trajectory import Trajectory
 
         layout, t, q, p = self.layout, self.t, self.q, self.p
-        sizes, found = layout.sizes(self.x).tolist(), []
+        sizes, trajectories = layout.sizes(self.x).tolist(), []
         program = layout.stepper.program
         values = np.array([*layout.parameter_values(self.x).values()])
-        for own, h in zip(layout.grid.slices, sizes, strict=True):
-            ends = slice(own.start, own.stop + 1)
-            found.append(
+        for phase, h in zip(layout.grid.slices, sizes, strict=True):
+            ends = slice(phase.start, phase.stop + 1)
+            trajectories.append(
                 Trajectory(
                     t=t[ends],
                     q=q[ends],
                     p=p[ends],
                     newton_iterations=np.zeros(len(t[ends]), dtype=np.int64),
                     h=h,
-                    steps=own.stop - own.start,
+                    steps=phase.stop - phase.start,
                     every=1,
                     status=Status.SUCCESS if self.success else Status.NOT_CONVERGED,
                     message=self.message,
                     program=program,
                     parameter_values=values,
-                    input_values=self.input_values[None, own],
+                    input_values=self.input_values[None, phase],
                 )
             )
-        return tuple(found)
+        return tuple(trajectories)
 
     def simulate(self, refine: int = 10) -> tuple[Any, float]:
         """Run the inputs that were found from the start, with finer steps of the scheme.

@@ -55,7 +55,7 @@ def read_solution(
         with place.open("rb") as file, np.load(file, allow_pickle=False) as held:
             told = json.loads(str(held["told"]))
             x, multipliers = (np.asarray(held[k]) for k in ("x", "multipliers"))
-        if any(one.ndim != 1 or one.dtype != np.float64 for one in (x, multipliers)):
+        if any(vector.ndim != 1 or vector.dtype != np.float64 for vector in (x, multipliers)):
             raise ValueError("these are no vectors of numbers")
         if not (np.isfinite(x).all() and np.isfinite(multipliers).all()):
             raise ValueError("they are not all numbers")

@@ -67,11 +67,11 @@ class Scaled:
 
     def curvatures(self, x: Floats, cost: float, multipliers: Floats) -> Floats:
         """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
-        found = self.programme.curvatures(
+        entries = self.programme.curvatures(
             x * self.of_unknowns, cost / self.of_cost, multipliers / self.of_rows
         )
         rows, columns = self.hessian_places
-        return found * self.of_unknowns[rows] * self.of_unknowns[columns]
+        return entries * self.of_unknowns[rows] * self.of_unknowns[columns]
 
     def inside(self, x: Floats) -> Floats:
         """Return unknowns in these units."""
@@ -88,34 +88,34 @@ class Scaled:
             tuple(x / self.of_rows for x in of_rows),
         )
 
-    def outcome(self, found: Outcome) -> Outcome:
+    def outcome(self, outcome: Outcome) -> Outcome:
         """Return what a solver came to in the units of the programme."""
-        costs = [x * self.of_cost for x in found.history.get("obj", [])]
+        costs = [x * self.of_cost for x in outcome.history.get("obj", [])]
         return replace(
-            found,
-            x=found.x * self.of_unknowns,
-            multipliers=found.multipliers * self.of_cost / self.of_rows,
-            history={**found.history, "obj": costs} if costs else found.history,
+            outcome,
+            x=outcome.x * self.of_unknowns,
+            multipliers=outcome.multipliers * self.of_cost / self.of_rows,
+            history={**outcome.history, "obj": costs} if costs else outcome.history,
         )
 
 
 def scaled(programme: Solvable, layout: Layout, x: Floats) -> Scaled:
     """Return the programme of a layout in units of its sizes at a guess."""
     columns, lines = _sizes(programme, layout, x)
-    own = Scaled(programme, columns, lines, 1.0)
+    scaled_form = Scaled(programme, columns, lines, 1.0)
     # a cost that is square in inputs has no slope where they are 0
-    curved = own.curvatures(x / columns, 1.0, np.zeros(len(lines)))
+    curved = scaled_form.curvatures(x / columns, 1.0, np.zeros(len(lines)))
     parts = np.concatenate([programme.slopes(x)[0] * columns, curved])
     largest = np.abs(parts[np.isfinite(parts)]).max(initial=0.0)
-    return replace(own, of_cost=float(_rounded(largest)))
+    return replace(scaled_form, of_cost=float(_rounded(largest)))
 
 
 def sizes_at(layout: Layout, x: Floats) -> tuple[Floats, Floats]:
     """Return sizes of unknowns, and those of rows as they are told: where they are ordinary 1."""
     of_unknowns, of_rows = _sizes(layout.programme[0], layout, x)
-    found = layout.scales.copy()
-    found[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
-    return of_unknowns, found * of_rows
+    scales = layout.scales.copy()
+    scales[layout.step_rows - 1] /= _rounded(layout.scale * layout.steps)  # which are times
+    return of_unknowns, scales * of_rows
 
 
 def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floats]:
@@ -129,43 +129,43 @@ def _sizes(programme: Solvable, layout: Layout, x: Floats) -> tuple[Floats, Floa
 
 def _unknowns(layout: Layout, matrix: Any, x: Floats) -> Floats:
     """Return the sizes of unknowns: those of lengths, times and masses, and what follows."""
-    found, steps, whole = np.ones(layout.size), layout.step_rows - 1, layout.scale * layout.steps
+    sizes, steps, whole = np.ones(layout.size), layout.step_rows - 1, layout.scale * layout.steps
     time, lengths = _rounded(whole), _lengths(layout.read)
     moved = np.ones(layout.n)  # mass times length, of each coordinate
     for a in range(layout.n):
         points = layout.points[..., a].ravel()
-        found[points] = length = _rounded(lengths[a])
+        sizes[points] = length = _rounded(lengths[a])
         mass = matrix[steps[..., a].ravel()][:, points].max()
         moved[a] = _rounded(mass) * length
-        found[layout.velocities[:, a]] = length / time
-        found[layout.momenta[:, a]] = moved[a] / time
-    found[layout.parameters] = _rounded(np.abs(x[layout.parameters]))
-    found[layout.h] = time
+        sizes[layout.velocities[:, a]] = length / time
+        sizes[layout.momenta[:, a]] = moved[a] / time
+    sizes[layout.parameters] = _rounded(np.abs(x[layout.parameters]))
+    sizes[layout.h] = time
     for j in range(layout.inputs.shape[-1]):
         # that which moves a coordinate by its size, held for the whole time
-        own = matrix[:, np.unique(layout.inputs[..., j])].sum(axis=1)
-        done = np.asarray(own).ravel()[steps[:, -1]].sum(axis=0) * whole / layout.end_scale
+        effect = matrix[:, np.unique(layout.inputs[..., j])].sum(axis=1)
+        done = np.asarray(effect).ravel()[steps[:, -1]].sum(axis=0) * whole / layout.end_scale
         size = (moved[done > 0] / done[done > 0]).min(initial=np.inf)
         bound = max(map(abs, layout.read.of_inputs.get(j, (np.inf,))))
-        found[layout.inputs[..., j]] = _rounded(bound if np.isfinite(bound) else size)
+        sizes[layout.inputs[..., j]] = _rounded(bound if np.isfinite(bound) else size)
     of_rows = np.ones(matrix.shape[0])
     of_rows[steps] = moved
     turned = _largest(sparse.diags(1 / of_rows) @ matrix, 0)
     for held in (*np.moveaxis(layout.multipliers, -1, 0), *layout.at_end[:, None]):
-        found[held] = 1 / (_rounded(turned[held].max(initial=0.0)))
-    return found
+        sizes[held] = 1 / (_rounded(turned[held].max(initial=0.0)))
+    return sizes
 
 
 def _lengths(read: Reading) -> list[float]:
     """Return the largest numbers that ends and bounds give of coordinates; 0 if there are none."""
-    found: dict[int, list[float]] = {q: [0.0] for q in read.q}
-    for one in (*read.ends[0], *read.ends[1]):
-        factor, node = one.value
-        if node in found:
-            found[node] += [one.low / float(factor), one.high / float(factor)]
+    bounds: dict[int, list[float]] = {q: [0.0] for q in read.q}
+    for limit in (*read.ends[0], *read.ends[1]):
+        factor, node = limit.value
+        if node in bounds:
+            bounds[node] += [limit.low / float(factor), limit.high / float(factor)]
     for a, pair in read.of_coordinates.items():
-        found[read.q[a]] += pair
-    sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in found.values()]
+        bounds[read.q[a]] += pair
+    sizes = [max(abs(x) for x in numbers if np.isfinite(x)) for numbers in bounds.values()]
     return [size if size > NOTHING else 0.0 for size in sizes]
 
 

@@ -66,26 +66,26 @@ def solve(
         If the guess does not fit, conditions are too many, or casadi is not installed.
     """
     _look_at_nodes(read, scheme)
-    found = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
+    result = _solved(Layout(read, scheme, grid), guess, options, progress, condensed)
     for doubled in range(MOST_REFINEMENTS if error is not None else 0):
-        unresolved = found.status is ControlStatus.NOT_RESOLVED
-        if not found.success and not (unresolved and doubled < MOST_UNRESOLVED):
+        unresolved = result.status is ControlStatus.NOT_RESOLVED
+        if not result.success and not (unresolved and doubled < MOST_UNRESOLVED):
             break
-        layout = Layout(read, scheme, found.layout.grid.halved)
-        finer = _solved(layout, found, options, progress, condensed)
-        off = abs(finer.cost - found.cost) / (abs(finer.cost) or 1.0)
+        layout = Layout(read, scheme, result.layout.grid.halved)
+        finer = _solved(layout, result, options, progress, condensed)
+        off = abs(finer.cost - result.cost) / (abs(finer.cost) or 1.0)
         # what is left behind a change from h to h / 2 of order 2: switches leave no more
-        found = replace(finer, error=off / 3)
-        if found.success and off / 3 <= (error or 0.0):
-            return found
-    if error is not None and found.success:
+        result = replace(finer, error=off / 3)
+        if result.success and off / 3 <= (error or 0.0):
+            return result
+    if error is not None and result.success:
         warn(
-            f"{read.system.name}: with {found.layout.steps} steps the relative error of the cost "
-            f"is about {found.error:.1e}, not {error:g}.\nBegin with more steps, or with phases= "
+            f"{read.system.name}: with {result.layout.steps} steps the relative error of the cost "
+            f"is about {result.error:.1e}, not {error:g}.\nBegin with more steps, or with phases= "
             "that end where inputs jump.",
             ResolutionWarning,
         )
-    return found
+    return result
 
 
 def _solved(
@@ -100,46 +100,50 @@ def _solved(
             "conditions than inputs can satisfy.\nLeave conditions out, or add inputs or steps."
         )
     x0 = np.clip(begin(layout, guess), *layout.bounds)
-    own = scaled(programme, layout, x0)
+    scaled_form = scaled(programme, layout, x0)
     x0 = moved(layout, at_start(layout, x0)) if condensed else x0
-    bounds, limits = own.bounds(layout.bounds, (low, high))
-    form: Scaled | Condensed = own
-    begun = own.inside(x0)
+    bounds, limits = scaled_form.bounds(layout.bounds, (low, high))
+    form: Scaled | Condensed = scaled_form
+    begun = scaled_form.inside(x0)
     if condensed:
         form = Condensed(
-            own, layout, lambda x: own.inside(moved(layout, own.outside(x))), begun, bounds
+            scaled_form,
+            layout,
+            lambda x: scaled_form.inside(moved(layout, scaled_form.outside(x))),
+            begun,
+            bounds,
         )
         begun = form.inside(begun)
         bounds, limits = form.bounds(bounds, limits)
 
     def told(outcome: Outcome) -> ControlResult:
         outcome = form.outcome(outcome) if isinstance(form, Condensed) else outcome
-        return result_of(layout, own.outcome(outcome))
+        return result_of(layout, scaled_form.outcome(outcome))
 
     name = f"{layout.read.system.name}, {layout.steps} steps"
     bar = Progress(options["max_iter"] + 1, progress, look="{desc}, {elapsed}", what=name)
     with listening() as heard, bar:
 
         def look(cost: float) -> bool:
-            bar.say(f"{name}: cost {cost * own.of_cost:.6g}, {bar.count} iterations")
+            bar.say(f"{name}: cost {cost * scaled_form.of_cost:.6g}, {bar.count} iterations")
             bar.add(1)
             return bool(heard)
 
         outcome = run_ipopt(form, begun, bounds, limits, {**OPTIONS, **options}, look)
-        found = told(outcome)
+        result = told(outcome)
         # the solver compares with 1: small costs are found once more, in a unit of their own
-        size = max(abs(form.values(begun)[0]), abs(found.cost) / own.of_cost)
+        size = max(abs(form.values(begun)[0]), abs(result.cost) / scaled_form.of_cost)
         if outcome.said == "Solve_Succeeded" and 0 < size < SMALL:
             given = {**OPTIONS, **options, "obj_scaling_factor": 1 / max(size, SMALLEST)}
             outcome = run_ipopt(form, outcome.x, bounds, limits, given, look)
             again = told(outcome)
-            found = replace(
-                again if again.success else found,
-                iterations=found.iterations + again.iterations,
-                seconds=found.seconds + again.seconds,
-                in_functions=found.in_functions + again.in_functions,
+            result = replace(
+                again if again.success else result,
+                iterations=result.iterations + again.iterations,
+                seconds=result.seconds + again.seconds,
+                in_functions=result.in_functions + again.in_functions,
             )
-    return found
+    return result
 
 
 def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlResult:
@@ -154,12 +158,12 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
     """
     place, told, x, multipliers = read_solution(path, {**TOLD, "scheme": str, "steps": _as_grid})
     name, grid = told.pop("scheme"), told.pop("steps")
-    found, own = read_family(scheme or name), 0
+    galerkin_scheme, fits = read_family(scheme or name), 0
     if len(grid.steps) == len(read.phases) and grid.count <= len(x):  # no larger layout is made
-        layout = Layout(read, found, grid)
+        layout = Layout(read, galerkin_scheme, grid)
         programme, low, high = layout.programme
-        own = (len(multipliers), len(x)) == programme.shape
-    if own:
+        fits = (len(multipliers), len(x)) == programme.shape
+    if fits:
         cost, rows = programme.values(x)
         of_unknowns, of_rows = sizes_at(layout, x)
         within = [
@@ -170,8 +174,8 @@ def opened(read: Reading, path: str | os.PathLike[str], scheme: Any) -> ControlR
             )
         ]
         off = abs(cost - told["cost"]) / (abs(cost) or 1.0)
-        own = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
-    if not own:
+        fits = off <= ROUNDED and max(within) <= told["violation"] + ROUNDED
+    if not fits:
         raise InputError(
             f"{place}: the file holds the solution of another problem, of {grid.count} steps of "
             f"{name}."
@@ -237,9 +241,9 @@ def begin(layout: Layout, guess: Any) -> Floats:
             "over equal times"
         )
         given = {name: value for name, _, value in read_mapping("guess", guess, how)}
-        own = [spelled(a) for a in layout.read.system.parameters]
-        found = {own[i]: k for k, i in enumerate(read.found)}
-        allowed = {*read.names, *read.inputs, "duration", *found}
+        names = [spelled(a) for a in layout.read.system.parameters]
+        unknowns = {names[i]: k for k, i in enumerate(read.found)}
+        allowed = {*read.names, *read.inputs, "duration", *unknowns}
         for name in given:
             if name not in allowed:
                 raise InputError(
@@ -250,7 +254,8 @@ def begin(layout: Layout, guess: Any) -> Floats:
         if whole <= 0:
             raise InputError(f"guess['duration'] is {whole:g}.\nPass a positive number.")
         values = [
-            _number(own[i], given.pop(own[i], x)) for i, x in zip(read.found, values, strict=True)
+            _number(names[i], given.pop(names[i], x))
+            for i, x in zip(read.found, values, strict=True)
         ]
         functions = {
             name: read_function(f"guess[{name!r}]", value, whole) for name, value in given.items()
@@ -302,17 +307,17 @@ def begin(layout: Layout, guess: Any) -> Floats:
 def _given(limits: Any, read: Any) -> dict[str, float]:
     """Return the coordinates that are given at an end, as numbers or as multiples of them."""
     return {
-        read.names[read.q.index(node)]: one.low / float(factor)
-        for one in limits
-        for factor, node in [one.value]
-        if one.low == one.high and node in read.q
+        read.names[read.q.index(node)]: limit.low / float(factor)
+        for limit in limits
+        for factor, node in [limit.value]
+        if limit.low == limit.high and node in read.q
     }
 
 
 def _number(name: str, given: Any) -> float:
     """Read a number of a guess."""
     how = "Pass a finite number."
-    found = read_reals(f"guess[{name!r}]", given, how)
-    if found.ndim or not np.isfinite(found):
+    number = read_reals(f"guess[{name!r}]", given, how)
+    if number.ndim or not np.isfinite(number):
         raise InputError(f"guess[{name!r}] is {given!r}, no finite number.\n{how}")
-    return float(found)
+    return float(number)

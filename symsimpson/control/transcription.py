@@ -61,18 +61,18 @@ class Block:
 
     def at(self, x: Floats) -> dict[int, Any]:
         """Return the variables of the points."""
-        own = (self._stacked[0] @ x).reshape(-1, self.count)
-        return {**self.given, **dict(zip(self.functions.variables, own, strict=True))}
+        values = (self._stacked[0] @ x).reshape(-1, self.count)
+        return {**self.given, **dict(zip(self.functions.variables, values, strict=True))}
 
     def weights(self, rows: Floats) -> Floats:
         """Return the weights of the functions at each point, of weighted rows."""
-        found: Floats = (self._stacked[2] @ rows).reshape(-1, self.count)
-        return found
+        weights: Floats = (self._stacked[2] @ rows).reshape(-1, self.count)
+        return weights
 
     def values(self, at: dict[int, Any]) -> Floats:
         """Return what the block has in each row."""
-        found: Floats = self._stacked[1] @ self.functions.values(at, self.count).ravel()
-        return found
+        values: Floats = self._stacked[1] @ self.functions.values(at, self.count).ravel()
+        return values
 
     def slopes(self, at: dict[int, Any]) -> Floats:
         """Return the slopes at the points, one behind the other."""
@@ -82,10 +82,10 @@ class Block:
         """Return slopes of the weighted rows by each variable at each point."""
         weights = self.weights(rows)
         slopes = self.slopes(self.at(x)).reshape(-1, self.count)
-        found = np.zeros((len(self.maps), self.count))
-        for (r, c), own in zip(self.functions.slopes, slopes, strict=True):
-            found[c] += weights[r] * own
-        return found
+        gradient = np.zeros((len(self.maps), self.count))
+        for (r, c), slope in zip(self.functions.slopes, slopes, strict=True):
+            gradient[c] += weights[r] * slope
+        return gradient
 
     def curvatures(self, at: dict[int, Any], rows: Floats) -> Floats:
         """Return second derivatives of the weighted rows, one behind the other."""
@@ -112,7 +112,7 @@ class Block:
 
 def _placed(pairs: Sequence[tuple[Any, Any]], count: int) -> tuple[Ints, Ints, Ints, Floats]:
     """Return parts a[r, k] b[k, c] of the entries (r, c) of a.diag(z).b, for many pairs a, b."""
-    found: list[tuple[Any, ...]] = [(np.zeros(0, int),) * 3 + (np.zeros(0),)]
+    entries: list[tuple[Any, ...]] = [(np.zeros(0, int),) * 3 + (np.zeros(0),)]
     for place, (a, b) in enumerate(pairs):
         size_a, size_b = np.diff(a.indptr), np.diff(b.indptr)
         sizes = size_a * size_b
@@ -120,10 +120,10 @@ def _placed(pairs: Sequence[tuple[Any, Any]], count: int) -> tuple[Ints, Ints, I
         within = np.arange(sizes.sum()) - np.repeat(sizes.cumsum() - sizes, sizes)
         in_a = a.indptr[k] + within // np.maximum(size_b[k], 1)
         in_b = b.indptr[k] + within % np.maximum(size_b[k], 1)
-        found.append(
+        entries.append(
             (place * count + k, a.indices[in_a], b.indices[in_b], a.data[in_a] * b.data[in_b])
         )
-    number, row, column, part = (np.concatenate(x) for x in zip(*found, strict=True))
+    number, row, column, part = (np.concatenate(x) for x in zip(*entries, strict=True))
     return number, row, column, part
 
 
@@ -137,7 +137,7 @@ class _Pattern:
         for number, *_, size in places:
             numbers.append(number + offset)
             offset += size
-        row, column, part = (np.concatenate([one[k] for one in places]) for k in (1, 2, 3))
+        row, column, part = (np.concatenate([place[k] for place in places]) for k in (1, 2, 3))
         more = sparse.coo_matrix(shape if constant is None else constant)
         keys, inverse = np.unique(
             np.concatenate([column, more.col]).astype(np.int64) * shape[0]
@@ -153,8 +153,8 @@ class _Pattern:
 
     def __call__(self, numbers: Sequence[Floats]) -> Floats:
         """Return the entries, by columns."""
-        found: Floats = self._linear @ np.concatenate(numbers) + self._constant
-        return found
+        entries: Floats = self._linear @ np.concatenate(numbers) + self._constant
+        return entries
 
 
 class Programme:
@@ -176,7 +176,8 @@ class Programme:
         self.blocks, self._linear = tuple(blocks), linear.tocsr()
         g, x = linear.shape
         slopes = [
-            (*one.slope_places(), len(one.functions.slopes) * one.count) for one in self.blocks
+            (*block.slope_places(), len(block.functions.slopes) * block.count)
+            for block in self.blocks
         ]
         self._jacobian = _Pattern(slopes, (g, x), linear)
         self._rest = self._jacobian.row > 0
@@ -185,10 +186,10 @@ class Programme:
             self._jacobian.column[self._rest],
         )
         curved = []
-        for one in self.blocks:
-            number, row, column, part = one.curvature_places()
+        for block in self.blocks:
+            number, row, column, part = block.curvature_places()
             upper = row <= column
-            size = len(one.functions.curved) * one.count
+            size = len(block.functions.curved) * block.count
             curved.append((number[upper], row[upper], column[upper], part[upper], size))
         self._hessian = _Pattern(curved, (x, x))
         self.hessian_places: tuple[Ints, Ints] = (self._hessian.row, self._hessian.column)
@@ -198,10 +199,10 @@ class Programme:
     def values(self, x: Floats) -> tuple[float, Floats]:
         """Return the cost and the rows."""
         if "values" not in self._at(x):
-            found = self._linear @ x
-            for one, at in zip(self.blocks, self._last["points"], strict=True):
-                found += one.values(at)
-            self._last["values"] = float(found[0]), found[1:]
+            rows = self._linear @ x
+            for block, at in zip(self.blocks, self._last["points"], strict=True):
+                rows += block.values(at)
+            self._last["values"] = float(rows[0]), rows[1:]
         values: tuple[float, Floats] = self._last["values"]
         return values
 
@@ -209,10 +210,10 @@ class Programme:
         """Return the gradient of the cost, and the entries of the Jacobian."""
         if "slopes" not in self._at(x):
             points = zip(self.blocks, self._last["points"], strict=True)
-            entries = self._jacobian([one.slopes(at) for one, at in points])
+            entries = self._jacobian([block.slopes(at) for block, at in points])
             gradient = np.zeros(self.shape[1])
-            own = ~self._rest
-            gradient[self._jacobian.column[own]] = entries[own]
+            cost_entries = ~self._rest
+            gradient[self._jacobian.column[cost_entries]] = entries[cost_entries]
             self._last["slopes"] = gradient, entries[self._rest]
         slopes: tuple[Floats, Floats] = self._last["slopes"]
         return slopes
@@ -221,10 +222,10 @@ class Programme:
         """Return entries of the Hessian of cost times the cost, and multipliers times the rows."""
         weights = np.concatenate([[cost], multipliers])
         points = zip(self.blocks, self._at(x)["points"], strict=True)
-        return self._hessian([one.curvatures(at, weights) for one, at in points])
+        return self._hessian([block.curvatures(at, weights) for block, at in points])
 
     def _at(self, x: Floats) -> dict[str, Any]:
         """Return what is known where the unknowns are; solvers ask for the same ones again."""
         if self._last is None or not np.array_equal(self._last["x"], x):
-            self._last = {"x": x.copy(), "points": [one.at(x) for one in self.blocks]}
+            self._last = {"x": x.copy(), "points": [block.at(x) for block in self.blocks]}
         return self._last
