@@ -39,8 +39,8 @@ class AffineSolver(Explicit):
         points = [node_point(low, i, group, moving=True, path=first) for i in nodes]
         path = self._improved(first, points, "last")
         dq = {a: path.increments[-1][a] for a in group}
-        found = impulses(low, group, end_point(low, dq), moving=True, path=path)
-        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in found.items()})
+        impulse = impulses(low, group, end_point(low, dq), moving=True, path=path)
+        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in impulse.items()})
 
     def _at_rest(self, i: int) -> Point:
         """Return node i of a path that stays at q0."""
@@ -53,9 +53,9 @@ class AffineSolver(Explicit):
         low, part, names = self._low, self._part, self._low.names.coordinates
         change = newton_correction(low, points, part.rows, self._solved, part.coordinates)
         degree = range(1, low.equations.scheme.degree + 1)
-        found: list[dict[int, Expression]] = [{} for _ in degree]
+        increments: list[dict[int, Expression]] = [{} for _ in degree]
         for (m, a), value in change.items():
             old = path.increments[m - 1][a] if path else 0
             hint = f"{names[a]}_X{m}_{name}"
-            found[m - 1][a] = low.graph.define(hint, old + value, "increments")
-        return Path(found, f"_{name}")
+            increments[m - 1][a] = low.graph.define(hint, old + value, "increments")
+        return Path(increments, f"_{name}")

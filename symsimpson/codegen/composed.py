@@ -35,8 +35,8 @@ class ComposedSolver(Explicit):
         if retiming is not None and retiming.of_potential is not None:
             rate, symbols = retiming.of_potential, plain.parameters
             *_, self._energy, first = (low.parameters[a.name] for a in symbols)
-            own = {a: low.parameters[a.name] for a in symbols}
-            self._rate = lambda level: low.graph.read(rate, {**own, of_potential: level}) / first
+            values = {a: low.parameters[a.name] for a in symbols}
+            self._rate = lambda level: low.graph.read(rate, {**values, of_potential: level}) / first
         damped = {a: low.known(rate) for a, rate in enumerate(plain.rates) if rate[0]}
         self._damped = {a: rate for a, rate in damped.items() if a in part.coordinates}
         forced = {*low.template.forced, *self._damped}

@@ -43,7 +43,7 @@ class ConstrainedSolver:
     def _points(self) -> Mapping[int, Point]:
         """The control points, with the multipliers at them; there are none at the last one."""
         low, names = self._low, self._low.names.coordinates
-        found = {}
+        points = {}
         for k in range(low.equations.scheme.degree + 1):
             q = [low.q[a] for a in self.coordinates]
             if k > 0:
@@ -51,9 +51,9 @@ class ConstrainedSolver:
                     low.graph.define(f"{names[a]}_c{k}", q[a] + low.increments[k - 1][a], "path")
                     for a in self.coordinates
                 ]
-            own = low.impulses[k] if k < len(low.impulses) else ()
-            found[k] = Point(f"c{k}", tuple(q), multipliers=own)
-        return found
+            multipliers = low.impulses[k] if k < len(low.impulses) else ()
+            points[k] = Point(f"c{k}", tuple(q), multipliers=multipliers)
+        return points
 
     def _entry(self, k: int, what: str, *index: int) -> Expression:
         return self._low.held.entry(self._points[k], f"control point {k}", what, *index)
@@ -91,8 +91,8 @@ class ConstrainedSolver:
                 right.append(-entry(m, "phi", c) / h)
         hints = correction_names(low, self.increments)
         hints += [f"d_mu_{k}_{c}" for k, c in self.multipliers]
-        found = solve_unpivoted(low.graph, matrix, right, hints, "elimination")
-        return dict(zip([*self.increments, *self.multipliers], found, strict=True))
+        corrections = solve_unpivoted(low.graph, matrix, right, hints, "elimination")
+        return dict(zip([*self.increments, *self.multipliers], corrections, strict=True))
 
     def _stiffness(self) -> Mapping[tuple[int, int], Expression]:
         """Return how much of phi = 0 is added to each row: pivots are regular where M is not.
@@ -212,8 +212,8 @@ def _weights(
     """Return the trace of M in units of each row of Phi, squared."""
     trace = low.graph.total(low.template.entry(point, section, "M", a, a) for a in group)
     whole = low.graph.define(f"trace_{suffix}", trace, section)
-    found = []
+    weights = []
     for c in range(len(low.equations.plain.constraints)):
         square = low.graph.total(low.held.entry(point, section, "Phi", c, a) ** 2 for a in group)
-        found.append(low.graph.define(f"weight_{c}_{suffix}", whole / square, section))
-    return found
+        weights.append(low.graph.define(f"weight_{c}_{suffix}", whole / square, section))
+    return weights

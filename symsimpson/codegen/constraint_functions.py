@@ -59,8 +59,8 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
     positions = len(low.equations.plain.constraints)
     rolling = range(positions, held.count)
     if rolling:
-        own = [(c - positions, c) for c in rolling]
-        rates = [Store(Row("RATE", k), entry("rate", c)) for k, c in own]
+        rolling_rows = [(c - positions, c) for c in rolling]
+        rates = [Store(Row("RATE", k), entry("rate", c)) for k, c in rolling_rows]
         stores["pushes"] += rates
         stores["hold_velocities"] = [
             Store(Row("CURVATURE", c), entry("b", c) if c in rolling else low.graph.of(0))
@@ -70,7 +70,7 @@ def constraint_functions(low: Lowering, held: Held, *, drifting: bool) -> list[F
         def by_coordinates(block: str, what: str) -> list[Store]:
             return [
                 Store(Row(block, k * low.n + a), entry(what, c, a))
-                for k, c in own
+                for k, c in rolling_rows
                 for a in range(low.n)
             ]
 

@@ -207,8 +207,8 @@ class CoupledSolver:
         """Return q1 - q0 = X_d and p1 - p0 = h sum_i b_i L_q(q_i, v_i), less what is damped."""
         low = self._low
         dq = {a: low.increments[-1][a] for a in self.coordinates}
-        found = impulses(low, self.coordinates, end_point(low, dq), moving=True)
-        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in found.items()})
+        impulse = impulses(low, self.coordinates, end_point(low, dq), moving=True)
+        return Closing(dq, {a: low.decayed(low.p[a], dp) for a, dp in impulse.items()})
 
 
 def newton_correction(
@@ -221,8 +221,8 @@ def newton_correction(
     """Return what Newton's method adds to increments, from the points of a path at its nodes."""
     matrix, right = newton_rows(low, points, rows, increments, group)
     hints = correction_names(low, increments)
-    found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
-    return dict(zip(increments, found, strict=True))
+    corrections = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+    return dict(zip(increments, corrections, strict=True))
 
 
 def newton_rows(

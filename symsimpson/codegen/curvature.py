@@ -19,28 +19,28 @@ _FUNCTIONS = {
 }
 
 
-def curvature_tables(made: Differentials) -> dict[str, object]:
+def curvature_tables(differentials: Differentials) -> dict[str, object]:
     """Return by which variables entries are, and how large the matrix of all is."""
-    low, degree = made.low, made.loops.degree
+    low, degree = differentials.low, differentials.loops.degree
     count = len(low.multipliers)
     first = (degree + 1) * low.n + degree * count
-    found: dict[str, object] = {
+    tables: dict[str, object] = {
         "VARIED_FROM": first,
         "HESSIAN_SIZE": first + len(low.varied) * low.equations.scheme.stages,
     }
     for what, prefix in (("node", "CURVATURE"), ("point", "POINT")):
         pairs = low.curvatures.places(what)
         if what == "node" or count:
-            found |= {
+            tables |= {
                 f"{prefix}_ROW": tuple(i for i, _ in pairs),
                 f"{prefix}_COLUMN": tuple(j for _, j in pairs),
             }
-    return found
+    return tables
 
 
-def curvature_functions(made: Differentials) -> list[Function]:
+def curvature_functions(differentials: Differentials) -> list[Function]:
     """Write the second derivatives at a node, and at a control point if there are constraints."""
-    low, found = made.low, []
+    low, functions = differentials.low, []
     for what, (name, block, of) in _FUNCTIONS.items():
         if what == "point" and not low.multipliers:
             continue
@@ -55,13 +55,13 @@ def curvature_functions(made: Differentials) -> list[Function]:
             for k, (i, j) in enumerate(low.curvatures.places(what))
         ]
         doc = f"Second derivatives of {of}."
-        found.append(Function(name, doc, low.statements(stores, (Level.ITERATION,))))
-    return found
+        functions.append(Function(name, doc, low.statements(stores, (Level.ITERATION,))))
+    return functions
 
 
-def curvature_kernel(made: Differentials) -> Kernel:
+def curvature_kernel(differentials: Differentials) -> Kernel:
     """Return the kernel that evaluates them for the path that stands in the workspace."""
-    loops = made.loops
+    loops = differentials.loops
     grown = (Call("grow_weights", _AT_NODE),) if loops.damped else ()
     at_node: tuple[Statement, ...] = (
         Call("weigh_node_rows", _AT_NODE),

@@ -100,20 +100,22 @@ class Differentials:
 
         Those of a parameter stand one behind the other; their coordinates by place.
         """
-        found: dict[str, object] = {"VARIED": len(self.varied)}
+        tables: dict[str, object] = {"VARIED": len(self.varied)}
         for block, what in _BLOCKS if self.varied else ():
             rows, name = _not_zero(self.low, self.places, what), block.removeprefix("NODE_")
-            first = accumulate(sum(own == varied for own, _ in rows) for varied in self.varied)
-            found |= {f"{name}_FROM": (0, *first), f"{name}_PLACE": (*(s for _, s in rows), 0)}
-        return found
+            first = accumulate(
+                sum(parameter == varied for parameter, _ in rows) for varied in self.varied
+            )
+            tables |= {f"{name}_FROM": (0, *first), f"{name}_PLACE": (*(s for _, s in rows), 0)}
+        return tables
 
     def functions(self) -> list[Function]:
         """Return what is evaluated at a node."""
-        found = [_slopes(self.low, self.places)] if self.varied else []
+        functions = [_slopes(self.low, self.places)] if self.varied else []
         if self.varied and self.loops.held:
-            found.append(_constraint_slopes(self.low, self.places))
-            found += _rate_slopes(self.low)
-        return [*found, _cost(self.low, self.places)] if self.costly else found
+            functions.append(_constraint_slopes(self.low, self.places))
+            functions += _rate_slopes(self.low)
+        return [*functions, _cost(self.low, self.places)] if self.costly else functions
 
 
 def cost_of_time(low: Lowering) -> bool:
@@ -199,20 +201,21 @@ def _rate_slopes(low: Lowering) -> list[Function]:
     rolling = range(len(plain.constraints), len(plain.held))
     wanted = {"rate": "A v - b"} if rolling else {}
     wanted |= {"carried": "b"} if plain.carried else {}
-    found = []
+    functions = []
     for name, what in wanted.items():
         key = "rate_a" if name == "rate" else "b_a"
         stores = [
             Store(
-                Row("RATE_A", j * len(rolling) + k), low.slopes.entry(point, "slopes", key, c, own)
+                Row("RATE_A", j * len(rolling) + k),
+                low.slopes.entry(point, "slopes", key, c, parameter),
             )
-            for j, own in enumerate(low.varied)
+            for j, parameter in enumerate(low.varied)
             for k, c in enumerate(rolling)
         ]
         doc = f"Derivatives of {what} by the parameters that are varied, at a point."
         lines = low.statements(stores, (Level.ITERATION,))
-        found.append(Function(f"{name}_parameter_slopes", doc, lines))
-    return found
+        functions.append(Function(f"{name}_parameter_slopes", doc, lines))
+    return functions
 
 
 def _cost(low: Lowering, places: tuple[int, ...]) -> Function:

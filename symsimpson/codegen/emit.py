@@ -72,8 +72,8 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
     constants = _constants(module, printer)
     limits = thresholds(equations, module)
     constants = "\n".join(part for part in (constants, limits) if part)
-    made = _computed_tables(equations, module)
-    library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{made}"))
+    computed_tables = _computed_tables(equations, module)
+    library = "\n".join(f"\n{part}\n" for part in _library(f"{body}\n{computed_tables}"))
     numbers = "\n".join(
         part
         for part in (
@@ -90,7 +90,7 @@ def emit(equations: DiscreteEquations, module: Module) -> str:
             *([constants] if constants else []),
             "compiled = njit(**OPTIONS)\n",
             *([library] if library else []),
-            *(["", made] if made else []),
+            *(["", computed_tables] if computed_tables else []),
             "",
             body,
             "",

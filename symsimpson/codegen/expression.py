@@ -164,7 +164,9 @@ class Expressions(Graph):
         """Read an expression of SymPy, with expressions for its symbols."""
         reader = self._reader
         if known is not None:
-            reader = Reader(self, {symbol: one.value for symbol, one in known.items()})
+            reader = Reader(
+                self, {symbol: replacement.value for symbol, replacement in known.items()}
+            )
         return Expression(self, reader(expression))
 
     def know(self, symbol: sp.Symbol, expression: Expression) -> None:
@@ -173,9 +175,9 @@ class Expressions(Graph):
 
     def taken(self, graph: Graph, value: Value, known: Mapping[int, Expression]) -> Expression:
         """Return a value of another graph, with expressions for its symbols."""
-        replaced = {n: one.value for n, one in known.items()}
-        (found,) = rebuilt(graph, [value], replaced, self)
-        return Expression(self, found)
+        replaced = {n: replacement.value for n, replacement in known.items()}
+        (result,) = rebuilt(graph, [value], replaced, self)
+        return Expression(self, result)
 
     def named(self, name: str) -> Expression:
         """Return the symbol of a name."""
@@ -199,6 +201,6 @@ class Expressions(Graph):
 
     def replaced(self, expression: Expression, by: Mapping[Expression, Expression]) -> Expression:
         """Return an expression with others in place of symbols."""
-        numbers = {symbol.node: one.value for symbol, one in by.items()}
-        (found,) = rebuilt(self, [expression.value], numbers)
-        return Expression(self, found)
+        numbers = {symbol.node: replacement.value for symbol, replacement in by.items()}
+        (result,) = rebuilt(self, [expression.value], numbers)
+        return Expression(self, result)

@@ -72,8 +72,8 @@ def docstring(equations: DiscreteEquations, module: Module) -> str:
     plain = equations.plain
     velocities = [f"{q}'" for q in names.coordinates]
     symbols = (*plain.q, *plain.v, plain.t, *plain.u, *plain.parameters)
-    own = (*names.coordinates, *velocities, "t", *names.inputs, *names.parameters)
-    shown = {symbol.name: name for symbol, name in zip(symbols, own, strict=True)}
+    labels = (*names.coordinates, *velocities, "t", *names.inputs, *names.parameters)
+    shown = {symbol.name: name for symbol, name in zip(symbols, labels, strict=True)}
     linear = plain.linear
     formulas = {"T": plain.T, "a": linear, "V": plain.V}
     forces = zip(names.coordinates, replace(plain, acting=None).f, strict=True)

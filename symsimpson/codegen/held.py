@@ -107,7 +107,7 @@ def dense(n: int, constraints: int, velocities: int = 0) -> tuple[Storage, Held 
 def smaller(
     storage: Storage,
     held: Held | None,
-    found: Sequence[Family],
+    terms: Sequence[Family],
     met: Sequence[Family],
     degree: int,
     rolling: Sequence[frozenset[int]] = (),
@@ -117,13 +117,13 @@ def smaller(
     Parameters
     ----------
     storage, held : Storage, Held or None
-    found, met : sequences of Family
+    terms, met : sequences of Family
         The terms of L, and the constraints.
     degree : int
     rolling : sequence of sets
         The coordinates in each velocity constraint.
     """
-    near = neighbours([*found, *met], storage.n)
+    near = neighbours([*terms, *met], storage.n)
     for member in rolling:
         for i in member:
             near[i] |= member - {i}
@@ -141,4 +141,4 @@ def smaller(
     chain = Held.chain(order, every, near, len(rolling))
     if chain.storage.size(degree) >= held.storage.size(degree):
         return storage, held
-    return Storage(order, band_of(order, neighbours(found, storage.n)), banded=True), chain
+    return Storage(order, band_of(order, neighbours(terms, storage.n)), banded=True), chain

@@ -182,12 +182,12 @@ class HeldDifferentials(Differentials):
     def pulled_start(self) -> tuple[Statement, ...]:
         """Add the derivatives by q0 and by parameters that go through control points."""
         here = ("W", "h", "point", "lane")
-        found = self._points(
+        points = self._points(
             "range(DEGREE + 1)",
             Call("pull_start_of_point", here),
             *self.if_varied(Call("pull_slopes_of_point", here)),
         )
-        return (*found, *self.if_held(*self.if_varied(Call("add_end_slopes"))))
+        return (*points, *self.if_held(*self.if_varied(Call("add_end_slopes"))))
 
     @staticmethod
     def _of_room(function: str) -> Call:

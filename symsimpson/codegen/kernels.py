@@ -161,13 +161,13 @@ def _looped_module(equations: DiscreteEquations) -> Module:
     # terms are told apart by coordinates alone, and those of a force have no L
     plain = equations.plain
     alike = plain.conservative
-    found = families(plain) if alike else ()
+    terms = families(plain) if alike else ()
     met = constraint_families(plain) if alike else ()
     storage, held = dense(low.n, len(low.multipliers), len(plain.velocity_constraints))
     rolling = plain.velocity_constraints
     if "sparse" in equations.exploit and alike:
         # an explicit step solves with M alone
-        both = [family for family in found if family.plain.M or not isinstance(part, Composed)]
+        both = [family for family in terms if family.plain.M or not isinstance(part, Composed)]
         storage, held = smaller(storage, held, both, met, degree, plain.bound)
     names = ("gradient", "mass", "potential")
     kicked = drifting(equations)
@@ -175,15 +175,15 @@ def _looped_module(equations: DiscreteEquations) -> Module:
         names = ("jet", *(("forces",) if constant and not kicked else ()), *names)
     tables: dict[str, object] = {}
     places = sorted(range(low.n), key=storage.order.__getitem__)
-    if alike and (storage.banded or _many(found)):
-        functions, own = family_functions(low, found, places, names)
-        tables |= own
+    if alike and (storage.banded or _many(terms)):
+        functions, family_tables = family_functions(low, terms, places, names)
+        tables |= family_tables
     else:
         functions = unrolled_functions(low, names)
     if held and alike and not rolling and (storage.banded or _many(met)):
-        more, own = constraint_family_functions(low, met, places, drifting=kicked)
+        more, family_tables = constraint_family_functions(low, met, places, drifting=kicked)
         functions += more
-        tables |= own
+        tables |= family_tables
     elif held:
         functions += constraint_functions(low, held, drifting=kicked)
     loops = _loops(low, storage, held, constant_mass=constant or structure.constant_mass)
@@ -236,10 +236,10 @@ def _stage_kernels(
     return LoopedStages(low, loops) if pays else None
 
 
-def _many(found: Sequence[Family]) -> bool:
+def _many(groups: Sequence[Family]) -> bool:
     """Return whether families have members enough to be worth a loop."""
-    members = sum(len(family.coordinates) for family in found)
-    return members >= FAMILY_MEMBERS * len(found)
+    members = sum(len(family.coordinates) for family in groups)
+    return members >= FAMILY_MEMBERS * len(groups)
 
 
 def _loops(

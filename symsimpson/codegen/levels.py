@@ -137,21 +137,21 @@ class Definitions(Expressions):
             joined = self._numbers_joined(
                 self.product, [*([(c, UNIT)] if c != 1 else []), *factors]
             )
-            found = [
-                self.split(one, section) if one.is_number else self._power(one, section)
-                for one in joined
+            pieces = [
+                self.split(factor, section) if factor.is_number else self._power(factor, section)
+                for factor in joined
             ]
-            return self._regroup(self.product, found, level, section), level
+            return self._regroup(self.product, pieces, level, section), level
         name, *arguments = parts
-        found = self._parts([Expression(self, value) for value in arguments], section)
-        return self._multiple(c, self.applied(name, *(value for value, _ in found))), level
+        pieces = self._parts([Expression(self, value) for value in arguments], section)
+        return self._multiple(c, self.applied(name, *(value for value, _ in pieces))), level
 
     def _parts(self, values: Iterable[Expression], section: str) -> list[Part]:
         return [self.split(value, section) for value in values]
 
-    def _power(self, one: Expression, section: str) -> Part:
+    def _power(self, power: Expression, section: str) -> Part:
         """Split the base of a power; exponents have all digits, unless they are those of roots."""
-        ((base, exponent),) = self.factors(one.node)
+        ((base, exponent),) = self.factors(power.node)
         value, level = self.split(Expression(self, (1, base)), section)
         if exponent.denominator in (1, 2, 4):
             return value**exponent, level
@@ -160,8 +160,8 @@ class Definitions(Expressions):
     def _multiple(self, c: Exact, value: Expression) -> Expression:
         """Return a value times a number, which has a name if it is not exact."""
         c *= value.coefficient
-        one = Expression(self, (1, value.node))
-        return one if c == 1 else self._number(self.of(c)) * one
+        unscaled = Expression(self, (1, value.node))
+        return unscaled if c == 1 else self._number(self.of(c)) * unscaled
 
     def _numbers_joined(
         self, join: Callable[[list[Expression]], Expression], values: list[tuple[Exact, int]]
@@ -227,15 +227,15 @@ class Definitions(Expressions):
             return -self._number(-number)
         rational = number.node == UNIT
         if number not in self._constant_of:
-            own = number if rational else self._digits(number)
-            if own in self._constant_of:  # the same number, written in another way
-                self._constant_of[number] = self._constant_of[own]
+            key = number if rational else self._digits(number)
+            if key in self._constant_of:  # the same number, written in another way
+                self._constant_of[number] = self._constant_of[key]
                 return self._constant_of[number]
             short = rational and max(c.numerator, c.denominator) < LARGE
             hint = f"C_{c.numerator}_{c.denominator}" if short else "C"
             symbol = self.fresh(hint, Level.CONSTANT)
             self.constants[symbol] = number
-            self._constant_of[number] = self._constant_of[own] = symbol
+            self._constant_of[number] = self._constant_of[key] = symbol
         return self._constant_of[number]
 
     def is_positive(self, expression: Expression) -> bool:

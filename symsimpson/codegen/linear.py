@@ -37,8 +37,8 @@ class LinearSolver(Explicit):
         second = {(a, b): derivatives(slope[a], q[b]) for a in group for b in group}
         masses = {(a, b): plain.entry(a, b) for a in group for b in group}
         values = [*masses.values(), *second.values(), *slope.values()]
-        at, found = _somewhere(plain.graph, values, q)
-        constants = iter([low.known(value) for value in found])
+        at, point_values = _somewhere(plain.graph, values, q)
+        constants = iter([low.known(value) for value in point_values])
         self._M = {place: next(constants) for place in masses}
         self._K = {place: next(constants) for place in second}
         self._f = {
@@ -136,10 +136,10 @@ def _somewhere(
     """Evaluate values at q = 0, or where they are defined if that is nowhere at q = 0."""
     for number in (Fraction(0), Fraction(1), Fraction(2), Fraction(7, 3), Fraction(-5, 11)):
         try:
-            found = rebuilt(graph, values, dict.fromkeys(q, (number, 0)))
+            point_values = rebuilt(graph, values, dict.fromkeys(q, (number, 0)))
         except ZeroDivisionError:
             continue
-        return exact(number), found
+        return exact(number), point_values
     raise GenerationError(
         "forces that are linear have no value at any point that was tried.\n"
         "Simplify the potential, or compile with exploit=()."

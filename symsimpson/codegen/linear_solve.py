@@ -72,8 +72,8 @@ def solve_blocks(
         determinant, adjugate = _adjugate(upper[i, i])
         scale = graph.define(f"inv_det_{i}", 1 / determinant, section)
         inverse.append(named(f"inv_{i}", [[x * scale for x in row] for row in adjugate]))
-        own = [[x] for x in right[i * size : (i + 1) * size]]
-        forward.append(named(f"y_{i}", less(own, [(lower[i, k], forward[k]) for k in range(i)])))
+        column = [[x] for x in right[i * size : (i + 1) * size]]
+        forward.append(named(f"y_{i}", less(column, [(lower[i, k], forward[k]) for k in range(i)])))
     unknowns: dict[int, Block] = {}
     for i in reversed(range(count)):
         rest = less(forward[i], [(upper[i, j], unknowns[j]) for j in range(i + 1, count)])

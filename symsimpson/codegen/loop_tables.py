@@ -26,8 +26,8 @@ def solve_constants(
     """Return what elimination must know of the unknowns that it finds: these control points."""
     blocks = len(columns)
     if held:
-        every, own = held.storage, storage.constants("SOLVE", blocks)
-        steps = {key: own[key] for key in ("SOLVE_ROW_STEP", "SOLVE_PLACE_STEP")}
+        every, constants = held.storage, storage.constants("SOLVE", blocks)
+        steps = {key: constants[key] for key in ("SOLVE_ROW_STEP", "SOLVE_PLACE_STEP")}
         return {**solve_constants(every, columns), **steps, **held.constants(blocks)}
     return {
         "BLOCKS": blocks,

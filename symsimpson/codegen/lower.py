@@ -107,10 +107,12 @@ class Lowering:
         self.step = self._base(["h_i", "c_i", "moving"], "NODE_STEP", Level.ITERATION)
         self._inputs: dict[int, tuple[Expression, ...]] = {}
         self.active = self._base(["active"], "ACTIVE", Level.RUN)[0]
-        own = [self.graph.declare(name, Level.RUN) for name in self.names.parameters]
+        symbols = [self.graph.declare(name, Level.RUN) for name in self.names.parameters]
         #: By the names of plain symbols.
-        self.parameters = {a.name: x for a, x in zip(equations.plain.parameters, own, strict=True)}
-        self.rows |= {symbol: Row("PARAMETER", i) for i, symbol in enumerate(own)}
+        self.parameters = {
+            a.name: x for a, x in zip(equations.plain.parameters, symbols, strict=True)
+        }
+        self.rows |= {symbol: Row("PARAMETER", i) for i, symbol in enumerate(symbols)}
         self.coefficients: tuple[Expression, ...] = ()
         self.scheme = SchemeNumbers(equations.scheme, self.graph)
 
@@ -163,10 +165,10 @@ class Lowering:
 
     def of_all(self, jet: Jet) -> Self:
         """Return the same with another jet, and all coordinates solved for together."""
-        own, every = copy(self), Coupled(tuple(range(self.n)), (), ())
-        own.equations = replace(self.equations, parts=(every,))
-        own.__dict__["template"] = self._template(jet)
-        return own
+        lowering, every = copy(self), Coupled(tuple(range(self.n)), (), ())
+        lowering.equations = replace(self.equations, parts=(every,))
+        lowering.__dict__["template"] = self._template(jet)
+        return lowering
 
     @cached_property
     def watched(self) -> JetTemplate:
@@ -200,7 +202,7 @@ class Lowering:
     def _by_node(self) -> dict[int, Expression]:
         """Parameters by their nodes in the graph of the system."""
         graph = self.equations.plain.graph
-        return {graph.symbol(name)[1]: own for name, own in self.parameters.items()}
+        return {graph.symbol(name)[1]: parameter for name, parameter in self.parameters.items()}
 
     def start_point(self) -> Point:
         """Return the point q0; its suffix is that of a node standing there."""

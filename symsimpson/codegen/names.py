@@ -209,9 +209,9 @@ class NameTable:
     def of(self, plain: Plain, symbols: Iterable[sp.Symbol]) -> tuple[str, ...]:
         """Return the names of plain symbols of parameters and inputs, of h and t."""
         names = (*self.parameters, *self.inputs)
-        own = dict(zip((*plain.parameters, *plain.u), names, strict=True))
-        own |= {plain.step[0]: "h", plain.t: "t"}
-        return tuple(own[symbol] for symbol in symbols)
+        name_of = dict(zip((*plain.parameters, *plain.u), names, strict=True))
+        name_of |= {plain.step[0]: "h", plain.t: "t"}
+        return tuple(name_of[symbol] for symbol in symbols)
 
     def _user(self, name: str, substitute: str) -> str:
         plain = _written_out(name)

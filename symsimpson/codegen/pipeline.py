@@ -89,10 +89,10 @@ def _cost(system: MechanicalSystem, running: Any) -> Cost | None:
         return None
     if isinstance(running, str) and running == LAGRANGIAN:
         return Cost(system.plain.graph, system.plain.L)
-    own = Symbols(system.coordinates, system.parameters, system.inputs)
-    allowed = (*own.q, *own.v, *own.a, *own.u, own.t)
-    value = read_expression(system.name, "running cost", running, own, own.known, allowed)
-    return Cost(own.graph, value)
+    symbols = Symbols(system.coordinates, system.parameters, system.inputs)
+    allowed = (*symbols.q, *symbols.v, *symbols.a, *symbols.u, symbols.t)
+    value = read_expression(system.name, "running cost", running, symbols, symbols.known, allowed)
+    return Cost(symbols.graph, value)
 
 
 def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, ...]:
@@ -106,15 +106,15 @@ def _varied(system: MechanicalSystem, names: Iterable[str]) -> tuple[sp.Symbol, 
     plain, table = system.plain, NameTable(system)
     symbols = (*plain.parameters, *plain.u)
     users = [str(symbol) for symbol in (*system.parameters, *system.inputs)]
-    own = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
-    own = {"h": plain.step[0], "t": plain.t} | own | dict(zip(users, symbols, strict=True))
+    by_name = dict(zip((*table.parameters, *table.inputs), symbols, strict=True))
+    by_name = {"h": plain.step[0], "t": plain.t} | by_name | dict(zip(users, symbols, strict=True))
     for name in names:
-        if name not in own:
+        if name not in by_name:
             raise GenerationError(
                 f"derivatives names {name!r}, which is no parameter or input of {system.name}.\n"
                 f"It has {', '.join(users) or 'none'}, and steps have 'h' and 't'."
             )
-    return tuple(own[name] for name in names)
+    return tuple(by_name[name] for name in names)
 
 
 @lru_cache(maxsize=64)

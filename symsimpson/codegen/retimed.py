@@ -31,10 +31,15 @@ def keeping_time(
     retiming = low.equations.system.retiming
     if retiming is None:
         return [], list(kernels)
-    made = _Retimed(low, loops)
-    own = {kernel.name: kernel for kernel in (made.legendre(), made.energy())}
-    others = [own.get(kernel.name, kernel) for kernel in kernels]
-    return [made.rate_function()], [*others, made.energy_in_tau(), made.retime(), made.clock()]
+    retimed = _Retimed(low, loops)
+    replacements = {kernel.name: kernel for kernel in (retimed.legendre(), retimed.energy())}
+    others = [replacements.get(kernel.name, kernel) for kernel in kernels]
+    return [retimed.rate_function()], [
+        *others,
+        retimed.energy_in_tau(),
+        retimed.retime(),
+        retimed.clock(),
+    ]
 
 
 class _Retimed:

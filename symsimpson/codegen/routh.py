@@ -86,8 +86,10 @@ class RouthSolver:
                     row.append(define(name, value, "Jacobian at constant momenta"))
                 matrix.append(row)
         hints = correction_names(low, self.increments)
-        found = solve_blocks(low.graph, matrix, right, len(part.coordinates), hints, "elimination")
-        return dict(zip(self.increments, found, strict=True))
+        corrections = solve_blocks(
+            low.graph, matrix, right, len(part.coordinates), hints, "elimination"
+        )
+        return dict(zip(self.increments, corrections, strict=True))
 
     def close(self) -> Closing:
         """Return q1 - q0, of cyclic coordinates h sum_i b_i v_y(q_i), and p1 - p0 of the others."""
@@ -195,12 +197,12 @@ class RouthSolver:
 
     def forward(self, node: _Node, vector: Vector, hint: str) -> Vector:
         """Solve L x = vector."""
-        found: Vector = []
+        solution: Vector = []
         for r in self._size:
-            taken = [-term * found[c] for c in range(r) for term in node.L[r][c].terms]
+            taken = [-term * solution[c] for c in range(r) for term in node.L[r][c].terms]
             rest = self._total([vector[r], *taken])
-            found.append(self._define(f"{hint}{r}", rest, node.number))
-        return found
+            solution.append(self._define(f"{hint}{r}", rest, node.number))
+        return solution
 
     def _define(self, hint: str, value: Expression, i: int) -> Expression:
         where = {START: "start", END: "end"}.get(i, str(i))
@@ -214,12 +216,12 @@ class RouthSolver:
         nodes = [self._node(i, end, middle) for i in range(len(b))]
         negative = [[-x for x in node.momentum] for node in nodes]
         right = self.project(nodes, negative, "g")
-        found = dict(zip(self._multipliers, self.solve(nodes, right, "lambda"), strict=True))
+        multipliers = dict(zip(self._multipliers, self.solve(nodes, right, "lambda"), strict=True))
         closing = end is not None
-        return [self._moving(node, found, closing=closing) for node in nodes]
+        return [self._moving(node, multipliers, closing=closing) for node in nodes]
 
     def _moving(
-        self, node: _Node, found: Mapping[tuple[int, int], Expression], *, closing: bool
+        self, node: _Node, multipliers: Mapping[tuple[int, int], Expression], *, closing: bool
     ) -> _Node:
         """Complete a node.
 
@@ -231,7 +233,8 @@ class RouthSolver:
         momentum, added = [], []
         for k in self._size:
             terms = [
-                node.T[k][c] * found[r, c] * simplified(C[r][i] / b) for r, c in self._multipliers
+                node.T[k][c] * multipliers[r, c] * simplified(C[r][i] / b)
+                for r, c in self._multipliers
             ]
             added.append(self._total(terms))
             value = self._total([node.momentum[k], *terms])
@@ -274,8 +277,8 @@ class RouthSolver:
             ]
             for r in self._size
         ]
-        one = [[low.graph.of(int(r == c)) for c in self._size] for r in self._size]
-        return _Node(i, point, D, D_inverse, L, one)
+        identity = [[low.graph.of(int(r == c)) for c in self._size] for r in self._size]
+        return _Node(i, point, D, D_inverse, L, identity)
 
     def _node(self, i: int, end: Point | None, middle: _Node) -> _Node:
         """Return a node with L^-1 (p - beta) and T = 1 + L^-1 (L_o - L)."""

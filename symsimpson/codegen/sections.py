@@ -52,7 +52,7 @@ def sections(definitions: Sequence[Definition], common: str | None) -> list[Sect
         if not groups or groups[-1][0] != title:
             groups.append((title, []))
         groups[-1][1].append(definition)
-    made = []
+    section_list = []
     for title, members in groups:
         body: list[Statement] = []
         pairs = 0
@@ -66,5 +66,5 @@ def sections(definitions: Sequence[Definition], common: str | None) -> list[Sect
             else:
                 body.append(Assign(definition.targets[0], definition.value))
         count = f"{operations} operations" + (f", {pairs} sincos" if pairs else "")
-        made.append(Section(f"{title}: {count}", tuple(body)))
-    return made
+        section_list.append(Section(f"{title}: {count}", tuple(body)))
+    return section_list

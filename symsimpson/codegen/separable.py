@@ -67,8 +67,8 @@ class SeparableSolver:
                     row.append(define(name, total(terms), "Jacobian"))
                 matrix.append(row)
         hints = correction_names(low, self._unknowns)
-        found = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
-        changes = dict(zip(self._unknowns, found, strict=True))
+        corrections = solve_blocks(low.graph, matrix, right, len(group), hints, "elimination")
+        changes = dict(zip(self._unknowns, corrections, strict=True))
         return changes | self._end_of_path(changes) if self._carried else changes
 
     def _points(self) -> dict[int, Point]:
@@ -153,14 +153,14 @@ class SeparableSolver:
             impulses.append(low.graph.define(f"impulse_{names[a]}", total(terms), section))
         moved = constant_mass_velocity(low, group, impulses, "dv", section)
         scale = simplified(-1 / stiffness[last][d])
-        found: dict[Increment, Expression] = {}
+        corrections: dict[Increment, Expression] = {}
         for number, a in enumerate(group):
             terms = [
                 changes[m, a] * simplified(scale * stiffness[last][m]) for m in self._part.columns
             ]
             change = total([moved[number] * scale, *terms])
-            found[d, a] = low.graph.define(f"d_{names[a]}_X{d}", change, section)
-        return found
+            corrections[d, a] = low.graph.define(f"d_{names[a]}_X{d}", change, section)
+        return corrections
 
     def close(self) -> Closing:
         """Return q1 - q0 and p1 - p0 = h sum_i b_i L_q(q_i)."""

@@ -153,8 +153,8 @@ class StageKernels:
                 reads = [load for load in statement.body if isinstance(load, Load)]
                 same = [load for load in reads if "node" not in str(load.row.index)]
                 before += [load for load in same if load not in loaded]
-                own = tuple(load for load in reads if "node" in str(load.row.index))
-                inside = [Section("of this node", own), *inside] if own else inside
+                node_loads = tuple(load for load in reads if "node" in str(load.row.index))
+                inside = [Section("of this node", node_loads), *inside] if node_loads else inside
             else:
                 inside.append(statement)
         loads = [Section("known before", tuple(before))] if before else []
@@ -185,9 +185,12 @@ class StageKernels:
         for a in self._forced:
             kick = self._combined(self._nu, self._kicks[a], f"kick_{names[a]}", "momenta")
             p[a] = define(f"p_{names[a]}_j", low.p[a] + kick, "momenta")
-        found, _ = velocity(low, point, p, "velocities", suffix="new")
+        velocities, _ = velocity(low, point, p, "velocities", suffix="new")
         masses = [entry(point, "velocities", "M", a, a) for a in range(n)]
-        new = [define(f"dq_{names[a]}_new", self._share * found[a], "velocities") for a in range(n)]
+        new = [
+            define(f"dq_{names[a]}_new", self._share * velocities[a], "velocities")
+            for a in range(n)
+        ]
         correction = total(masses[a] * (new[a] - self._own[a]) ** 2 for a in range(n))
         size = total(masses[a] * new[a] ** 2 for a in range(n))
         closing = [
@@ -256,10 +259,10 @@ class StageKernels:
     def _inputs(self) -> tuple[Expression, ...]:
         """Return the inputs at a node."""
         low, names = self._low, self._low.names
-        own = [names.fresh(f"{u}_j") for u in names.inputs]
-        found = tuple(low.graph.declare(u, Level.ITERATION) for u in own)
-        low.rows |= {u: Row("INPUT", self._place(k)) for k, u in enumerate(found)}
-        return found
+        input_names = [names.fresh(f"{u}_j") for u in names.inputs]
+        inputs = tuple(low.graph.declare(u, Level.ITERATION) for u in input_names)
+        low.rows |= {u: Row("INPUT", self._place(k)) for k, u in enumerate(inputs)}
+        return inputs
 
     def _start(self) -> Kernel:
         """From q and p to velocities that are the same at all nodes."""

@@ -37,60 +37,70 @@ def differentiating(
     if low.equations.varied is None:
         return [], [], {}
     storage = loops.held.storage if loops.held else loops.storage
-    made = HeldDifferentials(low, loops, tuple(places), following, in_order)
-    kernels = [*_tangent_kernels(made), *adjoint_kernels(made)]
-    functions, tables = made.functions(), made.tables() | _tables(storage, loops.degree)
+    differentials = HeldDifferentials(low, loops, tuple(places), following, in_order)
+    kernels = [*_tangent_kernels(differentials), *adjoint_kernels(differentials)]
+    functions, tables = (
+        differentials.functions(),
+        differentials.tables() | _tables(storage, loops.degree),
+    )
     if low.equations.second:
-        kernels.append(curvature_kernel(made))
-        functions += curvature_functions(made)
-        tables |= curvature_tables(made)
+        kernels.append(curvature_kernel(differentials))
+        functions += curvature_functions(differentials)
+        tables |= curvature_tables(differentials)
     return functions, kernels, tables
 
 
-def _tangent_kernels(made: HeldDifferentials) -> list[Kernel]:
+def _tangent_kernels(differentials: HeldDifferentials) -> list[Kernel]:
     """Return what carries variations of the state to the end of the step that was taken."""
-    kernels = [_tangent(made, _by_variations(made))]
-    if made.in_order:
+    kernels = [_tangent(differentials, _by_variations(differentials))]
+    if differentials.in_order:
         pivoted = replace(kernels[0], name=f"tangent{WITH_PIVOTS}")
-        kernels = [replace(_tangent(made, _by_columns(made)), straight=True), pivoted]
-    if made.varied:
+        kernels = [
+            replace(_tangent(differentials, _by_columns(differentials)), straight=True),
+            pivoted,
+        ]
+    if differentials.varied:
         doc = "Begin variations of parameters at given q and v."
-        slopes = (*made.loops.start(), *made.at_state(0), Call("vary_momentum_at_start"))
+        slopes = (
+            *differentials.loops.start(),
+            *differentials.at_state(0),
+            Call("vary_momentum_at_start"),
+        )
         kernels.append(Kernel("momentum_slopes", doc, lanes(slopes)))
     return kernels
 
 
-def _tangent(made: HeldDifferentials, moved: Sequence[Statement]) -> Kernel:
+def _tangent(differentials: HeldDifferentials, moved: Sequence[Statement]) -> Kernel:
     """Return the kernel, in which the matrix of the step is assembled before what it moves."""
     body = (
         Call("exchange_steps"),
-        *made.path_known(),
-        *made.assembled(),
+        *differentials.path_known(),
+        *differentials.assembled(),
         *moved,
         Call("exchange_steps"),
-        *made.projected(),
-        *made.loops.mass_again(),
+        *differentials.projected(),
+        *differentials.loops.mass_again(),
     )
     doc = "Carry variations of the state to the end of the step that was taken."
     return Kernel("tangent", doc, lanes((When(body),)))
 
 
-def _by_variations(made: HeldDifferentials) -> tuple[Statement, ...]:
+def _by_variations(differentials: HeldDifferentials) -> tuple[Statement, ...]:
     """Solve for each variation."""
     return (
-        each(*_begun(made)),
-        *made.varied_points(),
-        *made.joined(),
+        each(*_begun(differentials)),
+        *differentials.varied_points(),
+        *differentials.joined(),
         Call("factor_equations"),
         each(Call("solve_variation", _ROOM)),
-        *made.parted(),
-        *made.pulls(),
-        *made.impulse(),
-        each(*_closed(made)),
+        *differentials.parted(),
+        *differentials.pulls(),
+        *differentials.impulse(),
+        each(*_closed(differentials)),
     )
 
 
-def _by_columns(made: HeldDifferentials) -> tuple[Statement, ...]:
+def _by_columns(differentials: HeldDifferentials) -> tuple[Statement, ...]:
     """Solve for the columns of the derivative, and multiply variations with it."""
     here = (
         Index("dq", "DERIVATIVE + column * 2 * DIMENSION"),
@@ -102,27 +112,29 @@ def _by_columns(made: HeldDifferentials) -> tuple[Statement, ...]:
     return (
         Call("factor_equations_in_order"),
         Loop(
-            "column", "range(2 * DIMENSION + VARIED)", (*here, *_begun(made), solve, *_closed(made))
+            "column",
+            "range(2 * DIMENSION + VARIED)",
+            (*here, *_begun(differentials), solve, *_closed(differentials)),
         ),
         each(Call("move_variation", ("W", "dq", "room", "parameter", "lane"))),
     )
 
 
-def _begun(made: HeldDifferentials) -> tuple[Statement, ...]:
+def _begun(differentials: HeldDifferentials) -> tuple[Statement, ...]:
     parameter = Call("add_parameter", ("W", "h", "room", "parameter", "lane"))
-    return (Call("begin_variation", _ONE), *made.if_varied(parameter))
+    return (Call("begin_variation", _ONE), *differentials.if_varied(parameter))
 
 
-def _closed(made: HeldDifferentials) -> tuple[Statement, ...]:
-    decay = (Call("decay_variation", ("W", "dq", "lane")),) if made.loops.damped else ()
+def _closed(differentials: HeldDifferentials) -> tuple[Statement, ...]:
+    decay = (Call("decay_variation", ("W", "dq", "lane")),) if differentials.loops.damped else ()
     return (Call("close_variation", _ONE), *decay)
 
 
 def _tables(storage: Storage, degree: int) -> dict[str, object]:
     """Return what loops over variations must know."""
-    own = {
+    constants = {
         **storage.constants("TANGENT", degree),
         **storage.bounds("TANGENT", degree),
         "TANGENT_UNKNOWNS": storage.unknowns(degree),
     }
-    return {key: own[key] for key in own if not key.endswith("_STEP")}
+    return {key: constants[key] for key in constants if not key.endswith("_STEP")}

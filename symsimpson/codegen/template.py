@@ -92,8 +92,8 @@ class JetTemplate:
         key: Key = (what, *index)
         value = self._value(self._jet[key], point, section)
         suffix = (point.suffix,) if self._graph.level(value) > Level.RUN else ()
-        own = [self._spelt(i) for i in index]
-        hint = "_".join((what.replace("_", ""), *own, *suffix))
+        indices = [self._spelt(i) for i in index]
+        hint = "_".join((what.replace("_", ""), *indices, *suffix))
         return self._graph.define(re.sub(r"[^A-Za-z0-9_]", "_", hint), value, section)
 
     def _spelt(self, i: int | str) -> str:

@@ -66,7 +66,7 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
     point = Point("i", low.node_q, low.node_v, low.node_t, low.node_u)
     dragged = low.equations.plain.dragged
     size = range(low.n)
-    found = []
+    functions = []
     for name in names:
         doc, parts = FUNCTIONS[name]
         stores = []
@@ -83,20 +83,20 @@ def unrolled_functions(low: Lowering, names: Iterable[str]) -> list[Function]:
         cleared = [x for x in asked if x in _CLEARED] if sparse else []
         body = [Call(_CLEARED[x]) for x in cleared]
         lines = low.statements(stores, (Level.ITERATION,))
-        found.append(Function(name, doc, (*body, *lines)))
-    return found
+        functions.append(Function(name, doc, (*body, *lines)))
+    return functions
 
 
 def power_stores(low: Lowering, point: Point) -> list[Store]:
     """Store what changes the energy at a point; constraints do so where multipliers are known."""
     plain = low.equations.plain
-    found = {name: low.template.entry(point, "powers", "power", name) for name in plain.powers}
+    powers = {name: low.template.entry(point, "powers", "power", name) for name in plain.powers}
     if plain.carried and point.multipliers:
         rolling = range(len(plain.constraints), len(plain.held))
         b = [low.held.entry(point, "powers", "b", c) for c in rolling]
         pulls = (-x * point.multipliers[c] for c, x in zip(rolling, b, strict=True))
-        found["of constraints"] = low.graph.total(pulls)
-    return [Store(Row("POWER", k), value) for k, value in enumerate(found.values())]
+        powers["of constraints"] = low.graph.total(pulls)
+    return [Store(Row("POWER", k), value) for k, value in enumerate(powers.values())]
 
 
 def power_function(low: Lowering) -> Function:
@@ -163,8 +163,11 @@ class FamilyWriter:
         q = tuple(base(f"q_{s}", "NODE_POSITION", self.indices[s]) for s in size)
         v = tuple(base(f"v_{s}", "NODE_VELOCITY", self.indices[s]) for s in size)
         held = [base("l", "MULTIPLIER", self.constraint)] if family.constraints else []
-        own = [base(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._kinds)]
-        parameters = [*own, *(low.parameters[a.name] for a in plain.parameters[family.slots :])]
+        coefficients = [base(f"c_{s}", "COEFFICIENT", kind) for s, kind in enumerate(self._kinds)]
+        parameters = [
+            *coefficients,
+            *(low.parameters[a.name] for a in plain.parameters[family.slots :]),
+        ]
         self.point = Point(table.lower(), q, v, multipliers=tuple(held))
         self.template = JetTemplate(
             jet,
@@ -180,8 +183,10 @@ class FamilyWriter:
         known = cache(self._low.known)
         table = []
         for k, member in enumerate(family.coordinates):
-            own = [rows.setdefault(known(x), len(rows)) for x in family.coefficients[k]]
-            table.append((*(places[i] for i in member), *family.constraints[k : k + 1], *own))
+            row_numbers = [rows.setdefault(known(x), len(rows)) for x in family.coefficients[k]]
+            table.append(
+                (*(places[i] for i in member), *family.constraints[k : k + 1], *row_numbers)
+            )
         self._low.coefficients = tuple(rows)
         return tuple(table)
 

@@ -58,11 +58,11 @@ class Turning:
     def turned(self, body: Iterable[Statement]) -> list[Statement]:
         """Return statements that turn those that were kept, and tell how far."""
         changes: list[Expression] = []
-        found = list(self._turning(body, changes))
+        statements = list(self._turning(body, changes))
         if changes:
             squares = self._low.graph.total(change**2 for change in changes)
-            found.append(Store(Row("STAGE_TURN", "node"), squares))
-        return found
+            statements.append(Store(Row("STAGE_TURN", "node"), squares))
+        return statements
 
     def _turning(self, body: Iterable[Statement], changes: list[Expression]) -> Iterator[Statement]:
         for statement in body:

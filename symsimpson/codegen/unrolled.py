@@ -89,18 +89,18 @@ def velocity(
 
     Velocities have the point's suffix unless another one is given.
     """
-    found: dict[int, Expression] = {}
+    velocities: dict[int, Expression] = {}
     deficits: list[Expression] = []
     for part in low.equations.parts:
         v, pivots = _velocities(low, point, p, section, part.mass_order, suffix)
-        found |= v
+        velocities |= v
         deficits += [
             low.graph.define("deficit", d - low.graph.applied("abs", d), section)
             for d in pivots
             if not low.graph.is_positive(d)
         ]
     deficit = low.graph.define("deficit", low.graph.total(deficits), section)
-    return [found[a] for a in range(low.n)], deficit
+    return [velocities[a] for a in range(low.n)], deficit
 
 
 def _velocities(
@@ -246,7 +246,7 @@ def _predicted(
         for m, a in every:
             row = Row(block, eqs.unknowns.place(m, a))
             stores.append(Store(row, following[m, a], keep=kept[m - 1][a]))
-    for k, a in (one for solver in solvers for one in solver.multipliers):  # as they were
+    for k, a in (unknown for solver in solvers for unknown in solver.multipliers):  # as they were
         row = Row("PREDICTED", eqs.unknowns.place(k, a))
         stores.append(Store(row, low.impulses[k - d - 1][a]))
     stores += [Store(Row("MASS_DIAGONAL", a), masses[a], keep=low.mass_diagonal[a]) for a in masses]
@@ -280,7 +280,7 @@ def _start(
     if low.multipliers:
         taken = held_velocities(low, point, low.p, section, range(low.n), point.suffix)[2]
         stores += [Store(Row("MULTIPLIER", c), nu) for c, nu in enumerate(taken)]
-    for k, a in (one for solver in solvers for one in solver.multipliers):
+    for k, a in (unknown for solver in solvers for unknown in solver.multipliers):
         for block in ("INCREMENT", "PREDICTED"):  # they enter linearly: any start will do
             stores.append(Store(Row(block, eqs.unknowns.place(k, a)), low.graph.of(0)))
     stores.append(Store(Row("MASS_PIVOT", 0), deficit))

@@ -126,12 +126,12 @@ def weighted_residual(
 ) -> list[Expression]:
     """Return the right-hand side of a Newton iteration: rows in an order in which 0 comes last."""
     define, names = low.graph.define, low.names.coordinates
-    found: dict[tuple[int, int], Expression] = {}
+    residuals: dict[tuple[int, int], Expression] = {}
     for k in order:
         for a in group:
             if k > 0:
                 value = rows.row(k, a)
             else:
-                value = rows.start(a) - rows.rest([found[m, a] for m in sorted(order) if m > 0])
-            found[k, a] = define(f"R_{k}_{names[a]}", value, "residual D_k L_d")
-    return [-found[k, a] for k in order for a in group]
+                value = rows.start(a) - rows.rest([residuals[m, a] for m in sorted(order) if m > 0])
+            residuals[k, a] = define(f"R_{k}_{names[a]}", value, "residual D_k L_d")
+    return [-residuals[k, a] for k in order for a in group]
