@@ -170,6 +170,7 @@ CASES = [
 ]
 
 
+@pytest.mark.plain
 @pytest.mark.parametrize(("system", "scheme", "wrt"), sweep(CASES))
 def test_they_are_what_the_declaration_says(system, scheme, wrt):
     one = system()
