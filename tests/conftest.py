@@ -28,6 +28,7 @@ def pytest_addoption(parser):
     group = parser.getgroup("cases")
     group.addoption("--seed", type=int, help="draws the slow cases (default: today's date)")
     group.addoption("--cases", choices=("drawn", "every"), default="drawn")
+    group.addoption("--plain", action="store_true", help="compile nothing for slow tests, either")
 
 
 def pytest_configure(config):
@@ -58,6 +59,7 @@ def pytest_runtest_protocol(item, nextitem):
     Those are plain that take a few steps of a large system: compiling it takes longer.
     """
     slow = item.get_closest_marker("slow") and not item.get_closest_marker("plain")
+    slow = slow and not item.config.option.plain
     if slow or TESTS / "compiled" in item.path.parents:
         return (yield)
     with pytest.MonkeyPatch.context() as patch, plain(patch):

@@ -102,7 +102,7 @@ def selection():
 
 def run(copy, tests, limit):
     """Run tests in the copy; give how it ended, and the tests that are named as failed."""
-    command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider --tb=no -rfE".split()
+    command = f"{sys.executable} -m pytest --plain --cases every -x -q -p no:cacheprovider --tb=no -rfE".split()
     changed = {"PYTHONPATH": str(copy), "SYMSIMPSON_CACHE_DIR": str(copy / "cache")}
     given = {"cwd": copy, "timeout": limit, "capture_output": True, "text": True}
     given["env"] = os.environ | changed | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+import sympy as sp
 from support.cases import sweep
 
 import symsimpson as ss
@@ -15,7 +16,15 @@ def kernel_of(text, name):
     return body[: body.index("\n\n\n")]
 
 
-@pytest.mark.parametrize("make", sweep([ss.systems.kepler, ss.systems.lagrange_top]))
+def bound():
+    """A particle whose force has roots, exponentials and logarithms."""
+    (x,) = ss.coordinates("x")
+    potential = sp.exp(-2 * x) - 2 * sp.exp(-x) + sp.sqrt(1 + x**2) + x * sp.log(2 + x**2)
+    kinetic = (2 + x**2) * x.diff() ** 2
+    return ss.MechanicalSystem("bound", coordinates=(x,), kinetic=kinetic, potential=potential)
+
+
+@pytest.mark.parametrize("make", sweep([ss.systems.kepler, bound, ss.systems.lagrange_top], 2))
 @pytest.mark.parametrize("exploit", [(), "all"])
 def test_straight_lines_are_counted_as_their_sections_say(make, exploit):
     """But for changes of sign, which only the sections count."""

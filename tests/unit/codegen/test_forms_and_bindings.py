@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.chains import swinging_chain
 from support.forms import limited
 from support.places import DATA
 from support.random_systems import random_state, random_system
@@ -125,23 +126,6 @@ def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
     W[block(module, "VELOCITY", 5), 0] = 0.0
     module.energy(0.1, 0.0, W)
     np.testing.assert_allclose(W[block(module, "VELOCITY", 5), 0], velocity, rtol=1e-13)
-
-
-def swinging_chain():
-    """Six coordinates, each coupled to the next one, and terms linear in the velocities."""
-    x = ss.coordinates("x0:6")
-    v = [c.diff() for c in x]
-    pairs = list(pairwise(range(6)))
-    kinetic = sum((2 + sp.cos(a)) * u**2 for a, u in zip(x, v, strict=True))
-    kinetic += sum(sp.cos(x[i] - x[j]) * v[i] * v[j] for i, j in pairs)
-    return ss.MechanicalSystem(
-        "swinging_chain",
-        coordinates=x,
-        kinetic=kinetic / 2,
-        potential=sum((x[i] - x[j]) ** 4 / 4 for i, j in pairs) + sum(a**4 for a in x),
-        gyroscopic=sum(sp.sin(x[i]) * v[j] / 3 for i, j in pairs),
-        parameters={},
-    )
 
 
 def test_bands_find_the_velocity_of_a_momentum(monkeypatch):

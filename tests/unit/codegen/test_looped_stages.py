@@ -60,6 +60,19 @@ def test_stages_and_newtons_method_agree(about, more, given, by_loops, monkeypat
     assert abs(stages.p - newton.p).max() < 1e-33
 
 
+def test_they_take_as_many_iterations_as_straight_lines(monkeypatch):
+    """From the first step on, and where velocities are extrapolated with care."""
+    given = {"q0": [0.3, -0.5, 0.2], "v0": [0.7, 0.1, -0.4], "steps": 4}
+    straight = ss.compile(model(), "gauss10", precision=40)
+    limited(monkeypatch, STAGE_COORDINATES=0)
+    loops = ss.compile(model(), "gauss10", precision=40)
+    assert "enter_node(" in loops.source
+    assert "enter_node(" not in straight.source
+    for h in (H, 8 * H):
+        one, other = (stepper.integrate(**given, h=h) for stepper in (straight, loops))
+        assert one.newton_iterations.tolist() == other.newton_iterations.tolist()
+
+
 @pytest.mark.slow
 def test_their_derivatives_agree(by_loops, monkeypatch):
     stepper = ss.compile(model(), "gauss10", precision=40)

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 import sympy as sp
 from support.cases import sweep
+from support.chains import swinging_chain
+from support.forms import limited
+from support.tangents import check_adjoint
 
 import symsimpson as ss
 from symsimpson.derivatives import backward
@@ -176,6 +179,24 @@ def test_the_adjoint_is_the_transpose_of_the_tangent(name, scheme):
     assert abs(found.parts[varied[0]] - of_parameter) < 1e-13 * scale
     if "p0" in state:
         assert np.abs(found.gradient[: 2 * n] - truth).max() < 1e-13 * scale
+
+
+@pytest.mark.plain
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4"]))
+def test_derivatives_by_loops_in_bands(scheme, monkeypatch):
+    """They are those of straight lines, and the adjoint is the transpose of the tangent."""
+    system = swinging_chain(*sp.symbols("m k", positive=True))
+    z = np.random.default_rng(2).normal(size=12) / 2
+    given = {"p0": z[6:], "h": 0.05, "steps": 2, "tangents": 12, "sensitivities": ("m", "k")}
+    straight = ss.compile(system, scheme).integrate(z[:6], **given)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=0)
+    stepper = ss.compile(system, scheme, exploit=("sparse",))
+    assert "BAND = 1\n" in stepper.source
+    run = stepper.integrate(z[:6], **given)
+    assert np.abs(run.tangent - straight.tangent).max() < 1e-12
+    for name, found in run.sensitivity.items():
+        assert np.abs(found - straight.sensitivity[name]).max() < 1e-12
+    check_adjoint(stepper, z, 0.05, 2)
 
 
 @pytest.mark.slow

@@ -157,6 +157,32 @@ def test_gradients_by_the_size_of_all_steps():
     assert gradient(0.02).parts["h"] == pytest.approx(difference, rel=1e-6)
 
 
+@pytest.mark.plain
+@pytest.mark.parametrize(
+    ("system", "scheme"),
+    sweep(
+        [
+            (ss.systems.cartesian_pendulum(), "gauss4"),
+            (ss.systems.chaplygin_sleigh(), "simpson"),
+            (ss.systems.rolling_disc(), "midpoint"),
+        ]
+    ),
+)
+def test_gradients_by_the_size_of_steps_with_constraints(system, scheme):
+    stepper, state = ss.compile(system, scheme), dict(system.reference_state)
+    start = stepper.integrate(**state, h=0.1, steps=1)
+    names = [*stepper.coordinates, *(f"p_{q}" for q in stepper.coordinates)]
+    cost = "+".join(f"{k + 1}*{name}" for k, name in enumerate(names))
+    asked = {"steps": 3, "cost": cost, "running": system.coordinates[-1].diff() ** 2}
+
+    def gradient(h):
+        return stepper.gradient(start.q[1], p0=start.p[1], **asked, h=h, wrt=("h",))
+
+    ends = [gradient(0.1 + k * 1e-3).value for k in (-2, -1, 1, 2)]
+    slope = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / 12e-3
+    assert gradient(0.1).parts["h"] == pytest.approx(slope, rel=1e-6)
+
+
 def test_what_moves_the_times_of_a_run_is_refused():
     with pytest.raises(InputError, match="h moves the times of all steps"):
         ss.compile(SHAKEN).gradient(
