@@ -13,6 +13,7 @@ treated alike, so they are lanes, and one trajectory fills a vector register.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from math import prod
 from typing import Any
@@ -337,7 +338,7 @@ class StageKernels:
         """Return how far velocities of cyclic coordinates at q1 are from those of the path."""
         low, c = self._low, self._low.equations.scheme.quadrature.nodes
         define, section = low.graph.define, "velocity at q1"
-        end = end_of(low, q)
+        end = replace(end_of(low, q), suffix="closed")  # q1 of Newton's method is another point
         v, _ = velocity(low, end, p, section)
         b = low.equations.scheme.quadrature.weights
         terms = []
