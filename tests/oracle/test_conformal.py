@@ -64,6 +64,13 @@ def test_areas_shrink_exactly(scheme):
     assert defect > {"gauss8": 1e-13, "lobatto6": 1e-12}.get(scheme, 1e-8)
 
 
+def test_the_equations_have_the_weights_of_the_step():
+    stepper = ss.compile(damped(), "midpoint")
+    assert "grow_node(" in stepper.source
+    q, _ = stepper.step(STATE[:2], p=STATE[2:], h=0.1)
+    assert np.abs(stepper.residual(STATE[:2], STATE[2:], [q], 0.1)).max() < 1e-15
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scheme", sweep(SCHEMES, 1))
 def test_compiled_steps_agree_with_many_digits(scheme):

@@ -102,6 +102,20 @@ def test_arithmetics_agree(name):
         np.testing.assert_allclose(results[0], other, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("scheme", ["lobatto2", "simpson", "lobatto6"])
+def test_ends_of_paths_agree(scheme, monkeypatch):
+    """Of a constant M they follow from the bends of the path, or from p alone."""
+    system = ss.systems.fermi_pasta_ulam(3)
+    given = dict(system.reference_state) | {"h": 0.01, "steps": 3}
+    straight = ss.compile(system, scheme).integrate(**given)
+    limited(monkeypatch, UNROLLED_UNKNOWNS=-1)
+    stepper = ss.compile(system, scheme, exploit=("constant_mass", "sparse"))
+    run = stepper.integrate(**given)
+    assert "end_path(" in stepper.source
+    np.testing.assert_allclose(run.q, straight.q, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(run.p, straight.p, rtol=0, atol=1e-13)
+
+
 def test_loops_find_the_velocity_of_a_momentum(monkeypatch):
     """Five coordinates, each coupled to each, and a linear term in the velocities."""
     x = ss.coordinates("x0:5")
