@@ -1,11 +1,16 @@
 """Places of coordinates and constraints in one order: who stands behind whom, and how close."""
 
+import numpy as np
 import pytest
+from support.cases import sweep
+from support.workspace import begin, block
 
 import symsimpson as ss
 from symsimpson.codegen.held import Held
 from symsimpson.codegen.kernels import lower
+from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
+from symsimpson.module.binding import bind_float
 
 #: Seven coordinates in an order of its own; constraints on neighbours, one of them alone.
 ORDER = (3, 1, 4, 0, 2, 6, 5)
@@ -47,3 +52,32 @@ def test_a_constraint_on_one_coordinate_of_many():
     held = Held.chain((0, 1, 2), [frozenset({1})], [set(), set(), set()])
     assert held.place == (0, 1, 3, 2)
     assert held.storage.band == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    sweep(
+        [
+            ("cartesian_pendulum", "simpson"),
+            ("quaternion_top", "midpoint"),
+            ("four_bar", "gauss4"),
+            ("slider_crank", "lobatto6"),
+        ],
+        2,
+    ),
+)
+def test_corrections_in_straight_lines_are_those_of_loops(name, scheme):
+    """Wrong ones would go unseen: where they do not converge, loops with pivoting follow."""
+    system = getattr(ss.systems, name)()
+    module, h, pick = bind_float(source(system, scheme)), 0.05, np.random.default_rng(1)
+    q = np.array(system.reference_state["q0"], dtype=float)
+    found = []
+    start = begin(module, q, pick.normal(size=len(q)), system.parameters.values(), h)
+    rows = block(module, "INCREMENT", module.UNKNOWNS)
+    start[rows, 0] += pick.normal(size=module.UNKNOWNS) / 20
+    for newton in (module.newton, module.newton_pivoted):
+        W = start.copy()
+        newton(h, 0.0, W)
+        found.append((W - start)[rows, 0])
+    assert np.abs(found[0]).max() > 1e-3
+    assert np.abs(found[0] - found[1]).max() < 1e-10 * np.abs(found[1]).max()
