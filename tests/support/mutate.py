@@ -1,8 +1,8 @@
 """Which small errors do the quick tests see? python tests/support/mutate.py --mutants 200 --seed 1.
 
 One operator, comparison, constant or sign of the symbolic half is changed at a time, in a copy of
-the package, and tests of numbers that need no compiler run against it: in random order, so that
-each gets its turn, up to the first failure. What survives points at a weak test, or changes
+the package, and tests of numbers run against it without a compiler: in random order, so that each
+gets its turn, up to the first failure. What survives points at a weak test, or changes
 nothing that matters. No strings are changed, and nothing within them.
 """
 
@@ -22,31 +22,46 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("discrete", "schemes", "codegen")
+#: Of these files all tests that are fast or plain, by folders of tests and of tests/unit.
+FILES = """
+codegen/coefficients codegen/counting codegen/emit codegen/expression codegen/forms_and_bindings
+codegen/held codegen/looped_stages codegen/lower codegen/printer codegen/storage codegen/turning
+codegen/untrusted_names derivatives/gradients derivatives/linearised discrete/angles
+discrete/families discrete/jet discrete/reductions schemes/schemes stepping/held
+oracle/chains oracle/compositions oracle/conformal oracle/constrained_golden oracle/curvatures
+oracle/damped oracle/family oracle/forced_golden oracle/geometry oracle/reductions oracle/retimed
+oracle/tangents_by_complex_steps oracle/tangents_golden
+"""
+#: Other tests: a file, and what is taken of it; slow ones, too.
 SELECTION = """
-codegen/random_systems equations_agree_with_the_oracle[0] newton_solves_the_equations[0]
-codegen/forms_and_bindings loops_and_straight_lines_agree[0-exploit2-simpson-lagrange_top]
-first_step_in_many_digits[dp_w2_simpson_h0.1_N100]
-first_step_in_many_digits[top_I0.00233_simpson_tbar37_N37] codegen/lower
-values_move_to_the_next_step_in_the_order_of_their_names
-a_sum_of_known_angles_needs_no_sine_of_its_own a_sine_that_something_is_divided_by_keeps_its_digits
-codegen/counting straight_lines_are_counted_as_their_sections_say[exploit0-kepler]
-a_direct_step_has_no_iteration discrete/families
-families_add_up_to_the_lagrangian[double_pendulum-6] terms_of_other_signs_and_orders_are_one_family
-a_shuffled_chain_gets_its_order_back discrete/jet jet_agrees_with_differences[lagrange_top]
-discrete/reductions annihilating_combinations shears_multiply_to_the_step
-factors_of_the_top_have_no_subtraction factors_multiply_to_the_matrix[1]
-every_coordinate_is_in_one_part[exploit3] schemes/schemes tables_agree_with_root_finding[gauss-3-3]
-tables_agree_with_root_finding[lobatto-4-3] order_of_the_quadrature[lobatto-4-3]
-the_predictor_continues_polynomials[simpson] elimination_meets_no_singular_pivot[gauss6]
-tables_that_modules_make[gauss6] tables_that_modules_make[lobatto16] names unknown_schemes
-oracle/compositions coefficients oracle/reductions linear_system_against_its_matrix
-catalogue[pendulum-simpson] chain[lobatto2] oracle/family
-stages_solve_the_equations[top-gauss6]
+api/rolling_files bands_give_the_same_steps_and_derivatives codegen/affine what_is_not_affine
+codegen/forced_systems newton_solves_the_equations[0] reduced_and_general_steps_agree[0]
+codegen/forms_and_bindings loops_and_straight_lines_agree newton_converges_quadratically
+first_step_in_many_digits codegen/random_systems equations_agree_with_the_oracle[0]
+newton_solves_the_equations[0] derivatives/gradients
+the_adjoint_is_the_transpose_of_the_tangent[lagrange_top-simpson]
+the_adjoint_is_the_transpose_of_the_tangent[fermi_pasta_ulam-gauss4]
+the_adjoint_is_the_transpose_of_the_tangent[kepler-lobatto6] run/retimed what_is_stored[5]
+time_that_stands_still_is_a_failure time_that_does_not_go_on_is_a_failure schemes/schemes
+tables_agree_with_root_finding[lobatto-4-3] tables_that_modules_make[gauss6]
+tables_that_modules_make[lobatto16] oracle/chains compositions_of_rattle_keep_their_order
+oracle/family stages_solve_the_equations[top-gauss6] oracle/reductions chain[lobatto2]
+oracle/rolling_golden golden_runs[affine_forced_simpson] golden_runs[turntable_simpson]
+oracle/tangents_constrained derivatives_by_parameters[quaternion_top-midpoint]
+derivatives_by_the_state[four_bar-gauss4] derivatives_in_bands_are_those_of_the_whole_matrix
+the_adjoint_is_the_transpose_of_the_tangent[four_bar-gauss4]
+the_adjoint_is_the_transpose_of_the_tangent[quaternion_top-midpoint]
+oracle/tangents_rolling derivatives_by_the_state[carried-simpson]
+derivatives_by_parameters[carried-gauss6] derivatives_by_the_step[carried-gauss6]
+the_adjoint_is_the_transpose_of_the_tangent[carried-gauss6]
+the_adjoint_is_the_transpose_of_the_tangent[snakeboard-lobatto6]
+the_adjoint_is_the_transpose_of_the_tangent[ball_on_turntable-midpoint]
 """
 SWAPS = "+:- -:+ *:/ /:* **:* //:* %:* |:& &:| <:<= <=:< >:>= >=:> ==:!= !=:== is:is_not is_not:is"
 SWAPS += " in:not_in not_in:in and:or or:and"
 OTHER = dict(pair.replace("_", " ").split(":") for pair in SWAPS.split())
 SYMBOL = re.compile(r"\*\*|//|[<>=!]=|[-+*/%|&<>]|\b(?:is not|is|not in|in|and|or)\b")
+PYTEST = f"{sys.executable} -m pytest --plain --cases every -q".split()
 SILENT = ("annotation", "returns", "decorator_list")
 OPERATIONS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.AugAssign)
 
@@ -90,19 +105,36 @@ def changes(text):
             yield node.lineno, first, last, repr(new).encode()
 
 
+def path_of(word):
+    """Return the file of tests that a word of the selection means."""
+    folder, name = word.split("/")
+    return f"tests/{folder if folder == 'oracle' else f'unit/{folder}'}/test_{name}.py"
+
+
 def selection():
-    """Give the selected tests as pytest names them: files and tests begin with "test_"."""
+    """Give the selected tests, each once: files and tests begin with "test_"."""
+    named = []
     for word in SELECTION.split():
         if "/" in word:
-            folder, name = word.split("/")
-            file = f"{folder if folder == 'oracle' else f'unit/{folder}'}/test_{name}"
+            file = path_of(word)
         else:
-            yield f"tests/{file}.py::test_{word}"
+            named.append(f"{file}::test_{word}")
+    quick = collected("-m", "not slow or plain", *map(path_of, FILES.split()))
+    return list(dict.fromkeys([*collected(*named), *quick]))
+
+
+def collected(*words):
+    """Give the tests that words of pytest's command line mean."""
+    command = [*PYTEST, "--collect-only", *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(done.stdout)
+    return [line for line in done.stdout.splitlines() if "::" in line]
 
 
 def run(copy, tests, limit):
     """Run tests in the copy; give how it ended, and the tests that are named as failed."""
-    command = f"{sys.executable} -m pytest --plain --cases every -x -q -p no:cacheprovider --tb=no -rfE".split()
+    command = [*PYTEST, "-x", "-p", "no:cacheprovider", "--tb=no", "-rfE"]
     changed = {"PYTHONPATH": str(copy), "SYMSIMPSON_CACHE_DIR": str(copy / "cache")}
     given = {"cwd": copy, "timeout": limit, "capture_output": True, "text": True}
     given["env"] = os.environ | changed | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
@@ -110,7 +142,7 @@ def run(copy, tests, limit):
         done = subprocess.run([*command, *tests], **given)
     except subprocess.TimeoutExpired:
         return "timed out", []
-    named = re.findall(r"\n(?:FAILED|ERROR) (\S+)", done.stdout)
+    named = re.findall(r"\n(?:FAILED|ERROR) (.+?)(?: - |\n)", done.stdout)
     return "killed" if done.returncode else "survived", named
 
 
@@ -119,12 +151,12 @@ def main():
     numbers = {"mutants": 200, "first": 0, "seed": 1, "limit": 60.0, "minutes": 1e9}
     for name, default in numbers.items():  # limit: in seconds; first: so many were run before
         parser.add_argument(f"--{name}", type=type(default), default=default)
-    parser.add_argument("tests", nargs="*", default=[*selection()])
+    parser.add_argument("tests", nargs="*", help="default: the selection")
     options = parser.parse_args()
     pick, begun, counts = random.Random(options.seed), time.time(), collections.Counter()
     paths = sorted(p for f in FOLDERS for p in (ROOT / "symsimpson" / f).rglob("*.py"))
     places = [(path, *change) for path in paths for change in changes(path.read_bytes())]
-    tests = silent = options.tests
+    tests = silent = options.tests or selection()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)
         for name in ("symsimpson", "tests"):
