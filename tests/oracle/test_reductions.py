@@ -3,6 +3,7 @@
 import mpmath as mp
 import numpy as np
 import pytest
+import sympy as sp
 from support.cases import sweep
 from support.random_systems import random_state, structured_system
 from support.workspace import begin, block, new_workspace, state, take_step
@@ -59,6 +60,18 @@ def test_catalogue(name, scheme):
         module = bind_float(source(system, scheme))
         p = momenta(module, given["q0"], given["v0"], system.parameters.values())
     assert gap(system, scheme, given["q0"], p, 0.005) < 1e-12
+
+
+@pytest.mark.parametrize("scheme", sweep(["simpson", "gauss4"]))
+def test_three_cyclic_coordinates(scheme):
+    """Their masses change from node to node, and each is coupled to each."""
+    x, *turned = q = ss.coordinates("x a b c")
+    v = [one.diff() for one in q]
+    kinetic = sum((3 + sp.cos(k * x)) * u**2 for k, u in enumerate(v))
+    kinetic += sum(sp.sin((i + 2 * k) * x) * v[i] * v[k] / 2 for k in range(4) for i in range(k))
+    system = ss.MechanicalSystem("cyclic", coordinates=q, kinetic=kinetic / 2, potential=x**2)
+    assert set(system.structure.cyclic) == {str(one.func) for one in turned}
+    assert gap(system, scheme, [0.3, 0, 0, 0], [0.5, 1.0, -0.7, 0.4], 0.1, 5) < 1e-13
 
 
 @pytest.mark.parametrize("start", sweep(range(0, 200, 2), 0))

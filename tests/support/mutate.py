@@ -45,7 +45,9 @@ the_adjoint_is_the_transpose_of_the_tangent[kepler-lobatto6] run/retimed what_is
 time_that_stands_still_is_a_failure time_that_does_not_go_on_is_a_failure schemes/schemes
 tables_agree_with_root_finding[lobatto-4-3] tables_that_modules_make[gauss6]
 tables_that_modules_make[lobatto16] oracle/chains compositions_of_rattle_keep_their_order
-oracle/family stages_solve_the_equations[top-gauss6] oracle/reductions chain[lobatto2]
+oracle/compositions loops_are_straight_lines[suzuki4] oracle/family
+stages_solve_the_equations[top-gauss6] oracle/reductions chain[lobatto2] oracle/rolling_orders
+work_of_constraints_has_the_order_of_the_scheme[gauss4]
 oracle/rolling_golden golden_runs[affine_forced_simpson] golden_runs[turntable_simpson]
 oracle/tangents_constrained derivatives_by_parameters[quaternion_top-midpoint]
 derivatives_by_the_state[four_bar-gauss4] derivatives_in_bands_are_those_of_the_whole_matrix
