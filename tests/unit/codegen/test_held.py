@@ -1,5 +1,6 @@
 """Places of coordinates and constraints in one order: who stands behind whom, and how close."""
 
+import mpmath as mp
 import numpy as np
 import pytest
 from support.cases import sweep
@@ -10,7 +11,7 @@ from symsimpson.codegen.held import Held
 from symsimpson.codegen.kernels import lower
 from symsimpson.codegen.pipeline import source
 from symsimpson.discrete.equations import discretise
-from symsimpson.module.binding import bind_float
+from symsimpson.module.binding import bind_float, bind_mpmath
 
 #: Seven coordinates in an order of its own; constraints on neighbours, one of them alone.
 ORDER = (3, 1, 4, 0, 2, 6, 5)
@@ -81,3 +82,26 @@ def test_corrections_in_straight_lines_are_those_of_loops(name, scheme):
         found.append((W - start)[rows, 0])
     assert np.abs(found[0]).max() > 1e-3
     assert np.abs(found[0] - found[1]).max() < 1e-10 * np.abs(found[1]).max()
+
+
+@pytest.mark.parametrize(
+    ("correction", "before", "left"),
+    [
+        ("1e-4", "1e-3", "1e-4"),
+        ("1e-3", "1e-3", "1e-3"),  # not rounding
+        ("1e-26", "1e-20", "1e-26"),
+        ("1e-26", "2e-26", 0),  # it shrinks no more
+        (0, "inf", 0),
+        ("nan", "1e-20", "nan"),
+    ],
+)
+def test_when_a_drift_ends_on_the_constraints(correction, before, left):
+    with mp.workdps(15):
+        text = source(ss.systems.cartesian_pendulum(), "suzuki4")
+        module = bind_mpmath(text, checking=True)
+        W = np.full((module.ROWS, 1), mp.mpf(0), dtype=object)
+        W[module.CORRECTION_SQUARED, 0] = 2 * mp.mpf(correction)
+        W[module.INCREMENT_SQUARED, 0] = mp.mpf(2)
+        W[module.RELATIVE, 0] = mp.mpf(before)
+        module.check_drift(W, 0)
+        assert str(W[module.RELATIVE, 0]) == str(mp.mpf(left))
