@@ -232,5 +232,5 @@ def _from_matrix(R: Vector) -> Vector:
             [0, 0, 0, R[2, 2] - R[0, 0] - R[1, 1]],
         ]
     )
-    found: Vector = np.linalg.eigh(K, UPLO="U")[1][:, -1]
-    return found if found[0] >= 0 else -found
+    eigenvector: Vector = np.linalg.eigh(K, UPLO="U")[1][:, -1]
+    return eigenvector if eigenvector[0] >= 0 else -eigenvector

@@ -112,7 +112,7 @@ def _check_time(system: str, q: AppliedUndef) -> None:
 
 def check_names(system: str, coordinates: Sequence[str], invariants: Iterable[str] = ()) -> None:
     """Refuse two quantities of one name: columns of a table, ``run["energy"]``."""
-    taken = {one.name: f"the {one.doc}" for one in SCALARS}
+    taken = {scalar.name: f"the {scalar.doc}" for scalar in SCALARS}
     for name in coordinates:
         taken |= {f"p_{name}": f"the momentum of {name}", f"v_{name}": f"the velocity of {name}"}
     for name in coordinates:

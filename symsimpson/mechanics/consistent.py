@@ -67,8 +67,8 @@ def consistent(
 
     # the nearest of all; where the way to it does not settle, one that Newton's method reaches
     for nearest in (True, False):
-        found, left = _followed(of_positions, q, free, metric, nearest=nearest)
-        met = left <= 1e-12 or _rounded(of_positions, found)
+        configuration, left = _followed(of_positions, q, free, metric, nearest=nearest)
+        met = left <= 1e-12 or _rounded(of_positions, configuration)
         if met:
             break
     if not met:
@@ -78,7 +78,7 @@ def consistent(
             + (f" with {', '.join(sorted(held))} as given" if held else "")
             + ".\nGive a start that is nearer, or hold fewer coordinates fixed."
         )
-    q = found
+    q = configuration
     b, slopes, mass = at(q)
     b = np.where(np.arange(len(b)) < m, 0.0, b)
     if not all(np.isfinite(x).all() for x in (b, slopes, mass)):
@@ -148,8 +148,8 @@ def _relative(miss: Reals, slopes: Reals, reach: float) -> Reals:
     What has no size is missed wholly, or not at all.
     """
     size = np.linalg.norm(slopes, axis=1) * reach
-    found: Reals = np.abs(miss) / np.where(size > 0, size, np.maximum(np.abs(miss), 1e-300))
-    return found
+    ratios: Reals = np.abs(miss) / np.where(size > 0, size, np.maximum(np.abs(miss), 1e-300))
+    return ratios
 
 
 def _rounded(at: Callable[[Reals], tuple[Reals, Reals]], q: Reals) -> bool:
@@ -184,8 +184,8 @@ def _nearest(metric: Reals, slopes: Reals, wish: Reals, change: Reals) -> Reals:
     matrix = np.zeros((n + m, n + m))
     matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = metric / np.outer(units, units), rows.T, rows
     right = np.concatenate([metric @ wish / units, change / length])
-    found: Reals = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
-    return found / units
+    solution: Reals = np.linalg.lstsq(matrix, right, rcond=None)[0][:n]
+    return solution / units
 
 
 def _functions(
@@ -205,8 +205,8 @@ def _functions(
 
     def at(q: Reals) -> tuple[Reals, Reals, Reals]:
         point = known | dict(zip(places, q.tolist(), strict=True))
-        found = evaluated(graph, [k for _, k in wanted], point, mpmath.fp)
-        numbers = np.array([float(c) * float(found[k]) if c else 0.0 for c, k in wanted])
+        node_values = evaluated(graph, [k for _, k in wanted], point, mpmath.fp)
+        numbers = np.array([float(c) * float(node_values[k]) if c else 0.0 for c, k in wanted])
         m = len(phi) + len(rows)
         return (
             numbers[:m],

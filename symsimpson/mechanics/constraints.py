@@ -80,17 +80,17 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
     if hasattr(constraints, "tolist") and not isinstance(constraints, sp.Basic):
         constraints = constraints.tolist()  # an array of NumPy
     if isinstance(constraints, Mapping):
-        found = dict(constraints)
+        expressions = dict(constraints)
     elif isinstance(constraints, Sequence) and not isinstance(constraints, str):
         numbers = (str(i) for i in count(len(taken or ()) + 1) if str(i) not in (taken or ()))
-        found = {next(numbers): expression for expression in constraints}
+        expressions = {next(numbers): expression for expression in constraints}
     else:
         raise fail(
             name,
             f"{what} is {spell(constraints)!r}, neither a list nor a mapping.",
             f"Write {what}=[{example}], or with names: {what}={{{shown!r}: {example}}}.",
         )
-    for key, expression in found.items():
+    for key, expression in expressions.items():
         if not isinstance(key, str) or not key.strip() or not key.isprintable():
             raise fail(
                 name,
@@ -98,8 +98,8 @@ def names_of(name: str, constraints: Any, taken: Sequence[str] | None = None) ->
                 f"Write {what}={{{shown!r}: {example}}}.",
             )
         if isinstance(expression, sp.Equality):
-            found[key] = expression.lhs - expression.rhs
-    return found
+            expressions[key] = expression.lhs - expression.rhs
+    return expressions
 
 
 def read_constraints(
@@ -113,7 +113,7 @@ def read_constraints(
         If one is not an equation of positions.
     """
     graph = symbols.graph
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     q = set(symbols.numbers(symbols.q))
     for key, expression in given.items():
         _check_positions(name, key, expression, symbols)
@@ -128,8 +128,8 @@ def read_constraints(
                 "It says nothing about the motion, or cannot be met. Leave it out, or write what "
                 "vanishes on all positions that are allowed.",
             )
-        found[key] = value
-    return found
+        values[key] = value
+    return values
 
 
 def accelerations(
@@ -163,10 +163,10 @@ def accelerations(
         curve.append(graph.add([*moving, derivatives(rate, time)]))
     forces, momenta = gradient(graph, L, q), gradient(graph, L, v)
     push = []
-    for force, own, momentum in zip(forces, f, momenta, strict=True):
+    for force, applied_force, momentum in zip(forces, f, momenta, strict=True):
         *turned, drift = gradient(graph, momentum, [*q, time])
         moving = graph.products([scaled(-1, slope) for slope in turned], v)
-        push.append(graph.add([force, own, *moving, scaled(-1, drift)]))
+        push.append(graph.add([force, applied_force, *moving, scaled(-1, drift)]))
     return Accelerations(rows, push, curve, rates)
 
 
@@ -255,8 +255,8 @@ def regular_mass(plain: Plain, parameters: Iterable[float]) -> bool:
         place = random.uniform(0.3, 1.0, len(plain.q))
         point = known | dict(zip(plain.numbers(plain.q), place.tolist(), strict=True))
         point[plain.time] = 0.5
-        found = evaluated(plain.graph, [n for _, n in entries], point, mpmath.fp)
-        matrix = [float(c) * float(found[n]) if c else 0.0 for c, n in entries]
+        node_values = evaluated(plain.graph, [n for _, n in entries], point, mpmath.fp)
+        matrix = [float(c) * float(node_values[n]) if c else 0.0 for c, n in entries]
         if conditioned(np.reshape(matrix, (len(size), len(size)))):
             return True
     return False

@@ -120,7 +120,8 @@ def read_energies(
     check_used(name, given.inputs, s, forces)
     positions = _read_positions(name, given, s, read)
     watch = s.known | {
-        user: s.graph.symbol(own.name) for user, own in zip(momenta(*coordinates), s.p, strict=True)
+        user: s.graph.symbol(symbol.name)
+        for user, symbol in zip(momenta(*coordinates), s.p, strict=True)
     }
     invariants: dict[str, sp.Expr] = {}
     values: dict[str, Value] = {}
@@ -169,7 +170,7 @@ def read_energies(
 def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
     """List the invariants that have the name of a momentum and its value."""
     graph, v, p = plain.graph, plain.numbers(plain.v), plain.numbers(plain.p)
-    found = set()
+    keys = set()
     for i, x in enumerate(names):
         key = f"p_{x}"
         if key in plain.invariants:
@@ -178,8 +179,8 @@ def _momenta_written_out(plain: Plain, names: Sequence[str]) -> set[str]:
             given: Value = plain.invariants[key]
             findings = Findings(graph, [given, momentum, (1, p[i])])
             if any(findings.equal(given, other) for other in (momentum, (1, p[i]))):
-                found.add(key)
-    return found
+                keys.add(key)
+    return keys
 
 
 def _read_positions(
@@ -191,7 +192,7 @@ def _read_positions(
         nested = isinstance(point, (tuple, list))
         body = nested and all(isinstance(x, (tuple, list, sp.MatrixBase)) for x in point)
         corners = point if body else [point]
-        found: list[tuple[sp.Expr, ...]] = []
+        points: list[tuple[sp.Expr, ...]] = []
         for corner in corners:
             single = not isinstance(corner, (tuple, list, sp.MatrixBase))
             components = (corner,) if single else tuple(corner)
@@ -203,6 +204,6 @@ def _read_positions(
                 )
             for component in components:
                 read(f"position {key!r}", component, (symbols.t,))
-            found.append(tuple(sp.sympify(c) for c in components))
-        positions[str(key)] = tuple(found) if body else found[0]
+            points.append(tuple(sp.sympify(c) for c in components))
+        positions[str(key)] = tuple(points) if body else points[0]
     return positions

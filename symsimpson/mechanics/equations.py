@@ -54,11 +54,11 @@ def terms(system: Declared, multipliers: list[sp.Symbol]) -> list[tuple[sp.Expr,
         (
             sp.diff(lagrangian, q.diff(time)),
             sp.diff(lagrangian, q),
-            system.plain.written(own).xreplace(back)
+            system.plain.written(force).xreplace(back)
             - sp.diff(held, q)
             - sp.diff(rolling, q.diff(time)),
         )
-        for q, own in zip(system.coordinates, system.plain.f, strict=True)
+        for q, force in zip(system.coordinates, system.plain.f, strict=True)
     ]
 
 
@@ -97,8 +97,10 @@ def linearised(
     function = sp.lambdify(arguments, float_literals([residual, *parts]), "numpy", cse=True)
     rest, mass = (np.asarray(x, float) for x in function(*q, *v, *np.zeros(n), *further, t)[:2])
     there = np.linalg.solve(mass, -rest[:, 0])  # the acceleration
-    found = [np.asarray(x, float) for x in function(*q, *v, *there, *further, t)]
-    slopes = -np.linalg.solve(found[1], np.hstack([found[2], found[3], found[4].reshape(n, m)]))
+    matrices = [np.asarray(x, float) for x in function(*q, *v, *there, *further, t)]
+    slopes = -np.linalg.solve(
+        matrices[1], np.hstack([matrices[2], matrices[3], matrices[4].reshape(n, m)])
+    )
     A = np.vstack([np.hstack([np.zeros((n, n)), np.eye(n)]), slopes[:, : 2 * n]])
     B = np.vstack([np.zeros((n, m)), slopes[:, 2 * n :]])
     if not (np.isfinite(A).all() and np.isfinite(B).all()):

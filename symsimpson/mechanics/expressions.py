@@ -137,23 +137,24 @@ def _check_place(
 ) -> None:
     """Refuse symbols that were declared, but not for this place."""
     wrong = symbols.graph.nodes[value[1]].symbols - allowed
-    for one, (_, n) in known.items():
+    for symbol, (_, n) in known.items():
         if n in wrong:
-            velocity = isinstance(one, sp.Derivative)
+            velocity = isinstance(symbol, sp.Derivative)
             if n in symbols.numbers(symbols.u):
                 raise fail(
                     system,
-                    f"the {what} depends on the input {spell(one)}.",
+                    f"the {what} depends on the input {spell(symbol)}.",
                     "Inputs stand in forces: write what it does as one, forces={q: ...}; the force "
                     "of a potential V is -dV/dq.",
                 )
             raise fail(
                 system,
-                f"the {what} depends on the {'velocity' if velocity else 'symbol'} {spell(one)}.",
+                f"the {what} depends on the {'velocity' if velocity else 'symbol'} "
+                f"{spell(symbol)}.",
                 "A potential depends on positions alone. Move terms that are linear in the "
                 "velocities to a Lagrangian: MechanicalSystem.from_lagrangian(name, L, ...)."
                 if velocity
-                else f"Leave {spell(one)} out of it.",
+                else f"Leave {spell(symbol)} out of it.",
             )
 
 

@@ -31,11 +31,11 @@ def extended(
     each scheme of the family adds up the time as the retimed system does. Its invariants are the
     derivatives of H and of the rate, and of p at given velocities, by what may change at the start.
     """
-    original, own = system.original, dict(system.parameters)
+    original, parameters = system.original, dict(system.parameters)
     (e,) = coordinates("E0_of_run")
     pace = system.rate / first_rate
     in_rate = system.rate.has(energy)
-    own = {a: value for a, value in own.items() if a != energy or in_rate}
+    parameters = {a: value for a, value in parameters.items() if a != energy or in_rate}
     in_tau = {q.diff(): q.diff() / pace for q in original.coordinates}
     L, watched = original.lagrangian, {}
     for i, q in enumerate(original.coordinates):
@@ -49,14 +49,14 @@ def extended(
             watched[f"{MOMENTUM_BY}{i} a{j}"] = L.diff(q.diff()).diff(a)
     watched[f"{RATE_BY}E"] = system.rate.diff(energy)
     watched["rate"] = system.rate
-    made = MechanicalSystem(
+    augmented = MechanicalSystem(
         f"{original.name[:50]}_extended",
         coordinates=(*original.coordinates, e),
         kinetic=original.kinetic / pace + HEAVY * e.diff() ** 2 / 2,
         potential=pace * (original.potential - e),
         gyroscopic=original.gyroscopic,
-        parameters=own,
+        parameters=parameters,
         invariants={name: sp.sympify(x).xreplace(in_tau) for name, x in watched.items()},
     )
     more = (energy, first_rate) if in_rate else (first_rate,)
-    return made, tuple(map(str, (*varied, *more)))
+    return augmented, tuple(map(str, (*varied, *more)))

@@ -58,16 +58,16 @@ def read_forces(
     ModelError
     """
     place = {q: i for i, q in enumerate(coordinates)}
-    found: dict[str, list[Value]] = {}
+    components: dict[str, list[Value]] = {}
     for key, coordinate, expression in _components(name, forces, coordinates):
         if coordinate not in place:
             raise _nowhere(name, coordinate, coordinates)
         what = f"force on {spell(coordinate)}"
         value = read(what, expression)
-        row = found.setdefault(key, [ZERO] * len(coordinates))
+        row = components.setdefault(key, [ZERO] * len(coordinates))
         row[place[coordinate]] = value
     if dissipation is not None:
-        if DISSIPATION in found:
+        if DISSIPATION in components:
             raise _taken(name, DISSIPATION)
         value = read("dissipation", dissipation)
         v = symbols.numbers(symbols.v)
@@ -86,8 +86,8 @@ def read_forces(
                 "do not depend on them, and damp nothing.",
                 "Write R = c*q.diff()**2/2 for f = -c v, or a constant force in forces=.",
             )
-        found[DISSIPATION] = [(-c, n) for c, n in slopes]
-    rows = {key: tuple(row) for key, row in found.items()}
+        components[DISSIPATION] = [(-c, n) for c, n in slopes]
+    rows = {key: tuple(row) for key, row in components.items()}
     return {key: row for key, row in rows.items() if any(c for c, _ in row)}
 
 
@@ -111,7 +111,7 @@ def read_inputs(
         )
     taken = {q.func.__name__: "a coordinate" for q in coordinates}
     taken |= {a.name: "a parameter" for a in parameters}
-    for u in (found := tuple(inputs)):
+    for u in (symbols := tuple(inputs)):
         function = isinstance(u, AppliedUndef) and u.args == (time,)
         if not function and (not isinstance(u, sp.Symbol) or u == time):
             raise fail(
@@ -126,15 +126,15 @@ def read_inputs(
                 f"the input {spell(u)} is declared {'an integer' if u.is_integer else 'not real'}.",
                 "A run may give it any real value. Make it with sympy.Symbol(name, real=True).",
             )
-        own = u.func.__name__ if function else u.name
-        if own in taken:
+        input_name = u.func.__name__ if function else u.name
+        if input_name in taken:
             raise fail(
                 name,
-                f"two symbols of one name, '{own}': an input and {taken[own]}.",
+                f"two symbols of one name, '{input_name}': an input and {taken[input_name]}.",
                 "Rename one of them.",
             )
-        taken[own] = "another input"
-    return found
+        taken[input_name] = "another input"
+    return symbols
 
 
 def check_used(
@@ -184,11 +184,11 @@ def _components(
             taken.add(key)
             yield from ((key, coordinate, part) for coordinate, part in value.items())
             continue
-        own = key.func.__name__ if key in coordinates else ""
-        if own in taken or own in (*OTHERS, DISSIPATION):
-            raise _taken(name, own)
-        taken.add(own)
-        yield own, key, value
+        force_name = key.func.__name__ if key in coordinates else ""
+        if force_name in taken or force_name in (*OTHERS, DISSIPATION):
+            raise _taken(name, force_name)
+        taken.add(force_name)
+        yield force_name, key, value
 
 
 def _taken(name: str, key: str) -> Exception:

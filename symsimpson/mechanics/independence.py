@@ -89,12 +89,12 @@ def _jumps(plain: Plain, value: Value, x: int) -> bool:
 def _point(plain: Plain, sample: mpmath.mpf) -> dict[int, mpmath.mpf]:
     """Return a number for each symbol, parameters with their signs."""
     symbols = plain.symbols
-    own = set(plain.parameters)
-    found = {}
+    parameters = set(plain.parameters)
+    values = {}
     for k, (n, s) in enumerate(zip(plain.numbers(symbols), symbols, strict=True)):
         value = sample + mpmath.mpf(k) / (7 + k)
-        found[n] = abs(value) * (-1 if s.is_negative else 1) if s in own else value
-    return found
+        values[n] = abs(value) * (-1 if s.is_negative else 1) if s in parameters else value
+    return values
 
 
 def _has_floats(plain: Plain, value: Value) -> bool:

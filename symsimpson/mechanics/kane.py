@@ -126,17 +126,17 @@ class _Identities:
         if not self.held:
             return False
         phi, others = sp.Matrix(self.held), self.others([*force, *self.held])
-        own = {x: sp.Dummy() for x in (*self.coordinates, *self.rates, time, *others)}
+        dummies = {x: sp.Dummy() for x in (*self.coordinates, *self.rates, time, *others)}
         parts = sp.Matrix(force), phi.row_join(phi.diff(time)), phi.jacobian(self.coordinates)
         at = sp.lambdify(
-            [*own.values()], float_literals([x.xreplace(own) for x in parts]), cse=True
+            [*dummies.values()], float_literals([x.xreplace(dummies) for x in parts]), cse=True
         )
-        state = np.random.default_rng(20).uniform(0.3, 1, len(own))
+        state = np.random.default_rng(20).uniform(0.3, 1, len(dummies))
         for _ in range(ITERATIONS):
-            found, gaps, slopes = map(np.asarray, at(*state))
+            force_values, gaps, slopes = map(np.asarray, at(*state))
             inverse = np.linalg.pinv(slopes)
             state[: 2 * len(force)] -= (inverse @ gaps).T.ravel()
-        left = found - inverse @ slopes @ found
+        left = force_values - inverse @ slopes @ force_values
         return bool(max(np.abs(gaps).max(), np.abs(left).max()) < NOTHING)
 
     def rows(self, equations: Sequence[sp.Expr]) -> tuple[Graph, list[list[Value]]]:

@@ -19,35 +19,37 @@ PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SHOWN, MOST_OPERATIONS = 4, 300
 
 
-def system(one: Any) -> str:
+def system(declared: Any) -> str:
     """Return T, V, M and, for few coordinates, the equations of motion."""
     try:
-        return _equations(one)
+        return _equations(declared)
     except RecursionError:
-        return _too_long(one)
+        return _too_long(declared)
 
 
-def _too_long(one: Any) -> str:
-    text = rf"{in_text(one.name)}: {one.n} coordinates, T and V too long to be shown"
+def _too_long(declared: Any) -> str:
+    text = rf"{in_text(declared.name)}: {declared.n} coordinates, T and V too long to be shown"
     return rf"$\text{{{text}}}$"
 
 
-def _equations(one: Any) -> str:
-    if one.too_large_for_sympy:
-        return _too_long(one)
+def _equations(declared: Any) -> str:
+    if declared.too_large_for_sympy:
+        return _too_long(declared)
     from sympy.physics.vector import vlatex  # long to import
 
-    safe = _safe(one)
-    kinetic, potential = (sp.sympify(x).xreplace(safe) for x in (one.kinetic, one.potential))
+    safe = _safe(declared)
+    kinetic, potential = (
+        sp.sympify(x).xreplace(safe) for x in (declared.kinetic, declared.potential)
+    )
     lines = [("T", kinetic), ("V", potential)]
-    held = (*one.constraints.values(), *one.velocity_constraints.values())
+    held = (*declared.constraints.values(), *declared.velocity_constraints.values())
     lines += [("0", sp.sympify(expression).xreplace(safe)) for expression in held]
     m = len(held)
     multipliers = [sp.Symbol(f"lambda_{k + 1}" if m > 1 else "lambda") for k in range(m)]
-    if one.n <= SHOWN:
-        lines.append(("M", one.mass_matrix.xreplace(safe)))
-        found = zip(one.coordinates, terms(one, multipliers), strict=True)
-        for q, (moment, slope, pull) in found:
+    if declared.n <= SHOWN:
+        lines.append(("M", declared.mass_matrix.xreplace(safe)))
+        equations = zip(declared.coordinates, terms(declared, multipliers), strict=True)
+        for q, (moment, slope, pull) in equations:
             name, moment, force = (x.xreplace(safe) for x in (q, moment, slope + pull))
             if sp.count_ops([moment, force]) > MOST_OPERATIONS:
                 break
@@ -57,13 +59,15 @@ def _equations(one: Any) -> str:
     return aligned([(left, vlatex(right)) for left, right in lines])
 
 
-def _safe(one: Any) -> dict[Any, Any]:
+def _safe(declared: Any) -> dict[Any, Any]:
     """Map what is named oddly to plain symbols."""
     t = time
     replace: dict[Any, Any] = {
-        a: sp.Symbol(f"a_{i}") for i, a in enumerate(one.parameters) if not PLAIN.fullmatch(a.name)
+        a: sp.Symbol(f"a_{i}")
+        for i, a in enumerate(declared.parameters)
+        if not PLAIN.fullmatch(a.name)
     }
-    for i, q in enumerate(one.coordinates):
+    for i, q in enumerate(declared.coordinates):
         if not PLAIN.fullmatch(q.func.__name__):
             plain = sp.Function(f"q_{i}")(t)
             replace |= {q: plain, q.diff(t): plain.diff(t)}

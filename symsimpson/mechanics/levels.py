@@ -35,10 +35,10 @@ def function_of_level(system: Declared, value: sp.Expr) -> sp.Expr | None:
         is returned without the constant.
     """
     V, coordinates = system.potential, system.coordinates
-    for one in (1, -1):
-        found = value.subs(one * V, one * level)
-        if not found.has(*coordinates) and found.has(level):
-            return found
+    for sign in (1, -1):
+        expression = value.subs(sign * V, sign * level)
+        if not expression.has(*coordinates) and expression.has(level):
+            return expression
     power = _power(system, value)
     return None if power is None else (-level) ** power
 
@@ -70,6 +70,6 @@ def _power(system: Declared, value: sp.Expr) -> sp.Rational | None:
                     return None
         if not powers or max(powers) - min(powers) > small:
             return None
-        found = Fraction(float(powers[0])).limit_denominator(LARGEST)
-        exact = abs(powers[0] - mpmath.mpf(found.numerator) / found.denominator) < small
-    return sp.Rational(found.numerator, found.denominator) if exact and found else None
+        power = Fraction(float(powers[0])).limit_denominator(LARGEST)
+        exact = abs(powers[0] - mpmath.mpf(power.numerator) / power.denominator) < small
+    return sp.Rational(power.numerator, power.denominator) if exact and power else None

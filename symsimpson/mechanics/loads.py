@@ -44,7 +44,7 @@ def generalised(
     dict
         For each coordinate the sum of vector . d(velocity)/d(velocity of the coordinate).
     """
-    found: Force = {}
+    force: Force = {}
     parts = []
     for where, vector in loads:
         turning = hasattr(where, "ang_vel_in")
@@ -54,8 +54,8 @@ def generalised(
         slopes = ((f, v.diff(q.diff(time), inertial, var_in_dcm=False)) for f, v in parts)
         total = sp.Add(*(f.dot(slope) for f, slope in slopes))
         if total != 0:
-            found[q] = total
-    return found
+            force[q] = total
+    return force
 
 
 def potential_of(
@@ -123,7 +123,7 @@ def _integrated(
     if any(driven) or any(x.has(sp.nan, sp.zoo) for x in f):
         return None
     V = sp.S.Zero
-    back = {own: q for q, own in plain.items()}
+    back = {dummy: q for q, dummy in plain.items()}
     for x, part in zip(plain.values(), f, strict=True):
         slope = part + V.diff(x)
         if not vanish([slope.xreplace(back)]):

@@ -194,14 +194,14 @@ class Plain:
         Between them that of velocity constraints that move, which act where no node is.
         """
         graph, v = self.graph, self.numbers(self.v)
-        found = {
+        powers = {
             f"of {name}": graph.add(graph.products(force, v)) for name, force in self.forces.items()
         }
         if self.carried:
-            found["of constraints"] = ZERO
+            powers["of constraints"] = ZERO
         if not self.autonomous:
-            (found["dL_dt"],) = gradient(graph, self.L, [self.time])
-        return found
+            (powers["dL_dt"],) = gradient(graph, self.L, [self.time])
+        return powers
 
     def entry(self, i: int, j: int) -> Value:
         """Return an entry of M."""
@@ -300,12 +300,14 @@ class Symbols:
             t: TIME,
             **dict(zip(inputs, self.u, strict=True)),
         }
-        self.back: dict[sp.Basic, sp.Basic] = {own: user for user, own in self.replace.items()}
+        self.back: dict[sp.Basic, sp.Basic] = {
+            symbol: user for user, symbol in self.replace.items()
+        }
         self.t = TIME
         self.graph = Graph()
         every = (*self.q, *self.v, *self.p, *self.a, TIME, *self.u)
         self._nodes = {symbol: self.graph.symbol(symbol.name)[1] for symbol in every}
-        self.known = {user: (1, self._nodes[own]) for user, own in self.replace.items()}
+        self.known = {user: (1, self._nodes[symbol]) for user, symbol in self.replace.items()}
 
         self.signs = _signs(self.graph, self.a)
 

@@ -38,7 +38,7 @@ def points_of(
     columns = [np.asarray(x, dtype=np.float64) for x in (t, q, values)]
     numbers = [columns[0], *(x[..., k] for x in columns[1:] for k in range(x.shape[-1]))]
     shape = columns[1].shape[:-1]
-    found = {}
+    points = {}
     places = _function(system)(*numbers) if system.positions else []
     for (name, given), corners in zip((system.positions or {}).items(), places, strict=True):
         rows = [
@@ -46,8 +46,8 @@ def points_of(
             for corner in corners
         ]
         single = not isinstance(given[0], tuple)
-        found[name] = np.asarray(rows[0] if single else np.stack(rows, axis=-2), dtype=np.float64)
-    return found
+        points[name] = np.asarray(rows[0] if single else np.stack(rows, axis=-2), dtype=np.float64)
+    return points
 
 
 @lru_cache(maxsize=64)
@@ -61,10 +61,10 @@ def _function(system: Declared) -> Callable[..., Any]:
     plain = {x: sp.Symbol(f"x_{k}") for k, x in enumerate(arguments)}
     corners = [
         [
-            [x.xreplace(plain) for x in one]
-            for one in (given if isinstance(given[0], tuple) else [given])
+            [x.xreplace(plain) for x in corner]
+            for corner in (given if isinstance(given[0], tuple) else [given])
         ]
         for given in (system.positions or {}).values()
     ]
-    made: Callable[..., Any] = sp.lambdify([*plain.values()], float_literals(corners), "numpy")
-    return made
+    function: Callable[..., Any] = sp.lambdify([*plain.values()], float_literals(corners), "numpy")
+    return function

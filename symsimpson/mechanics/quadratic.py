@@ -79,7 +79,7 @@ def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polyn
         ) from None
     derivatives = Derivatives(graph)
     affine = findings.affine(momenta, v)
-    found: dict[tuple[int, int], Value] = {}
+    entries: dict[tuple[int, int], Value] = {}
     for i, momentum in enumerate(momenta):
         for j in range(i + 1):
             if v[j] not in graph.nodes[momentum[1]].symbols:
@@ -90,13 +90,13 @@ def polynomial(system: str, what: str, energy: Value, symbols: Symbols) -> Polyn
                 entry = fixed(graph, entry, moving) or entry
             elif moving:
                 entry = _simplified(system, what, entry, (i, j), symbols)
-            found[i, j] = entry
-    if found:
-        findings = Findings(graph, list(found.values()))
-        found = {place: entry for place, entry in found.items() if not findings.vanishes(entry)}
+            entries[i, j] = entry
+    if entries:
+        findings = Findings(graph, list(entries.values()))
+        entries = {place: entry for place, entry in entries.items() if not findings.vanishes(entry)}
     rest = dict.fromkeys(v, ZERO)
     *a, constant = _at_rest(system, what, symbols, [*momenta, energy], rest)
-    return Polynomial(found, tuple(a), constant)
+    return Polynomial(entries, tuple(a), constant)
 
 
 def _at_rest(
@@ -136,7 +136,7 @@ def _simplified(
     )
 
 
-def check_degenerate(system: str, found: Polynomial, symbols: Symbols) -> None:
+def check_degenerate(system: str, lagrangian: Polynomial, symbols: Symbols) -> None:
     """Refuse coordinates whose velocities enter L linearly alone, or not at all beside others'.
 
     Raises
@@ -144,10 +144,10 @@ def check_degenerate(system: str, found: Polynomial, symbols: Symbols) -> None:
     ModelError
     """
     graph = symbols.graph
-    coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in found.a if c))
-    massive = {i for place in found.M for i in place}
+    coupled = frozenset().union(*(graph.nodes[n].symbols for c, n in lagrangian.a if c))
+    massive = {i for place in lagrangian.M for i in place}
     for i, x in enumerate(symbols.numbers(symbols.q)):
-        if i not in massive and (found.a[i][0] or x in coupled):
+        if i not in massive and (lagrangian.a[i][0] or x in coupled):
             name = spell(symbols.back[symbols.q[i]])
             raise fail(
                 system,
@@ -213,10 +213,10 @@ def connected(size: int, pairs: Iterable[tuple[int, int]]) -> list[list[int]]:
     for i, j in pairs:
         low, high = sorted((root(i), root(j)))
         group[high] = low
-    found: dict[int, list[int]] = {}
+    groups: dict[int, list[int]] = {}
     for i in range(size):
-        found.setdefault(root(i), []).append(i)
-    return list(found.values())
+        groups.setdefault(root(i), []).append(i)
+    return list(groups.values())
 
 
 def _clearly_regular(
@@ -242,8 +242,8 @@ def samples(symbols: Symbols, values: Sequence[Value]) -> Iterator[list[float]]:
             n: generator.uniform(0.3, 1) * (-1 if s.is_negative or s.is_nonpositive else 1)
             for n, s in zip(symbols.numbers(everything), everything, strict=True)
         }
-        found = evaluated(symbols.graph, [n for _, n in values], point, mpmath.fp)
-        yield [_double(c) * found[n] if c else 0.0 for c, n in values]
+        node_values = evaluated(symbols.graph, [n for _, n in values], point, mpmath.fp)
+        yield [_double(c) * node_values[n] if c else 0.0 for c, n in values]
 
 
 def _double(number: Exact) -> float:

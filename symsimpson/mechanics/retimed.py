@@ -113,10 +113,10 @@ class RetimedSystem(MechanicalSystem):
     @cached_property
     def retiming(self) -> Retiming:
         """The parts of this system."""
-        own = Symbols(self.coordinates, self.parameters)
-        value = _read_rate(self.original.name, self.rate, own)
-        known = None if self.of_level is None else self.of_level.xreplace(dict(own.replace))
-        return Retiming(self.original.plain, own.graph, value, known)
+        symbols = Symbols(self.coordinates, self.parameters)
+        value = _read_rate(self.original.name, self.rate, symbols)
+        known = None if self.of_level is None else self.of_level.xreplace(dict(symbols.replace))
+        return Retiming(self.original.plain, symbols.graph, value, known)
 
 
 def retimed(system: MechanicalSystem, rate: Any) -> RetimedSystem:
@@ -194,10 +194,12 @@ def not_retimed(system: MechanicalSystem) -> str:
     return why
 
 
-def _read_rate(name: str, rate: Any, own: Symbols) -> Value:
+def _read_rate(name: str, rate: Any, symbols: Symbols) -> Value:
     """Read g: an expression of positions, parameters and E0."""
-    value = read_expression(name, "rate dt/dtau", rate, own, own.known, (*own.q, *own.a))
-    if not value[0] or own.signs(value)[0] < 0:
+    value = read_expression(
+        name, "rate dt/dtau", rate, symbols, symbols.known, (*symbols.q, *symbols.a)
+    )
+    if not value[0] or symbols.signs(value)[0] < 0:
         raise fail(
             name,
             f"the rate dt/dtau is {spell(rate)}, which is nowhere positive.",
@@ -273,12 +275,12 @@ def _without_pole(term: sp.Expr, coordinates: Set[sp.Expr]) -> bool:
     """Return whether a term is finite wherever the coordinates are, as far as its form tells."""
     work, seen = [term], {term}
     while work:
-        one = work.pop()
-        if one in coordinates or not one.has(*coordinates):
+        part = work.pop()
+        if part in coordinates or not part.has(*coordinates):
             continue
-        power = one.is_Pow and one.exp.is_nonnegative and not one.exp.has(*coordinates)
-        if not (one.is_Add or one.is_Mul or power or isinstance(one, FINITE)):
+        power = part.is_Pow and part.exp.is_nonnegative and not part.exp.has(*coordinates)
+        if not (part.is_Add or part.is_Mul or power or isinstance(part, FINITE)):
             return False
-        work += [x for x in one.args if x not in seen]
-        seen.update(one.args)
+        work += [x for x in part.args if x not in seen]
+        seen.update(part.args)
     return True

@@ -193,8 +193,8 @@ class _Look:
         written = (*plain.energies, *plain.f, *plain.held_values)
         self._present = frozenset().union(*(graph.nodes[n].symbols for _, n in written))
         both = gradient(graph, L, [*self.q, *self.v])
-        own, self.P = both[: len(self.q)], both[len(self.q) :]
-        self.F = [graph.add(pair) for pair in zip(own, plain.f, strict=True)]
+        L_q, self.P = both[: len(self.q)], both[len(self.q) :]
+        self.F = [graph.add(pair) for pair in zip(L_q, plain.f, strict=True)]
         self._slope = gradient(graph, plain.V, self.q)
         values = [*self.F, *self.P, *self._slope, *written]
         self._findings = Findings(graph, values, before)
@@ -240,8 +240,8 @@ class _Look:
         """Say what the coordinates of a group have and lack."""
         plain, vanishes = self._plain, self._findings.vanishes
         inside = set(group)
-        own = [value for (i, _), value in plain.M.items() if i in inside]
-        constant = not any(self.moves(value) or self._timed(value) for value in own)
+        entries = [value for (i, _), value in plain.M.items() if i in inside]
+        constant = not any(self.moves(value) or self._timed(value) for value in entries)
         rigid = not any(self._dragged(plain.f[i]) for i in group)
         nodes, own_q = plain.graph.nodes, {self.q[i] for i in group}
         held = any(nodes[n].symbols & own_q for _, n in plain.constraints.values())
@@ -324,7 +324,7 @@ def _freed(
         a=tuple(freed(f"a_{name}", a) for name, a in zip(names, given.a, strict=True)),
         V=freed("V", given.V),
     )
-    answers = {kind: tuple(sorted(set(found))) for kind, found in questions.items()}
+    answers = {kind: tuple(sorted(set(texts))) for kind, texts in questions.items()}
     return plain, answers, findings
 
 
@@ -336,8 +336,8 @@ def _split(plain: Plain, groups: Sequence[Sequence[int]]) -> Plain | None:
         try:
             (constant,) = rebuilt(graph, [plain.V], dict.fromkeys(q, (number, 0)))
             for k, group in enumerate(groups):
-                own = [q[i] for i in group]
-                others = {x: (number, 0) for x in q if x not in own}
+                members = [q[i] for i in group]
+                others = {x: (number, 0) for x in q if x not in members}
                 parts += rebuilt(graph, [plain.V], others)
                 if k:
                     parts.append(scaled(-1, constant))

@@ -367,9 +367,9 @@ class MechanicalSystem(Described):
     def structure(self) -> Structure:
         """Structure found in L and the forces, which the generator exploits."""
         with _stage("structure", self.name) as seconds:
-            found = analyse(self)
+            structure = analyse(self)
         self.seconds.update(seconds)
-        return found
+        return structure
 
     @cached_property
     def digest(self) -> str:

@@ -14,19 +14,22 @@ Row = tuple[str, str, str, str]
 HEAD: Row = ("finding", "here", "because", "removes")
 
 
-def rows(found: Any) -> list[Row]:
+def rows(structure: Any) -> list[Row]:
     """List the findings: name, what holds here, the sentence that justifies it, what it removes."""
-    names = [user.func.__name__ for user in found.system.coordinates]
+    names = [user.func.__name__ for user in structure.system.coordinates]
 
     mass = ", ".join(
         word
-        for word, holds in (("constant", found.constant_mass), ("diagonal", found.diagonal_mass))
+        for word, holds in (
+            ("constant", structure.constant_mass),
+            ("diagonal", structure.diagonal_mass),
+        )
         if holds
     )
-    rows_of = _some(found.constant_rows)
-    some_rows = bool(rows_of) and not found.constant_mass
+    rows_of = _some(structure.constant_rows)
+    some_rows = bool(rows_of) and not structure.constant_mass
     table: list[Row] = [("coordinates", _some(names), "", "")]
-    if found.constant_mass:
+    if structure.constant_mass:
         table.append(
             (
                 "mass matrix",
@@ -45,30 +48,30 @@ def rows(found: Any) -> list[Row]:
                 "their part of dM/dq" if some_rows else "",
             )
         )
-    if found.gyroscopic:
+    if structure.gyroscopic:
         table.append(("linear in v", "yes", "L has terms a(q).v", ""))
-    if found.forced:
-        table.append(("forces", _some(found.forced), "they are declared beside L", ""))
-    if found.system.constraints:
+    if structure.forced:
+        table.append(("forces", _some(structure.forced), "they are declared beside L", ""))
+    if structure.system.constraints:
         table.append(
             (
                 "constraints",
-                _some(list(found.system.constraints)),
-                f"phi(q) = 0; degrees of freedom: {found.system.degrees_of_freedom}",
+                _some(list(structure.system.constraints)),
+                f"phi(q) = 0; degrees of freedom: {structure.system.degrees_of_freedom}",
                 "",
             )
         )
-    if found.system.velocity_constraints:
-        free = found.system.velocity_degrees_of_freedom
+    if structure.system.velocity_constraints:
+        free = structure.system.velocity_degrees_of_freedom
         table.append(
             (
                 "velocity constraints",
-                _some(list(found.system.velocity_constraints)),
+                _some(list(structure.system.velocity_constraints)),
                 f"A v = b; velocities that are free: {free}",
                 "",
             )
         )
-    if found.damping is not None:
+    if structure.damping is not None:
         table.append(
             (
                 "damping",
@@ -77,22 +80,22 @@ def rows(found: Any) -> list[Row]:
                 "the forces: weights of the nodes grow by exp(2 gamma c_i h)",
             )
         )
-    if not found.autonomous:
+    if not structure.autonomous:
         table.append(("time", "yes", "t stands in L or in a force", ""))
-    if found.separable:
-        energies = "L = T(v) - V(q)" if found.autonomous else "L = T(v) - V(t, q)"
+    if structure.separable:
+        energies = "L = T(v) - V(q)" if structure.autonomous else "L = T(v) - V(t, q)"
         why = "M is constant and L has no terms a(q).v"
         table.append(
             (
                 "separable",
                 energies,
-                f"{why}, nor forces with v" if found.forced else why,
+                f"{why}, nor forces with v" if structure.forced else why,
                 ""
-                if found.system.plain.held  # which hold it, too
+                if structure.system.plain.held  # which hold it, too
                 else "the end of the path from Newton's unknowns",
             )
         )
-    if found.linear:
+    if structure.linear:
         table.append(
             (
                 "linear",
@@ -101,7 +104,7 @@ def rows(found: Any) -> list[Row]:
                 "Newton's method: a step is a product of shears",
             )
         )
-    affine = [names[i] for s in found.subsystems if s.affine for i in s.coordinates]
+    affine = [names[i] for s in structure.subsystems if s.affine for i in s.coordinates]
     if affine:
         table.append(
             (
@@ -111,32 +114,37 @@ def rows(found: Any) -> list[Row]:
                 "Newton's method: a step is solved with factors of the run",
             )
         )
-    if found.cyclic:
+    if structure.cyclic:
         table.append(
             (
                 "cyclic",
-                _some(found.cyclic),
+                _some(structure.cyclic),
                 "neither L nor a force contains them, or acts on them"
-                if found.forced
+                if structure.forced
                 else "L does not contain them",
                 "them from Newton's unknowns; their momenta are constants",
             )
         )
-    if len(found.subsystems) > 1:
-        groups = (", ".join(names[i] for i in s.coordinates) for s in found.subsystems)
+    if len(structure.subsystems) > 1:
+        groups = (", ".join(names[i] for i in s.coordinates) for s in structure.subsystems)
         table.append(
             (
                 "subsystems",
                 _some([f"({g})" for g in groups]),
-                "no term of L joins them" + (", and no force" if found.forced else ""),
+                "no term of L joins them" + (", and no force" if structure.forced else ""),
                 "their coupling: one small solve each",
             )
         )
-    if found.periodic:
+    if structure.periodic:
         table.append(
-            ("angles", _some(found.periodic), "only in sines and cosines of whole multiples", "")
+            (
+                "angles",
+                _some(structure.periodic),
+                "only in sines and cosines of whole multiples",
+                "",
+            )
         )
-    zeros = ", ".join(f"{name} {zero} of {all_}" for name, (zero, all_) in found.zeros.items())
+    zeros = ", ".join(f"{name} {zero} of {all_}" for name, (zero, all_) in structure.zeros.items())
     table.append(
         (
             "zeros",
@@ -145,17 +153,17 @@ def rows(found: Any) -> list[Row]:
             "their terms, and fill in elimination",
         )
     )
-    for question in found.undecided:
+    for question in structure.undecided:
         table.append(("undecided", question, "zero at every sample, not proved", "nothing"))
-    for question in found.nearly:
+    for question in structure.nearly:
         why = "by less than 1e-12: floats are taken for the numbers that they are"
         table.append(("nearly not", question, why, "nothing"))
     return table
 
 
-def as_text(found: Any) -> str:
+def as_text(structure: Any) -> str:
     """Write the tables for a terminal."""
-    table = rows(found)
+    table = rows(structure)
     width = max(len(name) for name, *_ in table) + 2
     lines = []
     for name, here, because, removes in table:
@@ -171,9 +179,9 @@ def as_text(found: Any) -> str:
     return "\n".join(lines)
 
 
-def as_html(found: Any) -> str:
+def as_html(structure: Any) -> str:
     """Write the tables for a notebook."""
-    return markup.table([HEAD, *rows(found)])
+    return markup.table([HEAD, *rows(structure)])
 
 
 def _some(names: Sequence[str]) -> str:

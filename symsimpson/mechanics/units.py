@@ -35,10 +35,10 @@ def read_units(
     ModelError
         If a name is none of these, or a unit is no text.
     """
-    own = [spelled(q) for q in coordinates]
-    known = [*own, *(f"{x}_{q}" for x in "vp" for q in own), *map(spelled, others), "t"]
-    known += [one.name for one in SCALARS]
-    found: dict[str, str] = {}
+    names = [spelled(q) for q in coordinates]
+    known = [*names, *(f"{x}_{q}" for x in "vp" for q in names), *map(spelled, others), "t"]
+    known += [x.name for x in SCALARS]
+    units: dict[str, str] = {}
     for key, unit in dict(given or {}).items():
         quantity = spelled(key)
         if quantity not in known:
@@ -46,19 +46,19 @@ def read_units(
                 f"system '{name}': units has {quantity!r}, which it does not have."
                 f"{did_you_mean(quantity, known)}\n"
                 "Name coordinates, momenta and velocities (p_ and v_ before a coordinate), "
-                f"parameters, invariants, points, 't', {', '.join(one.name for one in SCALARS)}."
+                f"parameters, invariants, points, 't', {', '.join(x.name for x in SCALARS)}."
             )
         if not isinstance(unit, str):
             raise ModelError(
                 f"system '{name}': the unit of {quantity} is {unit!r}, no text.\n"
                 "Units are labels: units={'x': 'm', 't': 's'}."
             )
-        found[quantity] = unit
-    if "t" in found:
-        for q in own:
-            if q in found:
-                found.setdefault(f"v_{q}", f"{found[q]}/{found['t']}")
-    for one in SCALARS:
-        if one.like in found:
-            found.setdefault(one.name, found[one.like])
-    return found
+        units[quantity] = unit
+    if "t" in units:
+        for q in names:
+            if q in units:
+                units.setdefault(f"v_{q}", f"{units[q]}/{units['t']}")
+    for scalar in SCALARS:
+        if scalar.like in units:
+            units.setdefault(scalar.name, units[scalar.like])
+    return units

@@ -50,7 +50,7 @@ def read_velocity_constraints(
         If one is not linear in the velocities, or holds none of them.
     """
     graph, v = symbols.graph, symbols.numbers(symbols.v)
-    found: dict[str, tuple[Value, ...]] = {}
+    rows: dict[str, tuple[Value, ...]] = {}
     for key, expression in given.items():
         if key in taken:
             raise fail(
@@ -78,8 +78,8 @@ def read_velocity_constraints(
                 if nothing
                 else "It is a constraint of positions. Give it as constraints={...}.",
             )
-        found[key] = _row(name, key, expression, value, symbols)
-    return found
+        rows[key] = _row(name, key, expression, value, symbols)
+    return rows
 
 
 def _row(name: str, key: str, expression: Any, value: Value, symbols: Symbols) -> tuple[Value, ...]:
