@@ -42,24 +42,24 @@ def momentum_balance(s: Subject) -> tuple[float, list[Symmetry]]:
     plain = system.plain
     if any(plain.time in plain.graph.nodes[n].symbols for _, n in plain.energies):
         return 0.0, []
-    found = linear_symmetries(s.precise, s.z)
+    symmetries = linear_symmetries(s.precise, s.z)
     scheme, force = read_scheme(s.stepper.scheme), _force(system)
     given = (*s.precise.parameters.values(), *(s.stepper.program.default_inputs or {}).values())
     values = [s.precise.context.mpf(x) for x in given]
     worst = 0.0
-    for j in range(STEPS if found else 0):
+    for j in range(STEPS if symmetries else 0):
         q, v, t = _nodes(s, scheme, j)
         with mpmath.workdps(s.precise.context.dps):  # the functions of SymPy's text are global
             f = [force(*q[i], *v[i], *values, t[i]) for i in range(scheme.stages)]
         b = [_number(s, x) for x in scheme.quadrature.weights]
         ends = s.path.q[j : j + 2], s.path.p[j : j + 2]
-        for symmetry in found:
+        for symmetry in symmetries:
             before, after = symmetry.momentum(*ends)
             rates = symmetry.momentum(q, np.array(f, dtype=object))
             change = s.h * sum(x * y for x, y in zip(b, rates, strict=True))
             size = symmetry.size(*ends) or 1.0
             worst = max(worst, abs(float(after - before - change)) / size)
-    return worst, found
+    return worst, symmetries
 
 
 def _force(system: MechanicalSystem) -> Any:

@@ -164,13 +164,13 @@ class Wanted:
             q, p = states.q, states.p
         return Seen(q, p, run.steps, int(run.newton_iterations.sum()), largest)
 
-    def _distance(self, one: Seen, other: Seen, place: int) -> float:
+    def _distance(self, run: Seen, other: Seen, place: int) -> float:
         scale_q = np.maximum(np.abs(other.q).max(axis=0), 1.0)
         scale_p = np.abs(other.p).max() or 1.0
-        gap_q = np.abs((one.q[place] - other.q[place]) / scale_q).max()
-        return float(max(gap_q, np.abs(one.p[place] - other.p[place]).max() / scale_p))
+        gap_q = np.abs((run.q[place] - other.q[place]) / scale_q).max()
+        return float(max(gap_q, np.abs(run.p[place] - other.p[place]).max() / scale_p))
 
-    def reason(self, best: Found, found: Sequence[Found], steps: int) -> str:
+    def reason(self, best: Found, candidates: Sequence[Found], steps: int) -> str:
         """Say what was chosen and why."""
         part = "" if self.pilot == self.t_end else f" until t = {self.pilot:g}"
         what, retimed = f"{self.on} error", best.stepper.program.header.retimed
@@ -179,10 +179,12 @@ class Wanted:
             f"{best.stepper.scheme} with h = {self.t_end / steps:.6g} ({count}): the {what} "
             f"measured{part} is {best.error:.1e}, {self.error:.1e} is asked for."
         ]
-        fixed = [one for one in found if not one.stepper.program.header.retimed]
+        fixed = [
+            candidate for candidate in candidates if not candidate.stepper.program.header.retimed
+        ]
         if retimed:
             taken = f"{best.stepper.system} takes {best.taken} steps{part}"
-            fewest = min((one.taken for one in fixed), default=0)
+            fewest = min((candidate.taken for candidate in fixed), default=0)
             beside = f", the fewest of fixed size are {fewest}" if fixed else ""
             if self.compared and not fixed:
                 beside = "; no fixed steps that were tried come to that error"
@@ -195,7 +197,7 @@ class Wanted:
         if self.frequency > 0 and math.isfinite(largest_stable(best.stepper.scheme)):
             bound = largest_stable(best.stepper.scheme) / self.frequency
             lines.append(f"Linear stability at the start bounds h by {bound:.3g}.")
-        others = sorted((x for x in found if x is not best), key=lambda x: x.seconds)
+        others = sorted((x for x in candidates if x is not best), key=lambda x: x.seconds)
         if others:
             list_of = ", ".join(
                 f"{_name(x.stepper)} {x.seconds / best.seconds:.1f} times its time" for x in others

@@ -64,14 +64,14 @@ def certify(
     values = stepper.program.free_values(parameters)
     q, p = choose_state(stepper, {"q0": q0, "v0": v0, "p0": p0}, values)
     z, timed = np.concatenate([q, p]), None
-    own, exact = stepper, values
+    measured, exact = stepper, values
     if stepper.program.header.retimed:  # its steps are those of tau, where E0 is a number
         timed = Precise(stepper, values, DIGITS)
-        own, exact = in_tau(stepper), timed.from_start(z)
-    step = choose_step(own, q, p, exact, LONG) if h is None else read_step(h, FLOAT64)
-    precise = Precise(own, exact, DIGITS)
+        measured, exact = in_tau(stepper), timed.from_start(z)
+    step = choose_step(measured, q, p, exact, LONG) if h is None else read_step(h, FLOAT64)
+    precise = Precise(measured, exact, DIGITS)
     held = bool(stepper.program.header.constraints)
-    subject = Subject(own, precise, precise.placed(z) if held else z, step, timed)
+    subject = Subject(measured, precise, precise.placed(z) if held else z, step, timed)
     precise.sizes = subject.sizes
     checks = [check for measure in CHECKS for check in _guarded(measure, subject)]
     return Certificate(
@@ -159,9 +159,9 @@ def _momenta(s: Subject) -> Iterator[Check]:
     """momenta: what linear symmetries conserve."""
     reason = "A linear symmetry of L conserves its momentum exactly, at any h."
     if s.forced and not s.rolling:
-        worst, found = momentum_balance(s)
-        if found:
-            names = ", ".join(symmetry.name for symmetry in found)
+        worst, symmetries = momentum_balance(s)
+        if symmetries:
+            names = ", ".join(symmetry.name for symmetry in symmetries)
             yield Check.at_most(
                 "momenta",
                 worst,

@@ -175,18 +175,18 @@ def choose(
     problem = Wanted(q, p, known, pilot, float(t_end), float(error), on, frequency, bool(fixed), [])
     tried = [(compile_system(system, scheme), h0) for scheme in fixed]
     tried += [(compile_system(retimed, scheme), tau0) for scheme in adapting if retimed]
-    found = [one for stepper, h in tried if (one := problem.solve(stepper, h))]
-    if not found:
+    candidates = [solution for stepper, h in tried if (solution := problem.solve(stepper, h))]
+    if not candidates:
         raise InputError(
-            f"none of {', '.join(dict.fromkeys(one.scheme for one, _ in tried))} comes to an error "
-            f"of {error:g} at t_end={t_end:g} from this state.\n"
+            f"none of {', '.join(dict.fromkeys(stepper.scheme for stepper, _ in tried))} comes to "
+            f"an error of {error:g} at t_end={t_end:g} from this state.\n"
             "Rounding errors in double precision are larger, or the motion is too sensitive to its "
             "initial state: ask for a larger error, or a shorter time."
             + "".join(f"\nA run with small steps failed: {x}" for x in problem.failures[-1:])
         )
-    best = min(found, key=lambda one: one.seconds)
+    best = min(candidates, key=lambda candidate: candidate.seconds)
     steps = math.ceil(best.steps * t_end / pilot)
-    return Choice(best.stepper, float(t_end) / steps, problem.reason(best, found, steps))
+    return Choice(best.stepper, float(t_end) / steps, problem.reason(best, candidates, steps))
 
 
 def _in_other_time(

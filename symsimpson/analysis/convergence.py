@@ -42,7 +42,7 @@ def order_of_errors(s: Subject) -> Iterator[Check]:
     with mpmath.workdps(DIGITS):
         least = _least(s, s.distance(ends[-2], ends[-1]))
         exact = s.exact(steps * mpmath.mpf(s.h), error=least)
-    errors = [s.distance(one, exact) for one in ends]
+    errors = [s.distance(state, exact) for state in ends]
     # coefficients of few digits leave an error of lower order: larger steps are above it
     while digits is not None and sum(e > resolved for e in errors) < 3 and levels[0] > -3:
         levels.insert(0, levels[0] - 1)
@@ -94,7 +94,7 @@ def order_of_time(s: Subject) -> Iterator[Check]:
     with mpmath.workdps(DIGITS):
         least = _least(s, float(abs(ends[-2] - ends[-1])))
         exact = s.exact(steps * mpmath.mpf(s.h), timed=True, error=least)[-1]
-    errors = [float(abs(one - exact)) for one in ends]
+    errors = [float(abs(time - exact)) for time in ends]
     yield Check(
         "time",
         *_seen(s, errors, RESOLVED),
@@ -110,5 +110,5 @@ def _parts(level: int) -> str:
 
 def coefficient_digits(source: str) -> int | None:
     """Return the decimals of coefficients that a module states as they were published, if any."""
-    found = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
-    return max(map(len, found)) if found else None
+    decimals = re.findall(r'real\("-?[0-9]*\.([0-9]+)"\)', source)
+    return max(map(len, decimals)) if decimals else None

@@ -26,8 +26,8 @@ def shadow_is_testable(stepper: Stepper) -> bool:
     """Return whether runs can have a shadow energy that swings much less than the energy."""
     header = stepper.program.header
     family = "equations" in header.functions and not header.constraints
-    made = stepper.program.differentiate is not None
-    return family and header.conservative and made and header.order <= HIGHEST_ORDER
+    differentiable = stepper.program.differentiate is not None
+    return family and header.conservative and differentiable and header.order <= HIGHEST_ORDER
 
 
 def shadow(s: Subject) -> Iterator[Check]:

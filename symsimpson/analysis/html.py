@@ -10,10 +10,10 @@ from symsimpson.support.markup import box, facts, table
 __all__ = ["certificate", "choice"]
 
 
-def certificate(one: Any) -> str:
+def certificate(result: Any) -> str:
     """Show what was measured, row by row."""
     rows: list[tuple[object, ...]] = [("", "check", "measured", "wanted", "what", "why")]
-    for check in one.checks:
+    for check in result.checks:
         sign = ">=" if check.bound == "at least" else "<="
         nothing = check.measured != check.measured
         rows.append(
@@ -26,18 +26,18 @@ def certificate(one: Any) -> str:
                 check.reason,
             )
         )
-    numbers = (", ".join(f"{x:.6g}" for x in state) for state in (one.q0, one.p0))
-    verdict = "passed" if one.passed else "NOT passed"
-    where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, one.h, one.seconds)
-    title = f"Certificate of {one.system}, {one.scheme} (order {one.order}): {verdict}"
+    numbers = (", ".join(f"{x:.6g}" for x in state) for state in (result.q0, result.p0))
+    verdict = "passed" if result.passed else "NOT passed"
+    where = "at q0 = ({}), p0 = ({}), h = {:g}; {:.1f} s".format(*numbers, result.h, result.seconds)
+    title = f"Certificate of {result.system}, {result.scheme} (order {result.order}): {verdict}"
     return box(title, f"<div>{where}</div>", table(rows))
 
 
-def choice(one: Any) -> str:
+def choice(chosen: Any) -> str:
     """Show a scheme and a step, and why."""
     rows: list[tuple[str, object]] = [
-        ("scheme", f"{one.stepper.scheme}, order {one.stepper.order}"),
-        ("h", f"{one.h:.6g}"),
-        ("why", one.reason),
+        ("scheme", f"{chosen.stepper.scheme}, order {chosen.stepper.order}"),
+        ("h", f"{chosen.h:.6g}"),
+        ("why", chosen.reason),
     ]
-    return box(f"Choice for {one.stepper.system}", facts(rows))
+    return box(f"Choice for {chosen.stepper.system}", facts(rows))

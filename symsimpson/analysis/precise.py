@@ -109,15 +109,15 @@ class Precise:
 
     def _call(self, kernel: str, W: Vector, t: Any = 0) -> None:
         """Call a kernel of a state."""
-        one, zero = self._one_and_zero
+        unit, zero = self._one_and_zero
         time = self._numbers.read([t])[0] if t else zero
-        self.program.kernels.address(kernel)(one, time, W)
+        self.program.kernels.address(kernel)(unit, time, W)
 
     @cached_property
     def _one_and_zero(self) -> tuple[Any, Any]:
         """A step and a time for kernels of a state, which do without."""
-        one, zero = self._numbers.read([1.0, 0.0])
-        return one, zero
+        unit, zero = self._numbers.read([1.0, 0.0])
+        return unit, zero
 
     def tangent(self, z: Vector, h: Any, steps: int = 1) -> tuple[Vector, Vector]:
         """Differentiate the map of some steps by differences, Newton's method included.
@@ -149,20 +149,20 @@ class Precise:
                 for move in (0, self.small, -self.small)
             )
             W[rows, 0] = here
-            found = numbers.zeros(2 * n)
+            slopes = numbers.zeros(2 * n)
             moved = rows
             if "RATE" not in at:
                 self._call("energy", W)
-                found[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
+                slopes[n:] = W[at["VELOCITY"] : at["VELOCITY"] + n, 0]
                 moved = rows[:n]
             halves = numbers.read([1 / (2 * self.small * size) for size in self.sizes])
             for k, row in enumerate(moved):
                 for sign, there in ((halves[k], up), (-halves[k], down)):
                     W[row, 0] = there[k]
                     self._call("energy", W)
-                    found[k] += sign * W[at["ENERGY"], 0]
+                    slopes[k] += sign * W[at["ENERGY"], 0]
                 W[row, 0] = here[k]
-            return numbers.result(found)
+            return numbers.result(slopes)
 
     @cached_property
     def _prepared(self) -> Vector:
@@ -190,7 +190,7 @@ class Precise:
 
     def corrections(self, z: Vector, h: Any, count: int) -> list[Any]:
         """Return the sizes of the first Newton corrections, relative to the increments."""
-        found = []
+        ratios = []
         with self._numbers.working():
             run = self._begun(z, h)
             for _ in range(count):
@@ -199,10 +199,10 @@ class Precise:
                     self._numbers.result(run.rows(f"{name}_SQUARED", 1))[0]
                     for name in ("CORRECTION", "INCREMENT")
                 ]
-                found.append(self.context.sqrt(sizes[0] / sizes[1]))
-                if not 0 < found[-1] < self.context.inf:
+                ratios.append(self.context.sqrt(sizes[0] / sizes[1]))
+                if not 0 < ratios[-1] < self.context.inf:
                     break
-        return found
+        return ratios
 
     def jacobian_defect(self, z: Vector, h: Any) -> float:
         """Measure how far an iteration from beside the solution misses it, relatively.

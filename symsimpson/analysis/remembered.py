@@ -32,20 +32,20 @@ def remembered(
     values = sorted((symbol.name, value) for symbol, value in system.parameters.items())
     asked = [symsimpson.__version__, system.digest, values, sorted(question.items())]
 
-    def read(found: Any) -> Choice:
-        h = float(found["h"])
+    def read(record: Any) -> Choice:
+        h = float(record["h"])
         if not 0 < h < math.inf:
             raise ValueError("a step that is none")
-        whole = system.retimed("encounters") if found["adapting"] is True else system
-        return Choice(compile_system(whole, str(found["scheme"])), h, str(found["reason"]))
+        whole = system.retimed("encounters") if record["adapting"] is True else system
+        return Choice(compile_system(whole, str(record["scheme"])), h, str(record["reason"]))
 
-    def content(made: Choice) -> dict[str, Any]:
-        own = made.stepper.program.declared
-        adapting = isinstance(own, RetimedSystem) and own is not system
+    def content(choice: Choice) -> dict[str, Any]:
+        declared = choice.stepper.program.declared
+        adapting = isinstance(declared, RetimedSystem) and declared is not system
         return {
-            "scheme": made.stepper.scheme,
-            "h": made.h,
-            "reason": made.reason,
+            "scheme": choice.stepper.scheme,
+            "h": choice.h,
+            "reason": choice.reason,
             "adapting": adapting,
         }
 

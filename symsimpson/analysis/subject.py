@@ -145,8 +145,8 @@ class Subject:
 
             rates = forced
         # with constraints p has a part that has no effect, of which the last line gets rid
-        found = self._extrapolated(rates, start, end, local)[: 2 * self.n]
-        return list(self.precise.placed(found, end))
+        state = self._extrapolated(rates, start, end, local)[: 2 * self.n]
+        return list(self.precise.placed(state, end))
 
     def _extrapolated(
         self, rates: Callable[[Any], list[Any]], start: list[Any], end: Any, local: Any
@@ -156,12 +156,12 @@ class Subject:
         units += [mpmath.mpf(1)] * (len(start) - len(units))
 
         def in_units(y: Any) -> list[Any]:
-            found = rates([x * unit for x, unit in zip(y, units, strict=True)])
-            return [x / unit for x, unit in zip(found, units, strict=True)]
+            slopes = rates([x * unit for x, unit in zip(y, units, strict=True)])
+            return [x / unit for x, unit in zip(slopes, units, strict=True)]
 
         first = [x / unit for x, unit in zip(start, units, strict=True)]
-        found = extrapolate(in_units, first, [end], local, MOST)[0]
-        return [x * unit for x, unit in zip(found, units, strict=True)]
+        last = extrapolate(in_units, first, [end], local, MOST)[0]
+        return [x * unit for x, unit in zip(last, units, strict=True)]
 
     def compiled(self, steps: int, every: int | None) -> Trajectory:
         """Integrate in double precision."""

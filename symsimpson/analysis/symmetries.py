@@ -94,14 +94,14 @@ def linear_symmetries(precise: Precise, z: NDArray[Any]) -> list[Symmetry]:
     _, singular, basis = np.linalg.svd(matrix / scale)
     null = basis[np.count_nonzero(singular > RANK * singular[0]) :] / scale
     names = precise.stepper.coordinates
-    found = []
+    symmetries = []
     for row in _reduced(null):
         full = _refined(row, exact, precise.context)
         if row[n:].any():  # else it is a displacement, of any length
             row[:n], full[:n] = row[:n] * unit, full[:n] * unit
         generator = np.column_stack([full[n:].reshape(n, n), full[:n]])
-        found.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
-    return found
+        symmetries.append(Symmetry(row[n:].reshape(n, n), row[:n], generator, _name(row, names)))
+    return symmetries
 
 
 def _of_constraints(

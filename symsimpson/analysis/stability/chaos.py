@@ -109,9 +109,9 @@ def mixing(
     start = np.asarray(q0, dtype=np.float64)
     for k, (stepper, h) in enumerate(zip(steppers, steps, strict=True)):
         count = round(t_end / h)
-        found = stepper.ensemble(start + 1e-6 * k, h=t_end / count, steps=count, **given)
-        good = found.status == 0
-        samples.append(np.sort(quantity(found.q[good], found.p[good])))
+        ensemble = stepper.ensemble(start + 1e-6 * k, h=t_end / count, steps=count, **given)
+        good = ensemble.status == 0
+        samples.append(np.sort(quantity(ensemble.q[good], ensemble.p[good])))
     both = np.concatenate(samples)
     shares = [np.searchsorted(x, both, side="right") / x.size for x in samples]
     sizes = [x.size for x in samples]

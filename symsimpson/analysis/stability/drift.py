@@ -155,7 +155,7 @@ def _sampled(
 ) -> tuple[Floats, float, int]:
     """Return energies over the first one, the drift of conserved momenta, and how many failed."""
     every = max(1, steps // (BLOCKS * SAMPLES))
-    found = stepper.ensemble(
+    ensemble = stepper.ensemble(
         q,
         p0=p,
         h=h,
@@ -164,10 +164,10 @@ def _sampled(
         parameters=values,
         progress=progress,
     )
-    good = found.status == 0
+    good = ensemble.status == 0
     if not good.any():
         return np.full((1, BLOCKS * SAMPLES), np.nan), float("nan"), len(good)
-    qs, ps = found.q[good], found.p[good]
+    qs, ps = ensemble.q[good], ensemble.p[good]
     flat = stepper.energy(qs.reshape(-1, stepper.n), ps.reshape(-1, stepper.n), parameters=values)
     energies = flat.reshape(qs.shape[0], -1)
     constant = (ps[:, :2] == ps[:, :1]).all(axis=(0, 1))

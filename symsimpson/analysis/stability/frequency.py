@@ -58,8 +58,8 @@ def largest_frequency(
     t : float
     """
     try:
-        found = _matrices(system)(*map(float, (*q, *parameters, t)))
-        mass, stiffness = _allowed(*found) if system.plain.held else (found[-1], found[0])
+        matrices = _matrices(system)(*map(float, (*q, *parameters, t)))
+        mass, stiffness = _allowed(*matrices) if system.plain.held else (matrices[-1], matrices[0])
         squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real
     except (ArithmeticError, ValueError, np.linalg.LinAlgError):
         return 0.0

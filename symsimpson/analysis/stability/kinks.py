@@ -103,8 +103,8 @@ def kink_passed(
     t, q = np.asarray(t, dtype=np.float64), np.asarray(q, dtype=np.float64)
     if not roots or len(t) < 2:
         return None
-    count, own = len(plain.parameters), len(system.parameters)  # retiming adds some at the end
-    given = [float(x) for x in (*values[:count], *values[own:])]
+    count, total = len(plain.parameters), len(system.parameters)  # retiming adds some at the end
+    given = [float(x) for x in (*values[:count], *values[total:])]
     known = dict(zip(plain.numbers((*plain.parameters, *plain.u)), given, strict=True))
     first: tuple[float, str] | None = None
     for root in roots:
@@ -135,13 +135,13 @@ def _roots(system: MechanicalSystem) -> tuple[Plain, tuple[_Root, ...]]:
         for m, e in factors:  # by a distance alone, a pole: what is divided by it must vanish, too
             if e == HALF or (e == -HALF and max(late, default=0) > 0):
                 bases[m] = None
-    found = []
+    roots = []
     for n in bases:
         terms = _squares(plain, n, moving)
         if terms is not None:
             text = spell(sp.sqrt(plain.written((1, n)).xreplace(back)), 200)
-            found.append(_Root(text, *(tuple(x) for x in zip(*terms, strict=True))))
-    return plain, tuple(found)
+            roots.append(_Root(text, *(tuple(x) for x in zip(*terms, strict=True))))
+    return plain, tuple(roots)
 
 
 def _squares(plain: Plain, n: int, moving: set[int]) -> list[tuple[Any, Any]] | None:
@@ -261,11 +261,11 @@ def _force(plain: Plain, known: dict[int, float], t: Any, q: list[Any], v: list[
         return values[plain.V[1]] * plain.V[0].numerator / plain.V[0].denominator
 
     acting = evaluated(graph, [n for _, n in plain.f], {**symbols, **_at(plain, t, q)}, mpmath.mp)
-    found = []
+    force = []
     for i, (c, n) in enumerate(plain.f):
         ahead, behind = (potential([*q[:i], q[i] + x, *q[i + 1 :]]) for x in (small, -small))
-        found.append((behind - ahead) / (2 * small) + acting[n] * c.numerator / c.denominator)
-    return found
+        force.append((behind - ahead) / (2 * small) + acting[n] * c.numerator / c.denominator)
+    return force
 
 
 class _Arrays:

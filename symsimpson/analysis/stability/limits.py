@@ -47,7 +47,7 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
     stepper = compile_system(harmonic_oscillator(), scheme)
 
     def stable(x: Floats) -> NDArray[np.bool_]:
-        found = stepper.ensemble(
+        ensemble = stepper.ensemble(
             np.ones((x.size, 1)),
             p0=np.zeros((x.size, 1)),
             h=1.0,
@@ -56,8 +56,8 @@ def linear_limits(scheme: str | Scheme, largest: float = 6.0, width: float = 1e-
             parameters={"m": 1.0, "k": x**2},
             reduce={"least": ("min", q), "largest": ("max", q)},
         )
-        near = [np.abs(found.reduced[name]) < FAR for name in ("least", "largest")]
-        return (found.status == 0) & near[0] & near[1]
+        near = [np.abs(ensemble.reduced[name]) < FAR for name in ("least", "largest")]
+        return (ensemble.status == 0) & near[0] & near[1]
 
     return _edges(stable, largest, width)
 
@@ -83,16 +83,16 @@ def theory_limits(scheme: str | Scheme, largest: float = 6.0) -> list[float]:
     The step (q0, p0) -> (q1, p1) of L = v^2/2 - q^2/2 is linear; for Simpson's scheme the edges are
     2 sqrt(2), 2 sqrt(3) and 2 sqrt(6).
     """
-    found = read_scheme(scheme)
+    method = read_scheme(scheme)
 
     def stable_at(x: float) -> bool:
         try:
-            return bool(abs(np.trace(found.oscillator(x))) - 2 <= 1e-12)
+            return bool(abs(np.trace(method.oscillator(x))) - 2 <= 1e-12)
         except np.linalg.LinAlgError:  # a pole of the map
             return False
 
     def stable(x: Floats) -> NDArray[np.bool_]:
-        return np.array([stable_at(one) for one in x.tolist()])
+        return np.array([stable_at(value) for value in x.tolist()])
 
     return _edges(stable, largest, 1e-12)
 
@@ -131,7 +131,7 @@ def energy_map(
     for h in np.asarray(steps, dtype=np.float64):
         count = max(1, round(t_end / h))
         with without_step_warnings():
-            found = stepper.ensemble(
+            ensemble = stepper.ensemble(
                 q0,
                 **other,
                 h=t_end / count,
@@ -139,8 +139,8 @@ def energy_map(
                 parameters={parameter: column},
                 reduce={kind: (kind, "energy") for kind in ("min", "max", "mean")},
             )
-        seen = found.reduced
-        good = (found.status == 0) & np.isfinite(seen["mean"])
+        seen = ensemble.reduced
+        good = (ensemble.status == 0) & np.isfinite(seen["mean"])
         row = np.full(column.size, np.inf)
         size = np.maximum(np.abs(seen["mean"][good]), 1e-300)
         row[good] = (seen["max"][good] - seen["min"][good]) / size

@@ -70,8 +70,8 @@ def _masses(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float
     function, n = _mass(system)[0], system.n
     assert function is not None
     with np.errstate(all="ignore"):
-        found = np.broadcast_arrays(q[:, 0], *function(*q.T, t, *values))[1:]
-    return np.stack([np.asarray(x, dtype=np.float64) for x in found], axis=1).reshape(-1, n, n)
+        entries = np.broadcast_arrays(q[:, 0], *function(*q.T, t, *values))[1:]
+    return np.stack([np.asarray(x, dtype=np.float64) for x in entries], axis=1).reshape(-1, n, n)
 
 
 def _sizes(system: MechanicalSystem, t: Reals, q: Reals, values: Sequence[float]) -> Reals:
@@ -185,9 +185,9 @@ def _apart(program: Program, system: MechanicalSystem, run: Trajectory, place: i
     if program.inputs:
         if run.input_values.shape[2] > 1:
             return 0.0
-        own = run.input_values[0, min(first, run.input_values.shape[1] - 1) : last, 0]
+        input_rows = run.input_values[0, min(first, run.input_values.shape[1] - 1) : last, 0]
         inputs = {
-            name: own[0, k] if len(own) == 1 else np.repeat(own[:, k], FINER)
+            name: input_rows[0, k] if len(input_rows) == 1 else np.repeat(input_rows[:, k], FINER)
             for k, name in enumerate(program.inputs)
         }
     free = {name: run.parameters[name] for name in program.free_values()}
@@ -240,8 +240,8 @@ def _periodic(system: MechanicalSystem) -> tuple[bool, ...]:
         if turned is not None:
             q[turned] += 2 * np.pi
         given = dict(zip(names, map(float, (*q, *rest)), strict=True))
-        found = evaluated(plain.graph, roots, given, mpmath.fp)
-        return np.array([found[m] for m in roots], dtype=np.float64)
+        node_values = evaluated(plain.graph, roots, given, mpmath.fp)
+        return np.array([node_values[m] for m in roots], dtype=np.float64)
 
     plainly = value(None)
     return tuple(np.allclose(value(i), plainly, rtol=1e-10, atol=1e-12) for i in range(n))

@@ -150,7 +150,7 @@ def _run_past_pole(case: _Case, distance: float, phase: float) -> PolePass:
         run.status,
         float(np.abs(axes[done] - path[done]).max()),
         float(np.abs(run.energy_error).max()),
-        any(issubclass(one.category, ResolutionWarning) for one in told),
+        any(issubclass(warning.category, ResolutionWarning) for warning in told),
     )
 
 

@@ -87,11 +87,11 @@ def stress(stepper: Stepper, *, h: float | None = None, steps: int = 1_000_000) 
 def stress_standard(scheme: str) -> Iterator[str]:
     """Report limits of stability of the linear oscillator, and runs past poles, line by line."""
     yield f"{scheme}: where the linear oscillator turns unstable or stable again, h omega"
-    for found, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
-        yield f"  {found:.4f}, by theory {theory:.4f}"
+    for limit, theory in zip(linear_limits(scheme), theory_limits(scheme), strict=False):
+        yield f"  {limit:.4f}, by theory {theory:.4f}"
     yield "past a pole of spherical angles: distance, outcome, error of the axis, warning"
-    for one in pole_sweep(scheme):
-        told = "warned" if one.warned else ""
+    for run in pole_sweep(scheme):
+        told = "warned" if run.warned else ""
         yield (
-            f"  {one.system:<20} {one.distance:.0e} {one.status.name:<24} {one.error:8.1e} {told}"
+            f"  {run.system:<20} {run.distance:.0e} {run.status.name:<24} {run.error:8.1e} {told}"
         )

@@ -25,7 +25,7 @@ LARGEST_TURN = 1.5
 @lru_cache(maxsize=64)
 def _quaternions(system: MechanicalSystem) -> tuple[tuple[int, ...], ...]:
     """Return the places of four coordinates whose squares a constraint adds up to a number."""
-    plain, found = system.plain, []
+    plain, groups = system.plain, []
     place = {x: i for i, x in enumerate(plain.numbers(plain.q))}
     for value in plain.constraints.values():
         symbols = plain.graph.nodes[value[1]].symbols
@@ -36,8 +36,8 @@ def _quaternions(system: MechanicalSystem) -> tuple[tuple[int, ...], ...]:
         squares = sum((plain.q[i] ** 2 for i in group), sp.S.Zero)
         scale = sp.diff(phi, plain.q[group[0]], 2) / 2
         if scale.is_number and scale != 0 and sp.expand(phi / scale - squares + 1) == 0:
-            found.append(tuple(group))
-    return tuple(found)
+            groups.append(tuple(group))
+    return tuple(groups)
 
 
 def fastest_turn(system: MechanicalSystem, v: Iterable[float]) -> float:
