@@ -61,12 +61,12 @@ class Arrays(Values):
         if len(places) < len(array.shape) or any(isinstance(x, Range) for x in places):
             return self._part(array, places)
         pointer, _ = self._pointer(array, places, width)
-        found = self.builder.load(pointer)
-        if found.type == BYTE:
-            return self.builder.trunc(found, BIT)
-        if found.type != INT:
-            found.align = 8
-        return found
+        value = self.builder.load(pointer)
+        if value.type == BYTE:
+            return self.builder.trunc(value, BIT)
+        if value.type != INT:
+            value.align = 8
+        return value
 
     def store(self, array: Array, places: list[Any], value: Any, width: int) -> None:
         """Put a number into an array, or a vector along it."""
@@ -82,9 +82,9 @@ class Arrays(Values):
                 value = self.spread(value, width)
             elif isinstance(value.type, ir.VectorType):
                 raise Refused("numbers of all lanes in one place")
-        made = self.builder.store(value, pointer)
+        instruction = self.builder.store(value, pointer)
         if kind not in (BYTE, INT):
-            made.align = 8
+            instruction.align = 8
 
     def contiguous(self, pointer: Any, shape: Sequence[Any]) -> Array:
         """Return an array whose numbers stand one behind another, row by row."""

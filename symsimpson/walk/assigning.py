@@ -51,10 +51,10 @@ class Assigning(Functions):
         if result is not None:
             results = result if isinstance(result, list) else [result]
             if frame.slots is None:
-                frame.slots = [values.slot(one, self._width) for one in results]
+                frame.slots = [values.slot(part, self._width) for part in results]
                 frame.result = frame.slots if isinstance(result, list) else frame.slots[0]
-            for slot, one in zip(frame.slots, results, strict=True):
-                values.write(slot, one)
+            for slot, value in zip(frame.slots, results, strict=True):
+                values.write(slot, value)
         frame.exit = frame.exit or values.new_block("left")
         values.builder.branch(frame.exit)
         return True
@@ -63,8 +63,8 @@ class Assigning(Functions):
         if not isinstance(target, ast.Tuple):
             self._put(target, self._places(target, env), value, env)
             return
-        for part, one in zip(target.elts, value, strict=True):
-            self._assign(part, one, env)
+        for part, item in zip(target.elts, value, strict=True):
+            self._assign(part, item, env)
 
     def _at(self, target: Any, place: Any, env: Env) -> Any:
         return self._named(target.id, env) if place is None else self._read(place)

@@ -53,13 +53,15 @@ class Blocks(Rows):
             return table.item() if hasattr(table, "item") else table
         if any(isinstance(place, Along) for place in places):
             raise Refused("an entry of a table for each lane")
-        made, shape = self._table(table)
+        variable, shape = self._table(table)
         if len(shape) != len(places):
             raise Refused("a part of a table")
         flat: Any = 0
         for size, place in zip(shape, places, strict=True):
             flat = self.add(self.multiply(flat, size), place)
-        return self.builder.load(self.builder.gep(made, [INT(0), self.whole(flat)], inbounds=True))
+        return self.builder.load(
+            self.builder.gep(variable, [INT(0), self.whole(flat)], inbounds=True)
+        )
 
     def _table(self, table: Any) -> tuple[Any, tuple[int, ...]]:
         key = id(table)
@@ -69,10 +71,14 @@ class Blocks(Rows):
             numbers = [kind(x) for x in array.ravel().tolist()]
             module = self.builder.module
             name = module.get_unique_name(".table")
-            made = ir.GlobalVariable(module, ir.ArrayType(kind, len(numbers)), name)
-            made.initializer = ir.Constant(made.value_type, numbers)
-            made.global_constant, made.linkage, made.unnamed_addr = True, "internal", True
-            self._tables[key] = made, array.shape
+            variable = ir.GlobalVariable(module, ir.ArrayType(kind, len(numbers)), name)
+            variable.initializer = ir.Constant(variable.value_type, numbers)
+            variable.global_constant, variable.linkage, variable.unnamed_addr = (
+                True,
+                "internal",
+                True,
+            )
+            self._tables[key] = variable, array.shape
         return self._tables[key]
 
     # -- variables
@@ -133,32 +139,32 @@ class Blocks(Rows):
 
     def picked(self, truth: Any, yes: Callable[[], Any], other: Callable[[], Any]) -> Any:
         """Return one of two values, of which the other is not computed."""
-        builder, found, ends = self.builder, [], []
+        builder, incoming, ends = self.builder, [], []
         blocks = [builder.append_basic_block(name) for name in ("yes", "no", "then")]
         builder.cbranch(truth, *blocks[:2])
         for block, way in zip(blocks, (yes, other), strict=False):
             builder.position_at_end(block)
-            found.append(way())
+            incoming.append(way())
             ends.append(builder.block)
-        if isinstance(found[0], Array):  # a part of an array is computed without reading it
+        if isinstance(incoming[0], Array):  # a part of an array is computed without reading it
             for end in ends:
                 builder.position_at_end(end)
                 builder.branch(blocks[2])
             builder.position_at_end(blocks[2])
-            return self._joined(found, ends)
-        if all(known(x) for x in found):
-            found = [self.typed(x, y) for x, y in zip(found, found[::-1], strict=True)]
-        kinds = {x.type for x in found if not known(x)}
+            return self._joined(incoming, ends)
+        if all(known(x) for x in incoming):
+            incoming = [self.typed(x, y) for x, y in zip(incoming, incoming[::-1], strict=True)]
+        kinds = {x.type for x in incoming if not known(x)}
         for k, end in enumerate(ends):
             builder.position_at_end(end)
             if DOUBLE in kinds:
-                found[k] = self.real(found[k])
-            elif known(found[k]):
-                found[k] = self.bit(found[k]) if kinds == {BIT} else self.whole(found[k])
+                incoming[k] = self.real(incoming[k])
+            elif known(incoming[k]):
+                incoming[k] = self.bit(incoming[k]) if kinds == {BIT} else self.whole(incoming[k])
             builder.branch(blocks[2])
         builder.position_at_end(blocks[2])
-        result = builder.phi(found[0].type)
-        for value, end in zip(found, ends, strict=True):
+        result = builder.phi(incoming[0].type)
+        for value, end in zip(incoming, ends, strict=True):
             result.add_incoming(value, end)
         return result
 
@@ -216,7 +222,7 @@ class Blocks(Rows):
 
     def call_at(self, address: Any, arguments: list[Any]) -> None:
         """Call a kernel by its address."""
-        kind = ir.FunctionType(ir.VoidType(), [one.type for one in arguments])
+        kind = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments])
         self.builder.call(self.builder.inttoptr(address, kind.as_pointer()), arguments)
 
     def new_block(self, name: str) -> Any:
@@ -232,16 +238,16 @@ class Blocks(Rows):
         """
         builder, module = self.builder, self.builder.module
         size: Any = 1
-        for one in shape:
-            size = self.multiply(size, one)
+        for extent in shape:
+            size = self.multiply(size, extent)
         raw = BYTE.as_pointer()
         kinds = {
             "malloc": ir.FunctionType(raw, [INT]),
             "free": ir.FunctionType(ir.VoidType(), [raw]),
         }
         known_as = {
-            name: module.globals.get(name) or ir.Function(module, made, name)
-            for name, made in kinds.items()
+            name: module.globals.get(name) or ir.Function(module, signature, name)
+            for name, signature in kinds.items()
         }
         with builder.goto_entry_block():
             place = builder.alloca(raw)
@@ -250,11 +256,11 @@ class Blocks(Rows):
             freed.append(known_as["free"])
         freed.append(place)
         least = self.multiply(self._largest(size), 8)  # a size of 0 has an address, too
-        made = builder.call(known_as["malloc"], [self.whole(least)])
+        address = builder.call(known_as["malloc"], [self.whole(least)])
         # an array that is made again in a loop takes the place of the one before
         builder.call(known_as["free"], [builder.load(place)])
-        builder.store(made, place)
-        array = self.contiguous(builder.bitcast(made, kind.as_pointer()), shape)
+        builder.store(address, place)
+        array = self.contiguous(builder.bitcast(address, kind.as_pointer()), shape)
         if value is not None:
             flat = Array(array.pointer, (size,), (1,))
             self.each(size, lambda k: self.store(flat, [k], value, 0))

@@ -93,20 +93,22 @@ class Functions(Expressions):
         match name, arguments:
             case "copy", []:
                 freed = self._frames[-1].freed
-                made = values.room(array.pointer.type.pointee, [array.size], None, freed)
+                copy = values.room(array.pointer.type.pointee, [array.size], None, freed)
                 values.each(
-                    array.size, lambda k: values.store(made, [k], values.load(array, [k], 0), 0)
+                    array.size, lambda k: values.store(copy, [k], values.load(array, [k], 0), 0)
                 )
-                return made
+                return copy
             case "reshape", [1, -1]:
                 return Array(array.pointer, (1, array.size), (array.size, *array.strides))
         raise Refused(f"a call of .{name}")
 
     def _extreme(self, sign: str, arguments: list[Any]) -> Any:
-        found = arguments[0]
+        extreme = arguments[0]
         for value in arguments[1:]:
-            found = self._values.choose(self._values.compare(sign, value, found), value, found)
-        return found
+            extreme = self._values.choose(
+                self._values.compare(sign, value, extreme), value, extreme
+            )
+        return extreme
 
     def _outside(self, function: ast.FunctionDef, arguments: list[Any]) -> Any:
         """Walk a function by itself, once for each kind of its arguments, and call it."""
@@ -116,8 +118,8 @@ class Functions(Expressions):
             self._made[key] = values.apart(
                 function.name,
                 given,
-                lambda own: self._inside(function, values.unpacked(key, own)),
+                lambda parameters: self._inside(function, values.unpacked(key, parameters)),
                 self._apart[function.name],
             )
-        made, results = self._made[key]
-        return values.call_apart(made, given, results)
+        callee, results = self._made[key]
+        return values.call_apart(callee, given, results)

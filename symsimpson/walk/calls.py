@@ -40,9 +40,9 @@ class Calls(Blocks):
 
         return (name, tuple(map(take, arguments))), given
 
-    def unpacked(self, key: Any, own: list[Any]) -> list[Any]:
+    def unpacked(self, key: Any, values: list[Any]) -> list[Any]:
         """Return the arguments of a function, made of the values that it was called with."""
-        rest = iter(own)
+        rest = iter(values)
 
         def back(kind: Any) -> Any:
             match kind:
@@ -68,14 +68,14 @@ class Calls(Blocks):
         """Walk a function by itself; returns it, and the types of its results."""
         module, builder = self.builder.module, self.builder
         kind = ir.FunctionType(ir.VoidType(), [INT.as_pointer(), *(x.type for x in given)])
-        made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
-        made.linkage = "internal"
-        machine = (one for one in builder.function.attributes if one.startswith('"'))
+        function = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+        function.linkage = "internal"
+        machine = (text for text in builder.function.attributes if text.startswith('"'))
         for attribute in (*machine, *attributes):
-            set.add(made.attributes, attribute)
-        self.builder = ir.IRBuilder(made.append_basic_block("entry"))
-        found = walk(list(made.args[1:]))
-        results = found if isinstance(found, list) else [] if found is None else [found]
+            set.add(function.attributes, attribute)
+        self.builder = ir.IRBuilder(function.append_basic_block("entry"))
+        result = walk(list(function.args[1:]))
+        results = result if isinstance(result, list) else [] if result is None else [result]
         typed = [
             self.whole(x)
             if isinstance(x, int) and not isinstance(x, bool)
@@ -87,11 +87,11 @@ class Calls(Blocks):
             for x in results
         ]
         for k, value in enumerate(typed):
-            self.builder.store(value, self._result(made.args[0], k, value.type))
+            self.builder.store(value, self._result(function.args[0], k, value.type))
         self.builder.ret_void()
         self.builder = builder
         types = [value.type for value in typed]
-        return made, types if isinstance(found, list) else types[0] if types else None
+        return function, types if isinstance(result, list) else types[0] if types else None
 
     def call_apart(self, function: Any, given: list[Any], results: Any) -> Any:
         """Call such a function."""

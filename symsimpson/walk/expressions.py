@@ -177,10 +177,10 @@ class Expressions(ABC):
             case ast.Attribute(value=value, attr="size"):
                 return self._array(value, env).size
             case ast.Compare(left=left, ops=[ast.In()], comparators=[ast.Tuple(elts=parts)]):
-                a, found = self._value(left, env), False
+                a, truth = self._value(left, env), False
                 for part in parts:
-                    found = values.either(found, values.compare("==", a, self._value(part, env)))
-                return found
+                    truth = values.either(truth, values.compare("==", a, self._value(part, env)))
+                return truth
             case ast.Compare(left=left, ops=[op], comparators=[right]):
                 a, b = self._value(left, env), self._value(right, env)
                 return values.compare(COMPARED[type(op)], a, b)
@@ -289,7 +289,7 @@ class Expressions(ABC):
         return self._values.choose(truth, one(), two())
 
     def _array(self, node: ast.expr, env: Env) -> Array:
-        found = self._value(node, env)
-        if not isinstance(found, Array):
+        value = self._value(node, env)
+        if not isinstance(value, Array):
             raise Refused("something else where an array is wanted")
-        return found
+        return value

@@ -66,14 +66,14 @@ def walking_function(text: Callable[[], Text], name: str, signature: Any, bits: 
         for attribute in apart[name]:
             builder.function.attributes.add(attribute)
         given = [
-            _argument(context, values, kind, one)
-            for kind, one in zip(called.args, arguments, strict=True)
+            _argument(context, values, kind, argument)
+            for kind, argument in zip(called.args, arguments, strict=True)
         ]
-        found = Walker(whole, values, library(context), FEW, apart).function(name, given)
+        return_value = Walker(whole, values, library(context), FEW, apart).function(name, given)
         if called.return_type == types.void:
             return context.get_dummy_value()
         result = called.return_type
-        return values.bit(found) if result == types.boolean else values.whole(found)
+        return values.bit(return_value) if result == types.boolean else values.whole(return_value)
 
     return called_by_stub(signature, code)
 

@@ -24,8 +24,8 @@ __all__ = ["called_by_stub", "library", "stub", "stubs", "walker_digest", "walki
 @cache
 def walker_digest() -> str:
     """Return a digest of the files of this package, which may make other code of the same text."""
-    files = sorted(resources.files("symsimpson.walk").iterdir(), key=lambda one: one.name)
-    content = b"".join(one.read_bytes() for one in files if one.name.endswith(".py"))
+    files = sorted(resources.files("symsimpson.walk").iterdir(), key=lambda file: file.name)
+    content = b"".join(file.read_bytes() for file in files if file.name.endswith(".py"))
     return hashlib.sha256(content).hexdigest()
 
 
@@ -45,10 +45,10 @@ def called_by_stub(signature: Any, code: Callable[..., Any]) -> Any:
     """Return an intrinsic of numba with this signature and this generator of instructions."""
     from numba.extending import intrinsic
 
-    made: dict[str, Any] = {"signature": signature, "code": code}
+    namespace: dict[str, Any] = {"signature": signature, "code": code}
     names = _names(len(signature.args))
-    exec(f"def walked(typing_context, {names}): return signature, code", made)
-    return intrinsic(made["walked"])
+    exec(f"def walked(typing_context, {names}): return signature, code", namespace)
+    return intrinsic(namespace["walked"])
 
 
 def _names(count: int) -> str:
@@ -72,8 +72,8 @@ def walking(text: str, name: str, lanes: int, bits: int) -> Any:
 
     def code(context: Any, builder: Any, signature: Any, arguments: list[Any]) -> Any:
         set.add(builder.function.attributes, wide(bits))  # it is inlined there
-        made = function(context, builder.module, read_text(text), name, lanes, bits)
-        builder.call(made, arguments)
+        callee = function(context, builder.module, read_text(text), name, lanes, bits)
+        builder.call(callee, arguments)
         return context.get_dummy_value()
 
     pointer: Any = types.CPointer  # which has no types of its own
@@ -103,8 +103,8 @@ def library(context: Any) -> Callable[[Any, Any, list[Any]], Any]:
     def call(builder: ir.IRBuilder, function: Any, arguments: list[Any]) -> Any:
         kind = context.typing_context.resolve_value_type(function)
         numbers = [types.float64] * len(arguments)
-        found = kind.get_call_type(context.typing_context, numbers, {})
-        return context.get_function(kind, found)(builder, arguments)
+        signature = kind.get_call_type(context.typing_context, numbers, {})
+        return context.get_function(kind, signature)(builder, arguments)
 
     return call
 
@@ -130,20 +130,20 @@ def _walked(
     alone: frozenset[str] = frozenset(),
 ) -> ir.Function:
     kind = ir.FunctionType(ir.VoidType(), [DOUBLE, DOUBLE, DOUBLE.as_pointer()])
-    made = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
-    made.linkage = "internal"
-    made.attributes.add("alwaysinline")
-    set.add(made.attributes, wide(bits))
-    builder = BlockBuilder(made.append_basic_block("entry"))
-    h, t, workspace = made.args
+    kernel = ir.Function(module, kind, module.get_unique_name(f"walked_{name}"))
+    kernel.linkage = "internal"
+    kernel.attributes.add("alwaysinline")
+    set.add(kernel.attributes, wide(bits))
+    builder = BlockBuilder(kernel.append_basic_block("entry"))
+    h, t, workspace = kernel.args
 
     rows = Array(workspace, (None, lanes), (lanes, 1), values=True)
     walker = Walker(text, Calls(builder), library(context))
     try:
-        vector, own = at_once and lanes > 1, at_once and lanes == 1
-        walker.kernel(name, h, t, rows, vector=vector, own=own, alone=alone)
+        vector, lane_scratch = at_once and lanes > 1, at_once and lanes == 1
+        walker.kernel(name, h, t, rows, vector=vector, lane_scratch=lane_scratch, alone=alone)
     except (Refused, GenerationError):
-        module.globals.pop(made.name)
+        module.globals.pop(kernel.name)
         raise
     builder.ret_void()
-    return made
+    return kernel

@@ -26,12 +26,12 @@ def own_blocks(node: ast.For, name: str, text: Text) -> frozenset[str] | None:
 
     None if turns depend on each other, or branch.
     """
-    found = _Accesses(text, node)
-    fine = found.follow(node.body, {name: frozenset({_TURN})})
+    accesses = _Accesses(text, node)
+    fine = accesses.follow(node.body, {name: frozenset({_TURN})})
     # what stands in rows by the number of the turn stands elsewhere for all
-    apart = not found.first.keys() & found.along
-    set_first = all(found.first[block] == _WHOLE for block in found.written)
-    return frozenset(found.written) if fine and apart and set_first else None
+    apart = not accesses.first.keys() & accesses.along
+    set_first = all(accesses.first[block] == _WHOLE for block in accesses.written)
+    return frozenset(accesses.written) if fine and apart and set_first else None
 
 
 class _Accesses:
@@ -57,29 +57,31 @@ class _Accesses:
         self.written: set[str] = set()
         self.along: set[str] = set()
 
-    def follow(self, body: Iterable[ast.stmt], own: Origins) -> bool:
+    def follow(self, body: Iterable[ast.stmt], origins: Origins) -> bool:
         """Follow statements; returns whether all of them are of kinds that are known here."""
-        return all(self._statement(statement, own) for statement in body)
+        return all(self._statement(statement, origins) for statement in body)
 
-    def _statement(self, node: ast.stmt, own: Origins) -> bool:
+    def _statement(self, node: ast.stmt, origins: Origins) -> bool:
         match node:
             case ast.Expr(value=ast.Constant()):
                 return True
             case ast.Expr(value=value):
-                return self._read(value, own)
+                return self._read(value, origins)
             case ast.Assign(targets=[target], value=value):
-                return self._read(value, own) and self._set(target, self._names(value, own), own)
+                return self._read(value, origins) and self._set(
+                    target, self._names(value, origins), origins
+                )
             case ast.AugAssign(target=target, value=value):
-                read = self._read(value, own) and self._read(target, own)
-                return read and self._set(target, self._names(node, own), own)
+                read = self._read(value, origins) and self._read(target, origins)
+                return read and self._set(target, self._names(node, origins), origins)
             case ast.For(target=ast.Name(id=name), iter=source):
-                own[name] = self._names(source, own)
-                return not own[name] & _MOVING and self._inner(node, name, own)
+                origins[name] = self._names(source, origins)
+                return not origins[name] & _MOVING and self._inner(node, name, origins)
             case ast.Return(value=ast.expr() as value):
-                return self._read(value, own)
+                return self._read(value, origins)
         return False
 
-    def _inner(self, node: ast.For, name: str, own: Origins) -> bool:
+    def _inner(self, node: ast.For, name: str, origins: Origins) -> bool:
         """Follow a loop in the loop, until it is known where all that it carries comes from."""
         match node.iter:
             case ast.Call(func=ast.Name(id="range"), args=[ast.Name(id=size)]):
@@ -88,56 +90,60 @@ class _Accesses:
             case _:
                 self._counts.pop(name, None)
         while True:
-            before = dict(own)
-            if not self.follow(node.body, own):
+            before = dict(origins)
+            if not self.follow(node.body, origins):
                 return False
-            for key in own:
-                own[key] |= before.get(key, frozenset())
-            if own == before:
+            for key in origins:
+                origins[key] |= before.get(key, frozenset())
+            if origins == before:
                 return True
 
     def _called(self, function: ast.FunctionDef, given: list[frozenset[str]]) -> bool:
         self._depth += 1
-        names, counts, self._counts = [one.arg for one in function.args.args], self._counts, {}
+        names, counts, self._counts = (
+            [parameter.arg for parameter in function.args.args],
+            self._counts,
+            {},
+        )
         fine = self.follow(function.body, dict(zip(names, given, strict=True)))
         self._depth, self._counts = self._depth - 1, counts
         return fine
 
-    def _set(self, target: ast.expr, value: frozenset[str], own: Origins) -> bool:
+    def _set(self, target: ast.expr, value: frozenset[str], origins: Origins) -> bool:
         match target:
             case ast.Name(id=name):
-                own[name] = value
+                origins[name] = value
                 self._unset -= set() if self._depth else {name}
             case ast.Tuple(elts=parts):
-                return all(self._set(part, value, own) for part in parts)
+                return all(self._set(part, value, origins) for part in parts)
             case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
-                return self._access(row, own, "set")
+                return self._access(row, origins, "set")
             case _:
                 return False
         return True
 
-    def _read(self, node: ast.AST, own: Origins) -> bool:
+    def _read(self, node: ast.AST, origins: Origins) -> bool:
         match node:
             case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
-                return self._access(row, own, "read")
-            case ast.IfExp(test=test) if self._names(test, own) & _MOVING:
+                return self._access(row, origins, "read")
+            case ast.IfExp(test=test) if self._names(test, origins) & _MOVING:
                 return False
             case ast.Call(func=ast.Name(id=called), args=arguments):
-                if not all(self._read(one, own) for one in arguments):
+                if not all(self._read(argument, origins) for argument in arguments):
                     return False
                 function = self._text.functions.get(called)
-                given = [self._names(one, own) for one in arguments]
+                given = [self._names(argument, origins) for argument in arguments]
                 return function is None or self._called(function, given)
             case ast.Name(id=name) if not self._depth and name in self._unset:
                 return False
-        return all(self._read(child, own) for child in ast.iter_child_nodes(node))
+        return all(self._read(child, origins) for child in ast.iter_child_nodes(node))
 
-    def _access(self, row: ast.expr, own: Origins, how: str) -> bool:
-        names = self._names(row, own)
+    def _access(self, row: ast.expr, origins: Origins, how: str) -> bool:
+        names = self._names(row, origins)
         blocks = names & self._text.blocks.keys()
         if names & _MOVING:
             self.along |= blocks
-            return self._by_turn(row, own)
+            return self._by_turn(row, origins)
         for block in blocks:
             whole = how == "set" and self._whole(row, block)
             self.first.setdefault(block, _WHOLE if whole else how)
@@ -153,7 +159,7 @@ class _Accesses:
                 return first == block and size > 0 and self._counts.get(name) == size
         return False
 
-    def _by_turn(self, row: ast.expr, own: Origins) -> bool:
+    def _by_turn(self, row: ast.expr, origins: Origins) -> bool:
         """Return whether a row is BLOCK + turn, or BLOCK + k * STRIDE + turn."""
         match row:
             case ast.BinOp(left=first, op=ast.Add(), right=ast.Name(id=last)):
@@ -165,13 +171,13 @@ class _Accesses:
                     ):
                         first = base
                 block = isinstance(first, ast.Name) and first.id in self._text.blocks
-                return block and own.get(last) == frozenset({_TURN})
+                return block and origins.get(last) == frozenset({_TURN})
         return False
 
     @staticmethod
-    def _names(node: ast.AST, own: Origins) -> frozenset[str]:
+    def _names(node: ast.AST, origins: Origins) -> frozenset[str]:
         if isinstance(node, ast.Name):
-            return own.get(node.id, frozenset({node.id}))
+            return origins.get(node.id, frozenset({node.id}))
         names = [part.id for part in ast.walk(node) if isinstance(part, ast.Name)]
-        found = frozenset[str]().union(*(own.get(name, frozenset({name})) for name in names))
-        return found - _MOVING | {_OF_TURN} if found & _MOVING else found
+        sources = frozenset[str]().union(*(origins.get(name, frozenset({name})) for name in names))
+        return sources - _MOVING | {_OF_TURN} if sources & _MOVING else sources

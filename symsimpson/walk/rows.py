@@ -75,12 +75,12 @@ class Rows(Arrays):
             if array.values:
                 self._settle()
             return super().load(array, places, width)
-        found = self._from_others(first, rows)
-        if found is None:
+        value = self._from_others(first, rows)
+        if value is None:
             self._settle(self._overlapping(first, rows))
-            found = super().load(array, places, width)
-            self._rows[first] = _Row(found, rows)
-        return found
+            value = super().load(array, places, width)
+            self._rows[first] = _Row(value, rows)
+        return value
 
     def _from_others(self, first: int, rows: int) -> Any:
         """Return rows that are values: by themselves, of a vector, or each for itself; or None."""
@@ -155,8 +155,8 @@ class Rows(Arrays):
     def _overlapping(self, first: int, rows: int) -> list[tuple[int, _Row]]:
         """List the rows that share numbers with so many from a first one on."""
         near = range(first - MOST_ROWS + 1, first + rows)
-        found = [(place, self._rows[place]) for place in near if place in self._rows]
-        return [(place, row) for place, row in found if place + row.rows > first]
+        candidates = [(place, self._rows[place]) for place in near if place in self._rows]
+        return [(place, row) for place, row in candidates if place + row.rows > first]
 
     def _settle(self, rows: list[tuple[int, _Row]] | None = None) -> None:
         """Store what is not stored yet, of all rows or of some."""

@@ -65,4 +65,4 @@ def read_text(text: str) -> Text:
 
 def _walked(node: ast.FunctionDef) -> bool:
     marks = [mark.id for mark in node.decorator_list if isinstance(mark, ast.Name)]
-    return "compiled" in marks or [one.arg for one in node.args.args] == ARGUMENTS
+    return "compiled" in marks or [argument.arg for argument in node.args.args] == ARGUMENTS

@@ -83,16 +83,20 @@ def _parts(node: ast.AST) -> Iterator[ast.AST]:
 @lru_cache(maxsize=65536)
 def weight(node: ast.AST, text: Text) -> int:
     """Return about how many operations a statement has, in the functions that it calls too."""
-    own = 0
+    operations = 0
     for part in _parts(node):
         match part:
             case ast.For(iter=source, body=body):
-                own += _turns(source, text) * sum(weight(statement, text) for statement in body)
+                operations += _turns(source, text) * sum(
+                    weight(statement, text) for statement in body
+                )
             case ast.BinOp() | ast.Compare() | ast.IfExp() | ast.Subscript():
-                own += 1
+                operations += 1
             case ast.Call(func=ast.Name(id=name)) if name in text.functions:
-                own += sum(weight(statement, text) for statement in text.functions[name].body)
-    return own
+                operations += sum(
+                    weight(statement, text) for statement in text.functions[name].body
+                )
+    return operations
 
 
 def _turns(source: ast.expr, text: Text) -> int:
@@ -149,7 +153,7 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                 function = text.functions.get(called)
                 if function is not None and not _straight(function):
                     return False
-                return all(fine(one) for one in arguments)
+                return all(fine(argument) for argument in arguments)
         return all(fine(child) for child in ast.iter_child_nodes(expression))
 
     inside = assigned(node.body)
@@ -163,8 +167,8 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                 targets = [target]
             case _:
                 return False
-        for one in targets:
-            match one:
+        for destination in targets:
+            match destination:
                 case ast.Name(id=new):
                     set_here.add(new)
                 case ast.Subscript(value=ast.Name(id="W"), slice=ast.Tuple(elts=[row, _])):
@@ -173,8 +177,8 @@ def vectors(node: ast.For, name: str, turns: range, text: Text, known: Mapping[s
                 case _:
                     return False
     return bool(written) and all(
-        own == other or own[1] <= other[0] or other[1] <= own[0]
-        for own in written
+        span == other or span[1] <= other[0] or other[1] <= span[0]
+        for span in written
         for other in [*written, *read]
     )
 
@@ -193,9 +197,11 @@ def _straight(function: ast.FunctionDef) -> bool:
 def _base(place: ast.expr, name: str) -> ast.expr | None:
     """Return a row without a last summand of this name: the row itself if it has none, or None."""
     match place:
-        case ast.Name(id=own) if own == name:
+        case ast.Name(id=identifier) if identifier == name:
             return None
-        case ast.BinOp(left=left, op=ast.Add(), right=ast.Name(id=own)) if own == name:
+        case ast.BinOp(left=left, op=ast.Add(), right=ast.Name(id=identifier)) if (
+            identifier == name
+        ):
             return left
     return place
 
@@ -222,8 +228,8 @@ def _number(node: ast.expr, text: Text, known: Mapping[str, int]) -> int | None:
         case ast.Constant(value=int(value)):
             return value
         case ast.Name(id=name):
-            found: Any = known.get(name, text.constants.get(name))
-            return found if isinstance(found, int) else None
+            number: Any = known.get(name, text.constants.get(name))
+            return number if isinstance(number, int) else None
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub() | ast.Mult() as op, right=right):
             a, b = _number(left, text, known), _number(right, text, known)
             if a is None or b is None:

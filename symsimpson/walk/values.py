@@ -109,12 +109,12 @@ class Values:
         width = next((kind.count for kind in kinds if isinstance(kind, ir.VectorType)), 0)
         elements = {kind.element if isinstance(kind, ir.VectorType) else kind for kind in kinds}
         if elements == {BIT} and all(isinstance(x, bool) for x in values if known(x)):
-            made = [self.bit(value) for value in values]
+            operands = [self.bit(value) for value in values]
         elif elements <= {INT, BIT} and not any(isinstance(value, float) for value in values):
-            made = [self.whole(value) for value in values]
+            operands = [self.whole(value) for value in values]
         else:
-            made = [self.real(value) for value in values]
-        return [self.spread(value, width) for value in made] if width else made
+            operands = [self.real(value) for value in values]
+        return [self.spread(value, width) for value in operands] if width else operands
 
     def spread(self, value: Any, width: int) -> Any:
         """Return a vector that has a number in all lanes."""
@@ -133,14 +133,14 @@ class Values:
     def add(self, a: Any, b: Any) -> Any:
         """Return a + b."""
         if isinstance(a, Own) or isinstance(b, Own):
-            own, more = (a, b) if isinstance(a, Own) else (b, a)
-            return Own(own.memory, own.rows, self.add(own.place, more))
+            row, more = (a, b) if isinstance(a, Own) else (b, a)
+            return Own(row.memory, row.rows, self.add(row.place, more))
         if isinstance(a, Along) or isinstance(b, Along):
             return self._along(a, b, self.add)
         if known(a) and known(b):
             return a + b
-        for one, other in ((a, b), (b, a)):
-            if known(one) and one == 0 and not self._turns(one, other):
+        for operand, other in ((a, b), (b, a)):
+            if known(operand) and operand == 0 and not self._turns(operand, other):
                 return self._number(other)
         return self._two("add", "fadd", a, b)
 
@@ -160,14 +160,14 @@ class Values:
         """Return a b; nothing is left of a factor 1, and zero of a factor 0."""
         if known(a) and known(b):
             return a * b
-        for one, other in ((a, b), (b, a)):
-            if known(one) and not self._turns(one, other):
-                if one == 1:
+        for factor, other in ((a, b), (b, a)):
+            if known(factor) and not self._turns(factor, other):
+                if factor == 1:
                     return self._number(other)
-                if one == -1 and self._is_real(other):
+                if factor == -1 and self._is_real(other):
                     return self.negative(other)
-                if one == 0 and self._flags:  # without them it may tell what is not finite
-                    return one
+                if factor == 0 and self._flags:  # without them it may tell what is not finite
+                    return factor
         return self._two("mul", "fmul", a, b)
 
     def fused(self, a: Any, b: Any, c: Any) -> Any:
@@ -195,8 +195,8 @@ class Values:
         if known(a) and known(b):
             return a // b
         a, b = self.whole(a), self.whole(b)
-        found = self.builder.sdiv(a, b)
-        return self.subtract(found, self._below(a, b))
+        quotient = self.builder.sdiv(a, b)
+        return self.subtract(quotient, self._below(a, b))
 
     def rest(self, a: Any, b: Any) -> Any:
         """The remainder of a number divided by another, of the sign of the divisor."""
@@ -209,8 +209,8 @@ class Values:
             wrong = self.builder.and_(other, self.compare("!=", left, 0.0))
             return self.choose(wrong, self.add(left, b), left)
         a, b = self.whole(a), self.whole(b)
-        found = self.builder.srem(a, b)
-        return self.add(found, self.choose(self._below(a, b), b, 0))
+        remainder = self.builder.srem(a, b)
+        return self.add(remainder, self.choose(self._below(a, b), b, 0))
 
     def _below(self, a: Any, b: Any) -> Any:
         """Return whether a division that cuts gives more than one that goes down."""
@@ -250,8 +250,8 @@ class Values:
         a, b = self.alike(a, b)
         if not self._is_real(a):
             return self.builder.icmp_signed(sign, a, b)
-        made = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
-        return made(sign, a, b, flags=self._flags)
+        comparison = self.builder.fcmp_unordered if sign == "!=" else self.builder.fcmp_ordered
+        return comparison(sign, a, b, flags=self._flags)
 
     def both(self, a: Any, b: Any) -> Any:
         """Both of two truths."""
@@ -327,9 +327,11 @@ class Values:
         """Return a value, a truth as 0 or 1."""
         return self.whole(value) if getattr(value, "type", None) == BIT else value
 
-    def _turns(self, one: Any, other: Any) -> bool:
+    def _turns(self, number: Any, other: Any) -> bool:
         """Return whether a known number would make a whole number a real one."""
-        return isinstance(one, float) and not isinstance(other, Along) and not self._is_real(other)
+        return (
+            isinstance(number, float) and not isinstance(other, Along) and not self._is_real(other)
+        )
 
     @staticmethod
     def _is_real(value: Any) -> bool:
@@ -349,9 +351,9 @@ class Values:
         return getattr(self.builder, of_whole)(a, b, flags=("nsw",))
 
     def _logic(self, a: Any, b: Any, *, settles: bool) -> Any:
-        for one, other in ((a, b), (b, a)):
-            if known(one):
-                return one if bool(one) is settles else other
+        for operand, other in ((a, b), (b, a)):
+            if known(operand):
+                return operand if bool(operand) is settles else other
         a, b = self.alike(a, b)
         return (self.builder.or_ if settles else self.builder.and_)(a, b)
 
@@ -360,7 +362,7 @@ class Values:
         vector = isinstance(a.type, ir.VectorType)
         full = f"llvm.{name}.{f'v{a.type.count}' if vector else ''}f64"
         module = self.builder.module
-        made = module.globals.get(full)
-        if made is None:
-            made = ir.Function(module, ir.FunctionType(a.type, [x.type for x in given]), full)
-        return self.builder.call(made, given, fastmath=self._flags)
+        intrinsic = module.globals.get(full)
+        if intrinsic is None:
+            intrinsic = ir.Function(module, ir.FunctionType(a.type, [x.type for x in given]), full)
+        return self.builder.call(intrinsic, given, fastmath=self._flags)

@@ -46,7 +46,7 @@ class Walker(Assigning):
         workspace: Array,
         *,
         vector: bool,
-        own: bool = False,
+        lane_scratch: bool = False,
         alone: frozenset[str] = frozenset(),
     ) -> None:
         """Walk a kernel for all lanes, as one vector if that is wanted.
@@ -61,7 +61,7 @@ class Walker(Assigning):
         Refused
             If lanes cannot be one vector.
         """
-        lanes, self._lanes_own, self._alone = workspace.shape[1], own, alone
+        lanes, self._lanes_own, self._alone = workspace.shape[1], lane_scratch, alone
         self._side_by_side = lanes if vector else 0
         if name not in LOOKED_AT:
             self._values.wanted = lambda place: self._wanted(place // lanes)
@@ -109,13 +109,15 @@ class Walker(Assigning):
 
     def _mentioned(self, node: ast.AST) -> frozenset[str]:
         """Return the scratch that is named in a statement, and in the functions that it calls."""
-        found = self._names.get(node)
-        if found is None:
-            own = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
-            functions = [self._text.functions[name] for name in own if name in self._text.functions]
-            named = frozenset(own & self._text.scratch.keys())
-            found = self._names[node] = named.union(*map(self._mentioned, functions))
-        return found
+        scratch = self._names.get(node)
+        if scratch is None:
+            names = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+            functions = [
+                self._text.functions[name] for name in names if name in self._text.functions
+            ]
+            named = frozenset(names & self._text.scratch.keys())
+            scratch = self._names[node] = named.union(*map(self._mentioned, functions))
+        return scratch
 
     def function(self, name: str, arguments: list[Any]) -> Any:
         """Walk a function, and return its result.
@@ -238,22 +240,22 @@ class Walker(Assigning):
     def _keep(self, node: ast.For, name: str, ends: Any, env: Env) -> None:
         """Walk a loop that stays one."""
         self._let_change(assigned(node.body) - {name}, env)
-        own = dict(env)
+        local_env = dict(env)
 
         def body(number: Any, loop: Loop) -> bool:
-            return self._turn(node.body, own | {name: number}, loop)
+            return self._turn(node.body, local_env | {name: number}, loop)
 
         self._values.loop(ends, body)
         env.pop(name, None)
 
     def _while(self, test: ast.expr, statements: Any, env: Env) -> None:
         self._let_change(assigned(statements), env)
-        own = dict(env)
+        local_env = dict(env)
 
         def body(loop: Loop) -> bool:
-            return self._turn(statements, dict(own), loop)
+            return self._turn(statements, dict(local_env), loop)
 
-        self._values.repeat(lambda: self._value(test, dict(own)), body)
+        self._values.repeat(lambda: self._value(test, dict(local_env)), body)
 
     def _turn(self, statements: Any, env: Env, loop: Loop) -> bool:
         """Walk one turn of a loop; returns whether it ends elsewhere."""
@@ -272,14 +274,14 @@ class Walker(Assigning):
         constants = {key: value for key, value in env.items() if isinstance(value, int)}
         if not vectors(node, name, turns, self._text, constants):
             return False
-        own = env | {name: Along(turns.start)}
+        local_env = env | {name: Along(turns.start)}
         self._width = len(turns)
         try:
-            self._block(node.body, own)
+            self._block(node.body, local_env)
         finally:
             self._width = 0
-        for one in assigned(node.body):  # they have no one value behind it
-            env.pop(one, None)
+        for variable in assigned(node.body):  # they have no one value behind it
+            env.pop(variable, None)
         return True
 
     def _with_own(self, node: ast.For, name: str, turns: range, env: Env) -> bool:
@@ -293,18 +295,20 @@ class Walker(Assigning):
         if not blocks or sum(len(text.blocks[x]) for x in blocks) * width > MOST_OWN:
             return False
         values = self._values
-        self._own = own = {x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)}
+        self._own = lane_rows = {
+            x: values.own_rows(len(text.blocks[x]), width) for x in sorted(blocks)
+        }
         self._width = width
         self._block(node.body, env | {name: Along(turns.start)})
         self._width, self._own = 0, {}
-        for one in assigned(node.body):  # they have no one value behind it
-            env.pop(one, None)
+        for variable in assigned(node.body):  # they have no one value behind it
+            env.pop(variable, None)
         around = [*(ahead.here for ahead in self._ahead[:-1]), *(x.after for x in self._ahead)]
         left = {x for x in blocks if x not in text.scratch or any(x in names for names in around)}
         for block in sorted(left):  # as the last turn leaves it
             for k, row in enumerate(text.blocks[block]):
                 last = values.element(
-                    values.load(env["W"], [values.add(own[block], k), 0], 0), width - 1
+                    values.load(env["W"], [values.add(lane_rows[block], k), 0], 0), width - 1
                 )
                 values.store(env["W"], [row, 0], last, 0)
         return True
@@ -324,7 +328,7 @@ class Walker(Assigning):
         """Walk a function where it is called; it may be the last of a statement."""
         if self._width and function.name in self._alone:
             return self._by_lanes(function, arguments)
-        env = dict(zip([one.arg for one in function.args.args], arguments, strict=True))
+        env = dict(zip([parameter.arg for parameter in function.args.args], arguments, strict=True))
         frame, values = Frame(function, self._mask), self._values
         self._frames.append(frame)
         left = (self._last if last else self._block)(function.body, env)
@@ -348,10 +352,10 @@ class Walker(Assigning):
 
         def body(number: Any, loop: Loop) -> bool:
             def walk() -> bool:
-                own = (
+                lane_arguments = (
                     values.add(x.first, number) if isinstance(x, Along) else x for x in arguments
                 )
-                if self._inside(function, [*own]) is not None:
+                if self._inside(function, [*lane_arguments]) is not None:
                     raise Refused("a result of one lane after another")
                 return False
 
