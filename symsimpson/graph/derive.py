@@ -54,18 +54,18 @@ def gradient(graph: Graph, value: Value, symbols: Sequence[int]) -> list[Value]:
     coefficient, root = value
     wanted = set(symbols)
     collected: dict[int, list[Value]] = {root: [(coefficient, 0)]}
-    found: dict[int, Value] = {}
+    adjoints: dict[int, Value] = {}
     for n in reversed(graph.reached([root])):
         if n not in collected or graph.nodes[n].symbols.isdisjoint(wanted):
             continue
         adjoint = graph.add(collected.pop(n))
         if n in wanted:
-            found[n] = adjoint
+            adjoints[n] = adjoint
             continue
         for m, outer in slopes(graph, n):
             if not graph.nodes[m].symbols.isdisjoint(wanted):
                 collected.setdefault(m, []).append(graph.multiply([adjoint, outer]))
-    return [found.get(x, ZERO) for x in symbols]
+    return [adjoints.get(x, ZERO) for x in symbols]
 
 
 def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
@@ -74,11 +74,11 @@ def slopes(graph: Graph, n: int) -> Iterable[tuple[int, Value]]:
     if kind == "sum":
         return [(m, (c, 0)) for c, m in parts]
     if kind == "product":
-        found = []
+        derivatives = []
         for k, (m, e) in enumerate(parts):
             others = [(1, base, f) for base, f in (*parts[:k], *parts[k + 1 :])]
-            found.append((m, graph.multiply([(e, m, e - 1), *others])))
-        return found
+            derivatives.append((m, graph.multiply([(e, m, e - 1), *others])))
+        return derivatives
     if kind == "function":
         name, *arguments = parts
         outer = _outer(graph, n, name, arguments)
@@ -93,7 +93,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
     """Return the derivatives of a function by its arguments."""
     x = arguments[0]
     square = graph.power(x, 2)
-    own = (1, n)
+    value = (1, n)
     half = Fraction(1, 2)
 
     def with_one(sign: int, of_square: int) -> Value:
@@ -115,7 +115,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "cosh":
             return [graph.function("sinh", x)]
         case "tanh":
-            return [graph.add([ONE, scaled(-1, graph.power(own, 2))])]
+            return [graph.add([ONE, scaled(-1, graph.power(value, 2))])]
         case "asinh":
             return [graph.power(with_one(1, 1), -half)]
         case "acosh":
@@ -123,7 +123,7 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
         case "atanh":
             return [graph.power(with_one(1, -1), -1)]
         case "exp":
-            return [own]
+            return [value]
         case "log":
             return [graph.power(x, -1)]
         case "erf" | "erfc":
@@ -131,8 +131,8 @@ def _outer(graph: Graph, n: int, name: str, arguments: Sequence[Value]) -> list[
             factor = graph.power(graph.constant("pi"), -half)
             return [graph.multiply([(2 if name == "erf" else -2, 0), factor, bell])]
         case "pow":
-            slope = graph.multiply([arguments[1], own, graph.power(x, -1)])
-            return [slope, graph.multiply([own, graph.function("log", x)])]
+            slope = graph.multiply([arguments[1], value, graph.power(x, -1)])
+            return [slope, graph.multiply([value, graph.function("log", x)])]
         case "atan2":
             y, x = arguments
             over = graph.power(graph.add([graph.power(x, 2), graph.power(y, 2)]), -1)

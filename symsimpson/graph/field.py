@@ -93,9 +93,9 @@ class PrimeField:
         if not isinstance(x, int):
             return self.draw("root", x)
         prime = self.prime
-        found = pow(x, (prime + 1) // 4, prime)
-        if found * found % prime == x:
-            return found
+        root = pow(x, (prime + 1) // 4, prime)
+        if root * root % prime == x:
+            return root
         return 0, pow(-x, (prime + 1) // 4, prime)
 
     def times(self, x: Element, y: Element) -> Element:
@@ -146,11 +146,11 @@ class Angles:
         if n not in self._known:
             kind, parts, _ = self._graph.nodes[n]
             if kind == "sum":
-                found: dict[int, Exact] = {}
+                combination: dict[int, Exact] = {}
                 for c, m in parts:
                     for base, f in self((c, m)).items():
-                        found[base] = found.get(base, 0) + f
-                self._known[n] = {m: c for m, c in found.items() if c}
+                        combination[base] = combination.get(base, 0) + f
+                self._known[n] = {m: c for m, c in combination.items() if c}
             else:
                 self._known[n] = {n: 1}
         return {m: Fraction(coefficient) * c for m, c in self._known[n].items()}
@@ -209,16 +209,16 @@ class Evaluation:
 
     def depending_on(self, x: int) -> set[int]:
         """Return the nodes whose values change when a symbol is drawn anew."""
-        own = self.containing(x)
-        if not own:
+        nodes = self.containing(x)
+        if not nodes:
             return set()
         values = _Layered(self.values)
         self._symbols[x] = self.arithmetic.draw("moved", self._graph.nodes[x].parts[0])
         try:
-            self._evaluate(own, values)
+            self._evaluate(nodes, values)
         finally:
             del self._symbols[x]
-        return {n for n in own if values[n] != self.values[n]}
+        return {n for n in nodes if values[n] != self.values[n]}
 
     def at(self, symbols: dict[int, Element]) -> Evaluation:
         """Return an evaluation with these symbols fixed, and all else drawn as here."""
@@ -257,8 +257,8 @@ class Evaluation:
             elif kind == "function":
                 values[n] = self._function(parts, values)
             elif kind == "symbol":
-                own = self._symbols.get(n)
-                values[n] = self.arithmetic.draw("symbol", parts[0]) if own is None else own
+                element = self._symbols.get(n)
+                values[n] = self.arithmetic.draw("symbol", parts[0]) if element is None else element
             else:
                 values[n] = 1 if n == 0 else self.arithmetic.draw("constant", *parts)
 
@@ -286,8 +286,10 @@ class Evaluation:
         if name in ("exp", "sinh", "cosh", "tanh"):
             unit: Element = 1
             for m, factor in self._angles(arguments[0]).items():
-                own = a.draw("exp", self._share(m, values[m]))
-                unit = times(unit, self._whole_power(own, int(factor * self._angles.divisors[m])))
+                exponential = a.draw("exp", self._share(m, values[m]))
+                unit = times(
+                    unit, self._whole_power(exponential, int(factor * self._angles.divisors[m]))
+                )
             if name == "exp":
                 return unit
             back = times(a.prime - 1, a.inverse(unit))
@@ -328,13 +330,13 @@ class Evaluation:
         return plus(times(c, d), minus), plus(times(s, d), times(c, r))
 
 
-def raised(times: Callable[[Any, Any], Any], one: Any, x: Any, count: int) -> Any:
-    """Return one times x to a whole power, by repeated squaring with any product."""
+def raised(times: Callable[[Any, Any], Any], unit: Any, x: Any, count: int) -> Any:
+    """Return unit times x to a whole power, by repeated squaring with any product."""
     while count:
         if count & 1:
-            one = times(one, x)
+            unit = times(unit, x)
         x, count = times(x, x), count >> 1
-    return one
+    return unit
 
 
 class _Layered(dict[int, Element]):

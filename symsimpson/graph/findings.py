@@ -86,8 +86,8 @@ class Findings:
         for number, point in enumerate(self.points):
             corners = [[at[value] for value in values] for at in _corners(point, symbols, number)]
             arithmetic = point.arithmetic
-            for k, (base, one, other, both) in enumerate(zip(*corners, strict=True)):
-                left, right = arithmetic.plus(base, both), arithmetic.plus(one, other)
+            for k, (base, first, other, both) in enumerate(zip(*corners, strict=True)):
+                left, right = arithmetic.plus(base, both), arithmetic.plus(first, other)
                 answer[k] = answer[k] and left == right
         return answer
 

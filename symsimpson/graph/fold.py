@@ -94,8 +94,8 @@ class Fold:
             self._multiples[k, m] = program.line("product", [(number, 1), *parts], line.level)
 
     def _value(self, c: Exact, m: int) -> Any:
-        found = self._multiples.get((magnitude(c), m))
-        return (c, m) if found is None else (1 if c > 0 else -1, found)
+        line = self._multiples.get((magnitude(c), m))
+        return (c, m) if line is None else (1 if c > 0 else -1, line)
 
 
 def _multiplied(line: Line) -> list[Any]:

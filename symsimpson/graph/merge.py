@@ -29,15 +29,15 @@ def evaluations(
     """
     if opaque is None:
         opaque = dependent_radicands(graph, roots)
-    found: list[Evaluation] = []
+    points: list[Evaluation] = []
     for seed in range(count + TRIES):
         try:
             numbers = PrimeField(seed, PRIME if seed < TRIES // 2 else LARGER)
-            found.append(Evaluation(graph, roots, numbers, opaque))
+            points.append(Evaluation(graph, roots, numbers, opaque))
         except ZeroDivisionError:
             continue
-        if len(found) == count:
-            return found
+        if len(points) == count:
+            return points
     raise ZeroDivisionError
 
 

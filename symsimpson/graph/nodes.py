@@ -210,13 +210,15 @@ class Graph:
         """List the symbols, functions and sums, with their powers, that all have as factors."""
         shared: dict[int, Exact] | None = None
         for n in numbers:
-            own = {
+            powers = {
                 base: e for base, e in self.factors(n) if self.nodes[base].kind in COMMON and e > 0
             }
             if shared is None:
-                shared = own
+                shared = powers
             else:
-                shared = {base: min(e, own[base]) for base, e in shared.items() if base in own}
+                shared = {
+                    base: min(e, powers[base]) for base, e in shared.items() if base in powers
+                }
             if not shared:
                 return []
         return list((shared or {}).items())

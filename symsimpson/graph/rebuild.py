@@ -79,11 +79,11 @@ def fixed(graph: Graph, value: Value, symbols: Iterable[int]) -> Value | None:
     for x in sorted(symbols):
         for number in NUMBERS:
             try:
-                (found,) = rebuilt(graph, [value], {x: (number, 0)})
+                (candidate,) = rebuilt(graph, [value], {x: (number, 0)})
             except ZeroDivisionError:
                 continue
-            if same(graph, value, found):
-                value = found
+            if same(graph, value, candidate):
+                value = candidate
                 break
         else:
             return None

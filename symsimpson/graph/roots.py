@@ -30,14 +30,14 @@ MORE = 40
 
 def radicands(graph: Graph, nodes: Iterable[int]) -> list[int]:
     """List the nodes of which square roots are taken."""
-    found: dict[int, None] = {}
+    bases: dict[int, None] = {}
     for n in nodes:
         kind, parts, _ = graph.nodes[n]
         if kind == "product":
             for m, e in parts:
                 if e.denominator == 2:
-                    found[m] = None
-    return sorted(found)
+                    bases[m] = None
+    return sorted(bases)
 
 
 def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
@@ -51,12 +51,12 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
     """
     roots = list(roots)
     order = graph.reached(roots)
-    found, holding = radicands(graph, order), set[int]()  # roots, or what is made of some
+    bases, holding = radicands(graph, order), set[int]()  # roots, or what is made of some
     for n in order:
         if radicands(graph, [n]) or not holding.isdisjoint(graph.arguments(n)):
             holding.add(n)
-    nested = holding.intersection(found)
-    plain = [m for m in found if m not in nested]
+    nested = holding.intersection(bases)
+    plain = [m for m in bases if m not in nested]
     dependent = set(nested)
     having: dict[int, list[int]] = {}
     for m in plain:
@@ -71,18 +71,18 @@ def dependent_radicands(graph: Graph, roots: Iterable[int]) -> frozenset[int]:
     return frozenset(dependent)
 
 
-def _dependent(graph: Graph, own: list[int], angles: Angles, varied: int | None) -> set[int]:
+def _dependent(graph: Graph, bases: list[int], angles: Angles, varied: int | None) -> set[int]:
     """Return radicands of which a product is a square, as functions of all symbols or of one."""
     name = None if varied is None else graph.nodes[varied].parts[0]
     try:
-        at = Evaluation(graph, own, _Rows(len(own) + MORE, name), angles=angles)
+        at = Evaluation(graph, bases, _Rows(len(bases) + MORE, name), angles=angles)
     except ZeroDivisionError:
-        return set(own)
-    bits = [_bits(np.broadcast_to(at.values[m], len(own) + MORE)) for m in own]
+        return set(bases)
+    bits = [_bits(np.broadcast_to(at.values[m], len(bases) + MORE)) for m in bases]
     # a character that never changes is one of a constant, of either kind
-    constant = (1 << (len(own) + MORE)) - 1
+    constant = (1 << (len(bases) + MORE)) - 1
     places = _kernel(bits if varied is None else [*bits, constant])
-    return {own[k] for k in places if k < len(own)}
+    return {bases[k] for k in places if k < len(bases)}
 
 
 class _Rows:
@@ -132,7 +132,7 @@ def _bits(values: Row) -> int:
 def _kernel(bits: list[int]) -> set[int]:
     """Return the places that take part in a dependence modulo two."""
     basis: dict[int, tuple[int, int]] = {}
-    found: set[int] = set()
+    places: set[int] = set()
     for place, row in enumerate(bits):
         members = 1 << place
         while row:
@@ -143,5 +143,5 @@ def _kernel(bits: list[int]) -> set[int]:
             other, more = basis[top]
             row, members = row ^ other, members ^ more
         else:
-            found |= {k for k in range(place + 1) if members >> k & 1}
-    return found
+            places |= {k for k in range(place + 1) if members >> k & 1}
+    return places

@@ -144,8 +144,8 @@ class _Factors(_Pairs):
 
     def _pairs(self, n: int) -> dict[Pair, None]:
         lines = self._program.lines
-        own = sorted(item for item in lines[n].parts if lines[item[0]].level <= self._level)
-        return dict.fromkeys(combinations(own, 2)) if len(own) <= LONGEST else {}
+        operands = sorted(item for item in lines[n].parts if lines[item[0]].level <= self._level)
+        return dict.fromkeys(combinations(operands, 2)) if len(operands) <= LONGEST else {}
 
     def _line(self, pair: Pair) -> int:
         for n in self._where[pair]:
@@ -168,11 +168,11 @@ class _Terms(_Pairs):
 
     def _pairs(self, n: int) -> dict[Pair, None]:
         lines = self._program.lines
-        own = sorted((m, c) for c, m in lines[n].parts if 0 < lines[m].level <= self._level)
-        if len(own) > LONGEST:
+        terms = sorted((m, c) for c, m in lines[n].parts if 0 < lines[m].level <= self._level)
+        if len(terms) > LONGEST:
             return {}
         return dict.fromkeys(
-            ((1, a), (exact(Fraction(d) / c), b)) for (a, c), (b, d) in combinations(own, 2)
+            ((1, a), (exact(Fraction(d) / c), b)) for (a, c), (b, d) in combinations(terms, 2)
         )
 
     def _line(self, pair: Pair) -> int:

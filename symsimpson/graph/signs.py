@@ -79,10 +79,10 @@ class Signs:
     def _product(self, parts: Iterable[tuple[int, object]]) -> tuple[int, bool]:
         sign, strict = 1, True
         for m, e in parts:
-            own, definite = self._done[m]
+            factor_sign, definite = self._done[m]
             if e.denominator != 1 or e.numerator % 2 == 0:  # type: ignore[attr-defined]
-                own = 1
-            sign, strict = sign * own, strict and definite
+                factor_sign = 1
+            sign, strict = sign * factor_sign, strict and definite
         return sign, strict
 
     def real_everywhere(self, roots: Iterable[int]) -> bool:
