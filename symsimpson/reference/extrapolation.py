@@ -54,7 +54,7 @@ def extrapolate(
         If no step is small enough: the solution has a singularity. Also if it takes more than
         ``most`` steps, which is told early on.
     """
-    found = []
+    states = []
     t, H, taken = mpmath.mpf(0), mpmath.mpf(1) / 16, 0
     for end in times:
         while t != end:
@@ -71,8 +71,8 @@ def extrapolate(
             t, y = t + whole, new
             if columns < MOST_COLUMNS // 2:
                 H = abs(whole) * 2
-        found.append(y)
-    return found
+        states.append(y)
+    return states
 
 
 def _check_steps(taken: int, t: Any, end: Any, H: Any, most: int) -> None:

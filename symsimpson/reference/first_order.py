@@ -67,14 +67,14 @@ class FirstOrder:
 
     def values(self, given: Mapping[Any, Any] | None) -> list[Any]:
         """Merge parameter values, by name, into the defaults."""
-        found = dict(zip(self.names, self.parameters.values(), strict=True))
+        values = dict(zip(self.names, self.parameters.values(), strict=True))
         for key, value in (given or {}).items():
-            if str(key) not in found:
+            if str(key) not in values:
                 raise ValueError(
-                    f"{self.name} has no parameter {str(key)!r}. It has {', '.join(found)}."
+                    f"{self.name} has no parameter {str(key)!r}. It has {', '.join(values)}."
                 )
-            found[str(key)] = value
-        return list(found.values())
+            values[str(key)] = value
+        return list(values.values())
 
 
 def canonical(system: MechanicalSystem) -> FirstOrder:
@@ -93,18 +93,18 @@ def canonical(system: MechanicalSystem) -> FirstOrder:
     lines = Lines(plain, outputs)
     momenta = [x - lines.value("a", i) for i, x in enumerate(p)]
     carried = [lines.value("b", c) for c in range(held)]
-    solution, found = _solve(lines.held_mass(), [*momenta, *carried], "v")
-    v = found[:n]
+    solution, unknowns = _solve(lines.held_mass(), [*momenta, *carried], "v")
+    v = unknowns[:n]
     known = dict(zip(plain.v, v, strict=True))
     rates = [lines.value("F", i).xreplace(known) for i in range(n)]
     later = [(name, value.xreplace(known)) for name, value in lines.later]
     definitions = (*lines.early, *solution, *later)
     if held:
         right = [value.xreplace(known) for value in lines.right()]
-        solution, found = _solve(lines.held_mass(), right, "a")
+        solution, unknowns = _solve(lines.held_mass(), right, "a")
         definitions = (*definitions, *solution)
         rates = [
-            rate - sp.Add(*(lines.value("Phi", c, i) * found[n + c] for c in range(held)))
+            rate - sp.Add(*(lines.value("Phi", c, i) * unknowns[n + c] for c in range(held)))
             for i, rate in enumerate(rates)
         ]
     return _system(system, "canonical", (*plain.q, *p), definitions, (*v, *rates))
@@ -117,9 +117,9 @@ def second_order(system: MechanicalSystem) -> FirstOrder:
     """
     plain = system.plain
     lines = Lines(plain, {**_mass_and_a(plain), **_accelerating(plain)})
-    solution, found = _solve(lines.held_mass(), lines.right(), "a")
+    solution, unknowns = _solve(lines.held_mass(), lines.right(), "a")
     definitions = (*lines.early, *lines.later, *solution)
-    rates = (*plain.v, *found[: system.n])
+    rates = (*plain.v, *unknowns[: system.n])
     return _system(system, "second order", (*plain.q, *plain.v), definitions, rates)
 
 
@@ -173,13 +173,13 @@ def line_function(
     if modules != "mpmath":  # whole numbers are exact there, however large
         results = float_literals(list(results))
         definitions = [(name, float_literals(value)) for name, value in definitions]
-    made: Callable[..., Any] = sp.lambdify(
+    function: Callable[..., Any] = sp.lambdify(
         list(arguments),
         list(results),
         modules,
         cse=lambda expressions: (list(definitions), expressions),
     )
-    return made
+    return function
 
 
 class Lines:
@@ -233,8 +233,8 @@ class Lines:
 
 
 def _mass_and_a(plain: Plain) -> dict[Key, Value]:
-    found: dict[Key, Value] = {("M", i, j): value for (i, j), value in plain.M.items()}
-    return found | {("a", i): value for i, value in enumerate(plain.a)}
+    outputs: dict[Key, Value] = {("M", i, j): value for (i, j), value in plain.M.items()}
+    return outputs | {("a", i): value for i, value in enumerate(plain.a)}
 
 
 def _accelerating(plain: Plain) -> dict[Key, Value]:
@@ -242,12 +242,12 @@ def _accelerating(plain: Plain) -> dict[Key, Value]:
     places = plain.numbers(plain.q), plain.numbers(plain.v), plain.time
     graph, held = plain.graph, plain.held_rows(plain.graph)
     slopes, push, curve, _ = accelerations(graph, plain.L, held, plain.f, places)
-    found: dict[Key, Value] = {
+    outputs: dict[Key, Value] = {
         ("Phi", c, i): x for c, row in enumerate(slopes) for i, x in enumerate(row)
     }
-    found |= {("push", i): value for i, value in enumerate(push)}
-    found |= {("b", c): row[-1] for c, row in enumerate(held.rows, len(held.phi))}
-    return found | {("curve", c): value for c, value in enumerate(curve)}
+    outputs |= {("push", i): value for i, value in enumerate(push)}
+    outputs |= {("b", c): row[-1] for c, row in enumerate(held.rows, len(held.phi))}
+    return outputs | {("curve", c): value for c, value in enumerate(curve)}
 
 
 def _solve(

@@ -99,8 +99,8 @@ class ExactTop:
             rest = cubic[2] + b * u0
             root = context.sqrt(max(b**2 - 4 * a * rest, context.zero))
             return tuple(sorted([u0, (-b - root) / (2 * a), (-b + root) / (2 * a)]))
-        found = context.polyroots(cubic, maxsteps=200, extraprec=4 * context.prec)
-        return tuple(sorted(context.re(x) for x in found))
+        roots = context.polyroots(cubic, maxsteps=200, extraprec=4 * context.prec)
+        return tuple(sorted(context.re(x) for x in roots))
 
     @cached_property
     def _rate(self) -> Any:

@@ -88,8 +88,8 @@ def truth(
         values = [mpmath.mpf(x) for x in equations.values(parameters)]
 
         def f(y: Vector) -> Vector:
-            found: Vector = rates(*y, *values)
-            return found
+            slopes: Vector = rates(*y, *values)
+            return slopes
 
         start = [mpmath.mpf(x) for x in y0]
         points = [mpmath.mpf(x) for x in times]
