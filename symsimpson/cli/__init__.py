@@ -53,10 +53,10 @@ def _warnings_in_words() -> Iterator[None]:
 
 def _joined(arguments: Sequence[str]) -> list[str]:
     """Join options with values that begin with a minus, which would look like options."""
-    found: list[str] = []
+    joined: list[str] = []
     for argument in arguments:
-        if re.match(r"-[\d.]", argument) and found and found[-1].startswith("--"):
-            found[-1] += f"={argument}"
+        if re.match(r"-[\d.]", argument) and joined and joined[-1].startswith("--"):
+            joined[-1] += f"={argument}"
         else:
-            found.append(argument)
-    return found
+            joined.append(argument)
+    return joined

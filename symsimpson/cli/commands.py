@@ -113,13 +113,13 @@ def certify(options: argparse.Namespace) -> int:
         )
     else:
         stepper = compile_system(find(options.stepper, options.retimed), options.scheme)
-    found = stepper.certify(
+    certificate = stepper.certify(
         options.q0, options.v0, p0=options.p0, h=options.h, parameters=dict(options.parameters)
     )
-    print(found)
+    print(certificate)
     if options.save:
-        print(f"  written to {found.save(path.with_suffix('.certificate.json'))}")
-    return 0 if found.passed else 1
+        print(f"  written to {certificate.save(path.with_suffix('.certificate.json'))}")
+    return 0 if certificate.passed else 1
 
 
 def choose(options: argparse.Namespace) -> int:
@@ -173,7 +173,7 @@ def bench(options: argparse.Namespace) -> int:
     if options.out:
         check_folder(Path(options.out), "record")
     before = WorkPrecision.load(options.against) if options.against else None
-    found = work_precision(
+    record = work_precision(
         find(options.system, options.retimed),
         options.schemes,
         options.peers or "installed",
@@ -181,11 +181,11 @@ def bench(options: argparse.Namespace) -> int:
         t_end=options.t_end,
         repeats=options.repeats,
     )
-    print(found)
+    print(record)
     if before is not None:
-        print(found.compare(before))
+        print(record.compare(before))
     if options.out:
-        print(f"written to {found.save(options.out)}")
+        print(f"written to {record.save(options.out)}")
     if options.plot:
-        found.plot().figure.savefig(options.plot)
+        record.plot().figure.savefig(options.plot)
     return 0

@@ -45,16 +45,16 @@ def state_of(system: MechanicalSystem, options: argparse.Namespace) -> dict[str,
     """
     given = {k: getattr(options, k) for k in ("q0", "v0", "p0")}
     asked = {k: x for k, x in given.items() if x is not None}
-    found = asked or dict(getattr(system, "reference_state", {}))
-    if "q0" not in found:
+    state = asked or dict(getattr(system, "reference_state", {}))
+    if "q0" not in state:
         raise InputError(f"{system.name} has no reference state.\nPass --q0 and --v0 or --p0.")
-    return found
+    return state
 
 
 def find(name: str, rate: str | None = None) -> MechanicalSystem:
     """Return a system of the catalogue or of file:attribute, retimed if a rate is given."""
-    found = named(name)
-    return found if rate is None else found.retimed(rate)
+    system = named(name)
+    return system if rate is None else system.retimed(rate)
 
 
 def named(name: str) -> MechanicalSystem:
@@ -88,11 +88,15 @@ def named(name: str) -> MechanicalSystem:
         raise InputError(
             f"{path}: the file cannot be run: {type(error).__name__}: {error}"
         ) from error
-    found = getattr(module, attribute, None)
-    found = found() if callable(found) and not isinstance(found, MechanicalSystem) else found
-    if not isinstance(found, MechanicalSystem):
+    candidate = getattr(module, attribute, None)
+    candidate = (
+        candidate()
+        if callable(candidate) and not isinstance(candidate, MechanicalSystem)
+        else candidate
+    )
+    if not isinstance(candidate, MechanicalSystem):
         raise InputError(
             f"{path}: {attribute!r} is no MechanicalSystem.\n"
             "Give the name of a variable that holds one, or of a function that makes one."
         )
-    return found
+    return candidate

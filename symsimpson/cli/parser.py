@@ -31,84 +31,104 @@ def parser() -> argparse.ArgumentParser:
     given = top.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run: Any, words: str, *parents: Any) -> argparse.ArgumentParser:
-        made = given.add_parser(name, help=words, description=words, parents=list(parents))
-        made.set_defaults(run=run)
-        return made
+        command_parser = given.add_parser(
+            name, help=words, description=words, parents=list(parents)
+        )
+        command_parser.set_defaults(run=run)
+        return command_parser
 
     command("list", commands.list_systems, "list the systems of the catalogue")
     command("run", runs.run, "integrate a system and report", _state(), _length(), _file())
-    one = command("plot", runs.plot, "draw a run", _state(), _length())
-    one.add_argument("names", nargs="*", help="quantities over time, as q1 energy; or x y: points")
-    one.add_argument("--kind", choices=("time", "phase", "energy", "path"), default="time")
-    one.add_argument("--out", required=True, help="write to this .png, .pdf or .svg file")
-    one = command("film", runs.film, "film the points of a system", _state(), _length())
-    one.add_argument("--seconds", type=float, help="length of the film")
-    one.add_argument("--fps", type=int, default=20, help="frames a second (default: %(default)s)")
-    one.add_argument("--out", required=True, help="write to this .html, .gif, .mp4 or .png file")
-    one = command("choose", commands.choose, "find a scheme and a step for an error", _state())
-    one.add_argument("--t-end", type=float, default=10.0, help="final time (default: %(default)s)")
-    one.add_argument("--error", type=float, required=True, help="of the end state, as 1e-6")
+    subparser = command("plot", runs.plot, "draw a run", _state(), _length())
+    subparser.add_argument(
+        "names", nargs="*", help="quantities over time, as q1 energy; or x y: points"
+    )
+    subparser.add_argument("--kind", choices=("time", "phase", "energy", "path"), default="time")
+    subparser.add_argument("--out", required=True, help="write to this .png, .pdf or .svg file")
+    subparser = command("film", runs.film, "film the points of a system", _state(), _length())
+    subparser.add_argument("--seconds", type=float, help="length of the film")
+    subparser.add_argument(
+        "--fps", type=int, default=20, help="frames a second (default: %(default)s)"
+    )
+    subparser.add_argument(
+        "--out", required=True, help="write to this .html, .gif, .mp4 or .png file"
+    )
+    subparser = command(
+        "choose", commands.choose, "find a scheme and a step for an error", _state()
+    )
+    subparser.add_argument(
+        "--t-end", type=float, default=10.0, help="final time (default: %(default)s)"
+    )
+    subparser.add_argument("--error", type=float, required=True, help="of the end state, as 1e-6")
 
-    one = command("certify", commands.certify, "verify a stepper by measurement")
-    one.add_argument("stepper", help=f"a generated file, or a {SYSTEM}")
-    _add_state(one)
-    one.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")
-    one.add_argument("--h", type=float, help="step (default: found by trial)")
-    one.add_argument("--save", action="store_true", help="write it beside the generated file")
+    subparser = command("certify", commands.certify, "verify a stepper by measurement")
+    subparser.add_argument("stepper", help=f"a generated file, or a {SYSTEM}")
+    _add_state(subparser)
+    subparser.add_argument("--scheme", default="simpson", help="of a system (default: %(default)s)")
+    subparser.add_argument("--h", type=float, help="step (default: found by trial)")
+    subparser.add_argument("--save", action="store_true", help="write it beside the generated file")
 
-    one = command("generate", commands.generate, "write generated modules")
-    one.add_argument("system", nargs="*", help=f"{SYSTEM}; none for the whole catalogue")
-    one.add_argument("--scheme", action="append", help="scheme, may be repeated; default both")
-    one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
-    one = command(
+    subparser = command("generate", commands.generate, "write generated modules")
+    subparser.add_argument("system", nargs="*", help=f"{SYSTEM}; none for the whole catalogue")
+    subparser.add_argument(
+        "--scheme", action="append", help="scheme, may be repeated; default both"
+    )
+    subparser.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+    subparser = command(
         "check",
         commands.check,
         "compare the catalogue's generated modules with fresh ones, where the generator is changed",
     )
-    one.add_argument("--directory", default="generated", help="where (default: %(default)s)")
+    subparser.add_argument("--directory", default="generated", help="where (default: %(default)s)")
 
-    one = command("export", commands.export, "write the steps in another language")
-    one.add_argument("system", help=SYSTEM)
-    one.add_argument("--scheme", default="simpson", help="default: %(default)s")
-    one.add_argument("--language", choices=("c",), default="c", help="default: %(default)s, C99")
-    one.add_argument("--out", required=True, help="the files, without an ending: firmware/top")
+    subparser = command("export", commands.export, "write the steps in another language")
+    subparser.add_argument("system", help=SYSTEM)
+    subparser.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    subparser.add_argument(
+        "--language", choices=("c",), default="c", help="default: %(default)s, C99"
+    )
+    subparser.add_argument(
+        "--out", required=True, help="the files, without an ending: firmware/top"
+    )
 
-    one = command("stress", commands.stress, "long runs, large steps, poles, chaos, large angles")
-    one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the standard problems")
-    _add_time(one)
-    one.add_argument("--scheme", default="simpson", help="default: %(default)s")
-    one.add_argument("--h", type=float, help="step (default: found by trial)")
-    one.add_argument(
+    subparser = command(
+        "stress", commands.stress, "long runs, large steps, poles, chaos, large angles"
+    )
+    subparser.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the standard problems")
+    _add_time(subparser)
+    subparser.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    subparser.add_argument("--h", type=float, help="step (default: found by trial)")
+    subparser.add_argument(
         "--steps", type=count, default=10**6, help="of the long run, as 1e9 (default: 1e6)"
     )
 
-    one = command("bench", commands.bench, "run time against error, beside other programs")
-    one.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the time of a step")
-    _add_time(one)
-    one.add_argument(
+    subparser = command("bench", commands.bench, "run time against error, beside other programs")
+    subparser.add_argument("system", nargs="?", help=f"{SYSTEM}; none for the time of a step")
+    _add_time(subparser)
+    subparser.add_argument(
         "--schemes", type=words, default=["midpoint", "simpson"], help="as midpoint,simpson,gauss6"
     )
-    one.add_argument("--peers", type=words, help="as scipy,heyoka (default: all installed)")
-    one.add_argument("--errors", type=numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
-    one.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
-    one.add_argument("--repeats", type=int, default=5, help="rounds (default: %(default)s)")
-    one.add_argument("--out", help="write the record to this .json file")
-    one.add_argument("--against", help="compare with the record in this .json file")
-    one.add_argument("--plot", help="draw to this .png, .pdf or .svg file")
-    one.add_argument("--ensemble", action="store_true", help="time ensembles instead")
+    subparser.add_argument("--peers", type=words, help="as scipy,heyoka (default: all installed)")
+    subparser.add_argument("--errors", type=numbers, default=[1e-3, 1e-6, 1e-9, 1e-12])
+    subparser.add_argument("--t-end", type=float, default=10.0, help="default: %(default)s")
+    subparser.add_argument("--repeats", type=int, default=5, help="rounds (default: %(default)s)")
+    subparser.add_argument("--out", help="write the record to this .json file")
+    subparser.add_argument("--against", help="compare with the record in this .json file")
+    subparser.add_argument("--plot", help="draw to this .png, .pdf or .svg file")
+    subparser.add_argument("--ensemble", action="store_true", help="time ensembles instead")
     return top
 
 
 def _state() -> argparse.ArgumentParser:
     """Return the options of a system, its parameters and its state."""
-    made = argparse.ArgumentParser(add_help=False)
-    made.add_argument("system", help=SYSTEM)
-    _add_state(made)
-    return made
+    parent = argparse.ArgumentParser(add_help=False)
+    parent.add_argument("system", help=SYSTEM)
+    _add_state(parent)
+    return parent
 
 
-def _add_state(one: argparse.ArgumentParser) -> None:
-    one.add_argument(
+def _add_state(target: argparse.ArgumentParser) -> None:
+    target.add_argument(
         "--set",
         type=value,
         action="append",
@@ -117,14 +137,14 @@ def _add_state(one: argparse.ArgumentParser) -> None:
         dest="parameters",
         help="value of a parameter, may be repeated",
     )
-    one.add_argument("--q0", type=numbers, help="positions, as 0.8,1.0")
-    one.add_argument("--v0", type=numbers, help="velocities")
-    one.add_argument("--p0", type=numbers, help="momenta")
-    _add_time(one)
+    target.add_argument("--q0", type=numbers, help="positions, as 0.8,1.0")
+    target.add_argument("--v0", type=numbers, help="velocities")
+    target.add_argument("--p0", type=numbers, help="momenta")
+    _add_time(target)
 
 
-def _add_time(one: argparse.ArgumentParser) -> None:
-    one.add_argument(
+def _add_time(target: argparse.ArgumentParser) -> None:
+    target.add_argument(
         "--retimed",
         metavar="RATE",
         help="take steps that adapt, as of system.retimed(...): encounters or kinetic",
@@ -133,20 +153,24 @@ def _add_time(one: argparse.ArgumentParser) -> None:
 
 def _length() -> argparse.ArgumentParser:
     """Return the options of a scheme, steps and inputs."""
-    made = argparse.ArgumentParser(add_help=False)
-    made.add_argument("--scheme", default="simpson", help="default: %(default)s")
-    made.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
-    made.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
-    made.add_argument("--steps", type=count, default=None, help="number of steps instead")
-    made.add_argument("--every", type=int, default=1, help="steps between stored states")
-    made.add_argument("--inputs", help="a .csv file with a column for each input, a row for a step")
-    return made
+    parent = argparse.ArgumentParser(add_help=False)
+    parent.add_argument("--scheme", default="simpson", help="default: %(default)s")
+    parent.add_argument("--h", type=float, default=0.01, help="step (default: %(default)s)")
+    parent.add_argument("--t-end", type=float, default=None, help="final time (default: 10)")
+    parent.add_argument("--steps", type=count, default=None, help="number of steps instead")
+    parent.add_argument("--every", type=int, default=1, help="steps between stored states")
+    parent.add_argument(
+        "--inputs", help="a .csv file with a column for each input, a row for a step"
+    )
+    return parent
 
 
 def _file() -> argparse.ArgumentParser:
-    made = argparse.ArgumentParser(add_help=False)
-    made.add_argument("--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file")
-    return made
+    parent = argparse.ArgumentParser(add_help=False)
+    parent.add_argument(
+        "--out", help="write the run to this .nc, .zarr, .npz, .csv or .parquet file"
+    )
+    return parent
 
 
 class _Completion(argparse.Action):

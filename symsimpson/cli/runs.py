@@ -46,12 +46,12 @@ def run(options: argparse.Namespace) -> int:
         for _ in range(2):
             stepper.integrate(**given | brief, h=options.h, on_failure="return")
     ready = time.perf_counter()
-    found = _integrated(options, stepper, given)
+    trajectory = _integrated(options, stepper, given)
     done = time.perf_counter()
-    _report(found, given)
+    _report(trajectory, given)
     print(f"  derived and compiled in {ready - begin:.2f} s, run in {(done - ready) * 1e3:.2f} ms")
     if options.out:
-        found.save(options.out)
+        trajectory.save(options.out)
         print(f"  written to {options.out}")
     return 0
 
@@ -59,13 +59,13 @@ def run(options: argparse.Namespace) -> int:
 def plot(options: argparse.Namespace) -> int:
     """Draw a run to a file."""
     check_figure("out", options.out)
-    found = _integrated(options, *_made(find(options.system, options.retimed), options))
+    trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
     if options.kind == "time":
-        ax = found.plot(options.names or None)
+        ax = trajectory.plot(options.names or None)
     elif options.kind == "phase":
-        ax = found.plot_phase(*options.names[:2])
+        ax = trajectory.plot_phase(*options.names[:2])
     else:
-        ax = found.plot_energy() if options.kind == "energy" else found.plot_path()
+        ax = trajectory.plot_energy() if options.kind == "energy" else trajectory.plot_path()
     with written_beside(Path(options.out), "figure") as whole:
         ax.figure.savefig(whole, bbox_inches="tight", dpi=150)
     print(f"written to {options.out}")
@@ -75,8 +75,11 @@ def plot(options: argparse.Namespace) -> int:
 def film(options: argparse.Namespace) -> int:
     """Film a run to a file."""
     check_folder(Path(options.out), "animation")
-    found = _integrated(options, *_made(find(options.system, options.retimed), options))
-    print(f"written to {found.animate(seconds=options.seconds, fps=options.fps).save(options.out)}")
+    trajectory = _integrated(options, *_made(find(options.system, options.retimed), options))
+    print(
+        "written to "
+        f"{trajectory.animate(seconds=options.seconds, fps=options.fps).save(options.out)}"
+    )
     return 0
 
 
@@ -136,19 +139,25 @@ def _inputs(options: argparse.Namespace, stepper: Stepper, steps: int) -> dict[s
     return {"inputs": {name: table[name][:steps] for name in names}}
 
 
-def _report(found: Trajectory, given: dict[str, Any]) -> None:
-    program, steps = found.program, max(found.steps, 1)
-    print(f"{program.system}, {program.scheme} (order {program.order}), h = {found.h:g}")
+def _report(trajectory: Trajectory, given: dict[str, Any]) -> None:
+    program, steps = trajectory.program, max(trajectory.steps, 1)
+    print(f"{program.system}, {program.scheme} (order {program.order}), h = {trajectory.h:g}")
     for name in ("q0", "v0", "p0"):
         if name in given:
             print(f"  {name} = ({', '.join(f'{x:g}' for x in given[name])})")
     for name, value in given["parameters"].items():
         print(f"  {name} = {value:g}")
-    last = found.newton_iterations.sum() / steps
-    print(f"  {found.steps} steps to t = {found.t[-1]:g}, {last:.2f} Newton iterations a step")
+    last = trajectory.newton_iterations.sum() / steps
+    print(
+        f"  {trajectory.steps} steps to t = {trajectory.t[-1]:g}, "
+        f"{last:.2f} Newton iterations a step"
+    )
     if program.header.conservative:
-        print(f"  largest relative energy error {np.abs(found.energy_error).max():.2e}")
+        print(f"  largest relative energy error {np.abs(trajectory.energy_error).max():.2e}")
     else:
-        print(f"  energy {found.energy[0]:.9g} at the start, {found.energy[-1]:.9g} at the end")
-    for name, values in found.invariants.items():
+        print(
+            f"  energy {trajectory.energy[0]:.9g} at the start, "
+            f"{trajectory.energy[-1]:.9g} at the end"
+        )
+    for name, values in trajectory.invariants.items():
         print(f"  {name}: {values[0]:.9g}, changed by at most {np.ptp(values):.1e}")
