@@ -72,18 +72,18 @@ def report(members: int = MEMBERS) -> Iterator[str]:
     truth = peers[0].make(0.0)()
     apart = _error(ours("gauss12", 1600)(), truth)
     yield f"truth: heyoka at full accuracy; gauss12 with 1600 steps differs by {apart:.0e}"
-    errors = {one.name: _Errors(one, truth) for one in (*contenders, peers[0])}
+    errors = {contender.name: _Errors(contender, truth) for contender in (*contenders, peers[0])}
     for level in LEVELS:
         yield f"median error of the angles at t = {T_END:g} at most {level:g}:"
-        chosen = {name: one.coarsest(level) for name, one in errors.items()}
+        chosen = {name: entry.coarsest(level) for name, entry in errors.items()}
         # the same method with the same tolerances: the same errors
-        chosen |= {one.name: chosen[peers[0].name] for one in peers[1:]}
-        chosen = {name: found for name, found in chosen.items() if found[1] <= level}
+        chosen |= {peer.name: chosen[peers[0].name] for peer in peers[1:]}
+        chosen = {name: pair for name, pair in chosen.items() if pair[1] <= level}
         medians = _medians(
             {
-                one.name: one.make(chosen[one.name][0])
-                for one in (*contenders, *peers)
-                if one.name in chosen
+                contender.name: contender.make(chosen[contender.name][0])
+                for contender in (*contenders, *peers)
+                if contender.name in chosen
             }
         )
         best = min((name for name in SCHEMES if name in medians), key=medians.__getitem__)
@@ -99,9 +99,9 @@ def report(members: int = MEMBERS) -> Iterator[str]:
 class _Errors:
     """Errors of a contender by its choices, each measured once and when it is asked for."""
 
-    def __init__(self, one: Contender[Run], truth: Floats) -> None:
-        self.one = one
-        self.of = cache(lambda k: _error(one.make(one.choices[k])(), truth))
+    def __init__(self, contender: Contender[Run], truth: Floats) -> None:
+        self.one = contender
+        self.of = cache(lambda k: _error(contender.make(contender.choices[k])(), truth))
 
     def coarsest(self, level: float) -> tuple[float, float]:
         """Find the coarsest choice that reaches an error, by bisection; return it and its error."""
@@ -110,8 +110,8 @@ class _Errors:
         return self.one.choices[place], self.of(place)
 
 
-def _error(found: Floats, truth: Floats) -> float:
-    return float(np.median(np.abs(found - truth).max(axis=1)))
+def _error(angles: Floats, truth: Floats) -> float:
+    return float(np.median(np.abs(angles - truth).max(axis=1)))
 
 
 def _medians(jobs: dict[str, Run]) -> dict[str, float]:
@@ -147,13 +147,13 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
             done = hy.ensemble_propagate_until_batch(
                 template, T_END, len(blocks), begin, max_workers=threads
             )
-            return np.concatenate([one[0].state[:2].T for one in done])
+            return np.concatenate([result[0].state[:2].T for result in done])
 
         return run
 
     def by_hand(tolerance: float) -> Run:
         integrators = [integrator(tolerance) for _ in range(threads)]
-        found = np.empty((len(blocks), lanes, 2))
+        end_angles = np.empty((len(blocks), lanes, 2))
 
         def work(first: int) -> None:
             ta = integrators[first]
@@ -161,7 +161,7 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
                 ta.set_time(0.0)
                 ta.state[:] = blocks[k]
                 ta.propagate_until(T_END)
-                found[k] = ta.state[:2].T
+                end_angles[k] = ta.state[:2].T
 
         def run() -> Floats:
             workers = [threading.Thread(target=work, args=(k,)) for k in range(threads)]
@@ -169,7 +169,7 @@ def _heyoka(angles: Floats, threads: int) -> list[Contender[Run]]:
                 worker.start()
             for worker in workers:
                 worker.join()
-            return found.reshape(-1, 2).copy()
+            return end_angles.reshape(-1, 2).copy()
 
         return run
 

@@ -37,10 +37,10 @@ def ours(
                 problem.q0, p0=problem.p0, h=h, **length, every=None, on_failure="return"
             )
 
-        def read(found: Any) -> Outcome:
+        def read(trajectory: Any) -> Outcome:
             failed = np.full(stepper.n, np.nan)
-            q, p = (found.q[0], found.p[0]) if found.success else (failed, failed)
-            return Outcome(q, p, int(found.newton_iterations.sum()))
+            q, p = (trajectory.q[0], trajectory.p[0]) if trajectory.success else (failed, failed)
+            return Outcome(q, p, int(trajectory.newton_iterations.sum()))
 
         return run, read
 

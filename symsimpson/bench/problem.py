@@ -98,9 +98,9 @@ def make_problem(
     in_momenta, in_velocities = canonical(system), second_order(system)
     start = in_momenta.state([mpmath.mpf(float(x)) for x in (*q, *p)])
     samples = [mpmath.mpf(t_end) * k / 8 for k in range(1, 9)]
-    found = truth(in_momenta, start, samples, digits=DIGITS)
+    solution = truth(in_momenta, start, samples, digits=DIGITS)
     n = system.n
-    path = np.array([[float(x) for x in y[: 2 * n]] for y in found.y])
+    path = np.array([[float(x) for x in y[: 2 * n]] for y in solution.y])
     largest = np.abs(np.vstack([np.concatenate([q, p]), path])).max(axis=0)
     scale = np.concatenate([np.maximum(largest[:n], 1.0), np.full(n, largest[n:].max() or 1.0)])
     return Problem(
@@ -112,7 +112,7 @@ def make_problem(
         in_momenta,
         in_velocities,
         path[-1],
-        float(np.max(np.array(found.errors, dtype=np.float64)[..., : 2 * n] / scale)),
+        float(np.max(np.array(solution.errors, dtype=np.float64)[..., : 2 * n] / scale)),
         scale,
         retimed,
     )

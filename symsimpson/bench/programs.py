@@ -49,7 +49,7 @@ def _runge_kutta(problem: Problem) -> Iterator[Contender[Runnable]]:
                 y = start.copy()
                 return y, solve(y, choice)
 
-            return run, lambda found: Outcome(found[0][:n], found[0][n : 2 * n], found[1])
+            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], result[1])
 
         return make
 
@@ -96,9 +96,9 @@ def _scipy(problem: Problem) -> Iterator[Contender[Runnable]]:
                     atol=tolerance,
                 )
 
-            def read(found: Any) -> Outcome:
-                end = found.y[:, -1] if found.success else np.full(2 * n, np.nan)
-                return Outcome(end[:n], end[n : 2 * n], int(found.nfev))
+            def read(solution: Any) -> Outcome:
+                end = solution.y[:, -1] if solution.success else np.full(2 * n, np.nan)
+                return Outcome(end[:n], end[n : 2 * n], int(solution.nfev))
 
             return run, read
 
@@ -214,12 +214,12 @@ def _numbalsoda(problem: Problem) -> Iterator[Contender[Runnable]]:
         ) -> tuple[Callable[[], Any], Callable[[Any], Outcome]]:
             def run() -> Any:
                 data = np.array([*values, 0.0])
-                found, success = solve(
+                states, success = solve(
                     address, start, times, data, max(tolerance, 1e-13), tolerance
                 )
-                return found[-1] if success else np.full(size, np.nan), data[count]
+                return states[-1] if success else np.full(size, np.nan), data[count]
 
-            return run, lambda found: Outcome(found[0][:n], found[0][n : 2 * n], int(found[1]))
+            return run, lambda result: Outcome(result[0][:n], result[0][n : 2 * n], int(result[1]))
 
         yield Contender(f"numbalsoda {method}", "tolerance", COARSE, make)
 
@@ -257,13 +257,13 @@ def _diffrax(problem: Problem) -> Iterator[Contender[Runnable]]:
             given = jax.numpy.asarray(start), jax.numpy.asarray(tolerance)
 
         def run() -> Any:
-            found = compiled(*given)
-            found.ys.block_until_ready()
-            return found
+            solution = compiled(*given)
+            solution.ys.block_until_ready()
+            return solution
 
-        def read(found: Any) -> Outcome:
-            end = np.asarray(found.ys)[0]
-            return Outcome(end[:n], end[n : 2 * n], 13 * int(found.stats["num_steps"]))
+        def read(solution: Any) -> Outcome:
+            end = np.asarray(solution.ys)[0]
+            return Outcome(end[:n], end[n : 2 * n], 13 * int(solution.stats["num_steps"]))
 
         return run, read
 

@@ -157,8 +157,8 @@ class WorkPrecision:
             f"{'':<26}" + "".join(f"{level:>12.0e}" for level in self.levels) + f"{'a call':>12}",
         ]
         for name in self.names:
-            found = [self.fastest(name, level) for level in self.levels]
-            cells = "".join(f"{_time(p.median):>12}" if p else f"{'-':>12}" for p in found)
+            points = [self.fastest(name, level) for level in self.levels]
+            cells = "".join(f"{_time(p.median):>12}" if p else f"{'-':>12}" for p in points)
             call = self.call_seconds.get(name)
             lines.append(f"{name:<26}{cells}{_time(call) if call else '-':>12}")
         return "\n".join(lines)

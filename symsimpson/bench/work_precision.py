@@ -121,8 +121,8 @@ def work_precision(
         for contender in _contenders(brief, schemes, peers):
             coarsest = 1.0 if contender.what == "steps" else contender.choices[0]
             for _ in range(2):  # once more, when nothing is made or loaded any longer
-                one = _once(contender, coarsest, brief)
-            calls += [] if one is None else [one]
+                call = _once(contender, coarsest, brief)
+            calls += [] if call is None else [call]
         for turn in range(repeats):
             for entry in (*entries, *calls):
                 if turn == 0 and sum(entry.times) < ENOUGH_SECONDS:
@@ -180,11 +180,11 @@ def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _E
         for _ in range(2):
             if spent < LONG_SECONDS:
                 begin = time.perf_counter()
-                found = run()
+                result = run()
                 spent = time.perf_counter() - begin
     except (SymsimpsonError, ArithmeticError, ValueError):
         return None
-    outcome = read(found)
+    outcome = read(result)
     error = problem.error(outcome.q, outcome.p)
     number = max(1, int(LEAST_SECONDS / max(spent, 1e-9)))
     return _Entry(contender, choice, run, error, outcome.evaluations, number, [spent])
@@ -192,7 +192,7 @@ def _once(contender: Contender[Runnable], choice: float, problem: Problem) -> _E
 
 def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> list[_Entry]:
     """Run choices from coarse to fine until they are accurate enough, stagnate or are too slow."""
-    found: list[_Entry] = []
+    entries: list[_Entry] = []
     slow = place = 0
     while place < len(contender.choices):
         entry = _once(contender, contender.choices[place], problem)
@@ -201,16 +201,16 @@ def _sweep(contender: Contender[Runnable], problem: Problem, finest: float) -> l
             continue
         place += contender.what == "steps" and entry.times[0] > LONG_SECONDS
         if entry.error < 1:
-            found.append(entry)
-        best = min((e.error for e in found), default=1.0)
+            entries.append(entry)
+        best = min((e.error for e in entries), default=1.0)
         if entry.times[0] > MOST_SECONDS:
             slow += 1
-            place += 0 if found else LEAP  # a coarse run may go astray and take long
-        if best < max(FLOOR, finest / 4) or (slow and found) or slow > MOST_SLOW:
+            place += 0 if entries else LEAP  # a coarse run may go astray and take long
+        if best < max(FLOOR, finest / 4) or (slow and entries) or slow > MOST_SLOW:
             break
-        if len(found) > 12 and best == min(e.error for e in found[:-8]):
+        if len(entries) > 12 and best == min(e.error for e in entries[:-8]):
             break
-    return found
+    return entries
 
 
 def _timed(run: Any, number: int) -> float:
