@@ -136,9 +136,9 @@ class _Writer:
         """Functions that a step calls, with the kinds of their numbers."""
         text, driver = self.program.source, driver_text()
         told = dict(zip(TOLD, self._header.told.tolist(), strict=True))
-        own, drives = read_text(text), read_functions(driver)
+        module, drives = read_text(text), read_functions(driver)
         sources = [
-            Source(own.functions, own.constants, told, text.splitlines()),
+            Source(module.functions, module.constants, told, text.splitlines()),
             Source(drives.functions, drives.constants, told, driver.splitlines()),
         ]
         functions = Functions(sources)
@@ -243,8 +243,8 @@ class _Writer:
 
     def _constants(self) -> Iterator[str]:
         """Write blocks of the workspace in their order, then all other constants."""
-        found = self._expressions.constants
-        whole = {k: v for k, v in found.items() if isinstance(v, (int, np.integer))}
+        values = self._expressions.constants
+        whole = {k: v for k, v in values.items() if isinstance(v, (int, np.integer))}
         blocks = {k: whole.pop(k) for k in sorted(whole, key=whole.__getitem__) if k in BLOCKS}
         yield "/* the workspace: first row of each block */"
         yield "enum {"
@@ -260,7 +260,7 @@ class _Writer:
         yield from (line.replace("~", " ") for line in _wrapped(pairs))
         yield "};"
         yield ""
-        for name, value in found.items():
+        for name, value in values.items():
             if name in whole or name in blocks or name == "ROWS":
                 continue
             table = np.asarray(value)
@@ -295,9 +295,9 @@ class _Writer:
             "switched": "switch" in self._expressions.kinds.signatures,
         }
         for part, kept in parts.items():
-            found = r"\g<1>" if kept else ""
+            replacement = r"\g<1>" if kept else ""
             text = re.sub(
-                rf"^ *//if {part}\n(.*?)^ *//end {part}\n", found, text, flags=re.M | re.S
+                rf"^ *//if {part}\n(.*?)^ *//end {part}\n", replacement, text, flags=re.M | re.S
             )
         width = max(len(x.name) for x in outcomes)
         return Template(text).substitute(
@@ -320,8 +320,8 @@ class _Writer:
 def _meanings(outcomes: list[Status]) -> Iterator[str]:
     """Give a sentence for each outcome, as lines that stay lines."""
     yield "Outcomes of a call: 0, or why the step was not taken; q and p are then unchanged."
-    for one in outcomes[1:]:
-        yield f"  {one.name}: {one.message}"
+    for outcome in outcomes[1:]:
+        yield f"  {outcome.name}: {outcome.message}"
 
 
 def _in_order(kinds: Kinds) -> Iterator[str]:
@@ -332,8 +332,8 @@ def _in_order(kinds: Kinds) -> Iterator[str]:
         if name in given:
             return
         given.add(name)
-        for one in kinds.functions[name].body:
-            for x in ast.walk(one):
+        for statement in kinds.functions[name].body:
+            for x in ast.walk(statement):
                 if isinstance(x, ast.Name) and x.id in kinds.signatures:
                     yield from reach(x.id)
         yield name

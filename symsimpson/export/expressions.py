@@ -81,8 +81,8 @@ class Expressions:
         match node:
             case ast.Constant(value=value):
                 return number(value), WHOLE
-            case ast.Name(id=one):
-                return self._named(one, name), WHOLE
+            case ast.Name(id=identifier):
+                return self._named(identifier, name), WHOLE
             case ast.Attribute(attr="inf"):
                 return "INFINITY", WHOLE
             case ast.Subscript(value=ast.Name(id="kernels"), slice=index):
@@ -100,10 +100,10 @@ class Expressions:
                 return self._power(left, right, name)
             case ast.BinOp(left=left, op=op, right=right):
                 return self._operation(left, op, right, name)
-            case ast.UnaryOp(op=ast.Not(), operand=one):
-                return f"!{self.write(one, name, SIGN)}", SIGN
-            case ast.UnaryOp(op=ast.USub(), operand=one):
-                return f"-{self.write(one, name, WHOLE)}", SIGN
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return f"!{self.write(operand, name, SIGN)}", SIGN
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return f"-{self.write(operand, name, WHOLE)}", SIGN
             case ast.BoolOp(op=op, values=values):
                 sign, tight = OPERATORS[type(op)]
                 return sign.join(self.write(x, name, EQUAL) for x in values), tight
@@ -116,15 +116,15 @@ class Expressions:
                 return self._call(ast.unparse(func), given, name)
         raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
 
-    def _named(self, one: str, name: str) -> str:
-        if one in self.kinds.names[name]:
-            return self.renamed.get(one, one)
-        if one in self.called:
-            return self.called[one]
-        value = constant_of(one, self.kinds.functions[name])
+    def _named(self, identifier: str, name: str) -> str:
+        if identifier in self.kinds.names[name]:
+            return self.renamed.get(identifier, identifier)
+        if identifier in self.called:
+            return self.called[identifier]
+        value = constant_of(identifier, self.kinds.functions[name])
         if isinstance(value, float) and not np.isfinite(value):
             return number(value)
-        here = one.removeprefix("at.")
+        here = identifier.removeprefix("at.")
         if self.constants.setdefault(here, value) is not value and not np.array_equal(
             self.constants[here], value
         ):

@@ -67,8 +67,8 @@ class Kinds:
         match node:
             case ast.For(target=ast.Name(id=index), iter=over, body=body):
                 local[index] = INT
-                for one in getattr(over, "args", ()):  # of a range; a table has none
-                    self.of(one, name)
+                for argument in getattr(over, "args", ()):  # of a range; a table has none
+                    self.of(argument, name)
                 for statement in body:
                     self._look(statement, name, local)
             case ast.If(test=test, body=body, orelse=orelse):
@@ -80,14 +80,14 @@ class Kinds:
                 local[target] = _joined(local.get(target, kind), kind)
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=value):
                 self.of(value, name)
-                local.update({ast.unparse(one): REAL for one in targets})
+                local.update({ast.unparse(element): REAL for element in targets})
             case ast.Assign(targets=[target], value=value):
                 self.of(target, name)
                 self.of(value, name)
             case ast.AugAssign(target=ast.Name(id=target), value=value):
                 local[target] = _joined(local[target], self.of(value, name))
-            case ast.AugAssign(target=one, value=value):
-                self.of(one, name)
+            case ast.AugAssign(target=place, value=value):
+                self.of(place, name)
                 self.of(value, name)
             case ast.Return(value=ast.Tuple(elts=values)):
                 self.signatures[name].several = len(values)
@@ -103,10 +103,10 @@ class Kinds:
         match node:
             case ast.Constant(value=value):
                 return REAL if isinstance(value, float) else INT
-            case ast.Name(id=one) if one in self.names[name]:
-                return self.names[name][one]
-            case ast.Name(id=one):
-                value = constant_of(one, function)
+            case ast.Name(id=identifier) if identifier in self.names[name]:
+                return self.names[name][identifier]
+            case ast.Name(id=identifier):
+                value = constant_of(identifier, function)
                 return REAL if isinstance(value, float) else INT
             case ast.Subscript(value=ast.Name(id="kernels"), slice=ast.Name(id=what)):
                 return INT if what == "MODE" else KERNEL
@@ -120,23 +120,23 @@ class Kinds:
             case ast.BinOp(left=left, right=right, op=op):
                 kinds = self.of(left, name), self.of(right, name)
                 return REAL if isinstance(op, ast.Div) else _joined(*kinds)
-            case ast.UnaryOp(operand=one, op=op):
-                kind = self.of(one, name)
+            case ast.UnaryOp(operand=operand, op=op):
+                kind = self.of(operand, name)
                 return INT if isinstance(op, ast.Not) else kind
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 self.of(test, name)
                 return _joined(self.of(body, name), self.of(orelse, name))
             case ast.Compare(left=left, comparators=others):
-                for one in (left, *others):
-                    self.of(one, name)
+                for operand in (left, *others):
+                    self.of(operand, name)
                 return INT
             case ast.BoolOp(values=values):
-                for one in values:
-                    self.of(one, name)
+                for operand in values:
+                    self.of(operand, name)
                 return INT
             case ast.Tuple(elts=values):
-                for one in values:
-                    self.of(one, name)
+                for element in values:
+                    self.of(element, name)
                 return INT
             case ast.Attribute(attr="inf"):
                 return REAL
@@ -145,7 +145,7 @@ class Kinds:
         raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(node)}.")
 
     def _called(self, node: ast.Call, name: str) -> str:
-        given = [self.of(one, name) for one in node.args]
+        given = [self.of(argument, name) for argument in node.args]
         called = ast.unparse(node.func)
         if called in self.functions and called != "sincos":
             return self.follow(called, given).returned or "void"

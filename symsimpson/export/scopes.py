@@ -12,7 +12,7 @@ def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
     """Let arrays have lengths that the compiler knows: names that have one value are that value."""
     values: dict[str, list[ast.expr]] = {}
     arrays = []
-    for x in (x for one in body for x in ast.walk(one)):
+    for x in (x for statement in body for x in ast.walk(statement)):
         match x:
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 values.setdefault(name, []).append(value)
@@ -27,9 +27,9 @@ def with_lengths(body: list[ast.stmt]) -> list[ast.stmt]:
                 return ast.BinOp(known(left), op, known(right))
         return node
 
-    for one in arrays:
-        (shape,) = one.args  # type: ignore[attr-defined]
-        one.args = [known(getattr(shape, "elts", [shape])[0])]  # type: ignore[attr-defined]
+    for call in arrays:
+        (shape,) = call.args  # type: ignore[attr-defined]
+        call.args = [known(getattr(shape, "elts", [shape])[0])]  # type: ignore[attr-defined]
     return body
 
 
@@ -38,12 +38,12 @@ def used(body: list[ast.stmt]) -> list[ast.stmt]:
     while True:
         read = {
             x.id
-            for one in body
-            for x in ast.walk(one)
+            for statement in body
+            for x in ast.walk(statement)
             if isinstance(x, ast.Name) and isinstance(x.ctx, ast.Load)
         }
         pruned = _Unread(read)
-        body = [left for one in body if (left := pruned.visit(one)) is not None]
+        body = [left for statement in body if (left := pruned.visit(statement)) is not None]
         if not pruned.found:
             return body
 
@@ -92,35 +92,35 @@ class Scopes:
 
     def _declared(self, name: str, places: list[_Place]) -> bool:
         """Declare a name where it first gets a value; return whether it must be known before."""
-        found = _beginnings(places, 0)
-        if found is not None:
-            for one, fixed, read in found:
+        declarations = _beginnings(places, 0)
+        if declarations is not None:
+            for statement_id, fixed, read in declarations:
                 if read:
-                    self.begins[name, one] = fixed
+                    self.begins[name, statement_id] = fixed
                 else:
-                    self.unread.add((name, one))
-        return found is None
+                    self.unread.add((name, statement_id))
+        return declarations is None
 
     def _visit(self, body: list[ast.stmt], path: tuple[int, ...], bound: frozenset[str]) -> None:
-        for one in body:
-            match one:
+        for statement in body:
+            match statement:
                 case ast.For(target=ast.Name(id=index), iter=bounds, body=inner):
-                    self._read(bounds, path, one, bound)
-                    self._visit(inner, (*path, id(one)), bound | {index})
+                    self._read(bounds, path, statement, bound)
+                    self._visit(inner, (*path, id(statement)), bound | {index})
                 case ast.If(test=test, body=inner, orelse=orelse):
-                    self._read(test, path, one, bound)
-                    self._visit(inner, (*path, id(one)), bound)
-                    self._visit(orelse, (*path, -id(one)), bound)
+                    self._read(test, path, statement, bound)
+                    self._visit(inner, (*path, id(statement)), bound)
+                    self._visit(orelse, (*path, -id(statement)), bound)
                 case ast.Assign(targets=[target], value=value):
-                    self._read(value, path, one, bound)
+                    self._read(value, path, statement, bound)
                     for to in target.elts if isinstance(target, ast.Tuple) else [target]:
-                        self._store(to, path, one, bound)
+                        self._store(to, path, statement, bound)
                 case ast.AugAssign(target=target, value=value):
-                    self._read(value, path, one, bound)
-                    self._read(target, path, one, bound)
-                    self._store(target, path, one, bound)
+                    self._read(value, path, statement, bound)
+                    self._read(target, path, statement, bound)
+                    self._store(target, path, statement, bound)
                 case _:
-                    self._read(one, path, one, bound)
+                    self._read(statement, path, statement, bound)
 
     def _read(
         self, node: ast.AST, path: tuple[int, ...], at: ast.stmt, bound: frozenset[str]
@@ -151,10 +151,10 @@ def _beginnings(places: list[_Place], depth: int) -> list[tuple[int, bool, bool]
         return [(first, values == 1, values < len(places))] if stores else None
     if any(len(x) == depth for x, _, _ in places):
         return None
-    found = []
+    declarations = []
     for _, some in groupby(places, key=lambda x: x[0][depth]):
         inner = _beginnings(list(some), depth + 1)
         if inner is None:
             return None
-        found += inner
-    return found
+        declarations += inner
+    return declarations

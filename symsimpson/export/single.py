@@ -85,15 +85,15 @@ class Functions(Mapping[str, Function]):
 def plain_function(name: str, source: Source) -> Function:
     """Read a function for one lane."""
     node = source.functions[name]
-    arguments = [one.arg for one in node.args.args if one.arg not in DROPPED]
+    arguments = [argument.arg for argument in node.args.args if argument.arg not in DROPPED]
     if "workspace" in arguments:  # a kernel, which makes an array of it
         arguments[arguments.index("workspace")] = WORKSPACE
     doc = ast.get_docstring(node) or ""
     plain = _Plain(source)
     body: list[ast.stmt] = []
-    for one in copy.deepcopy(node.body[1:] if doc else node.body):
-        found = plain.visit(one)
-        body += found if isinstance(found, list) else [found] if found else []
+    for statement in copy.deepcopy(node.body[1:] if doc else node.body):
+        result = plain.visit(statement)
+        body += result if isinstance(result, list) else [result] if result else []
     return Function(name, doc, tuple(arguments), body, source)
 
 
@@ -128,11 +128,11 @@ class _Plain(ast.NodeTransformer):
                 continue
             else:
                 kept.append((self.visit(to), self.visit(given)))
-        made = [ast.copy_location(ast.Assign([to], given), node) for to, given in kept]
+        assignments = [ast.copy_location(ast.Assign([to], given), node) for to, given in kept]
         names = {x.id for to, _ in kept[:-1] for x in ast.walk(to) if isinstance(x, ast.Name)}
         later = {x.id for _, y in kept[1:] for x in ast.walk(y) if isinstance(x, ast.Name)}
         assert len(kept) < 2 or not names & later - {WORKSPACE}, ast.unparse(node)
-        return made
+        return assignments
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
         """Write 0 for a lane, and 1 for their number."""
@@ -175,7 +175,7 @@ class _Plain(ast.NodeTransformer):
         """Leave out arguments that a function does not take any more."""
         name = getattr(node.func, "id", "")
         if name in self.source.functions:
-            taken = [one.arg for one in self.source.functions[name].args.args]
+            taken = [parameter.arg for parameter in self.source.functions[name].args.args]
             node.args = [x for x, to in zip(node.args, taken, strict=True) if to not in DROPPED]
         if name == "len":
             return ast.Constant(len(self.source.constants[ast.unparse(node.args[0])]))

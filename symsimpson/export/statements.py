@@ -73,7 +73,7 @@ class _Body:
         body = used(with_lengths(self.function.body))
         write.renamed = {x: f"{x}_" for x in kinds if x in WORDS or MACRO.fullmatch(x)}
         self.scopes = Scopes(body, set(self.function.arguments))
-        read = {x.id for one in body for x in ast.walk(one) if isinstance(x, ast.Name)}
+        read = {x.id for statement in body for x in ast.walk(statement) if isinstance(x, ast.Name)}
         arguments = [_declared(kinds[x], self._name(x)) for x in self.function.arguments]
         arguments += ["double *result"] if signature.several else []
         head = f"{signature.returned or 'void'} {write.called[name]}({', '.join(arguments)})"
@@ -81,39 +81,39 @@ class _Body:
         lines += [*_broken(f"static {head}", ""), "{"]
         unused = [f"(void){x};" for x in self.function.arguments if x not in read]
         lines += [f"    {' '.join(unused)}"] if unused else []
-        for one in sorted(self.scopes.ahead & self.scopes.stored):
-            value = "0" if kinds[one] == INT else "0.0"
-            lines.append(f"    {_declared(kinds[one], self._name(one))} = {value};")
+        for variable in sorted(self.scopes.ahead & self.scopes.stored):
+            value = "0" if kinds[variable] == INT else "0.0"
+            lines.append(f"    {_declared(kinds[variable], self._name(variable))} = {value};")
         return [*lines, *self._block(body, "    "), "}", ""]
 
     def _block(self, body: list[ast.stmt], indent: str) -> list[str]:
         lines: list[str] = []
         line, joined = -1, ""
-        for one in body:
-            beside = one.lineno == line  # values that one line of the text gives
+        for statement in body:
+            beside = statement.lineno == line  # values that one line of the text gives
             if not beside:
-                lines += self._comments(one, indent)
-            found = list(self._statement(one, indent))
-            declares = DECLARED.match(found[0]) if len(found) == 1 else None
-            if declares and beside and declares[1] == joined and len(lines[-1] + found[0]) < WIDTH:
-                lines[-1] = f"{lines[-1][:-1]}, {found[0][declares.end() :]}"
+                lines += self._comments(statement, indent)
+            texts = list(self._statement(statement, indent))
+            declares = DECLARED.match(texts[0]) if len(texts) == 1 else None
+            if declares and beside and declares[1] == joined and len(lines[-1] + texts[0]) < WIDTH:
+                lines[-1] = f"{lines[-1][:-1]}, {texts[0][declares.end() :]}"
             else:
-                lines += found
-            line, joined = one.lineno, declares[1] if declares else ""
+                lines += texts
+            line, joined = statement.lineno, declares[1] if declares else ""
         return lines
 
-    def _comments(self, one: ast.stmt, indent: str) -> list[str]:
+    def _comments(self, statement: ast.stmt, indent: str) -> list[str]:
         """Return the comments above a statement."""
-        lines, at, found = self.function.source.lines, one.lineno - 2, []
+        lines, at, comments = self.function.source.lines, statement.lineno - 2, []
         while at >= 0 and lines[at].lstrip().startswith("# "):
-            found.append(lines[at].strip("# \n"))
+            comments.append(lines[at].strip("# \n"))
             at -= 1
-        return comment(" ".join(reversed(found)), indent) if found else []
+        return comment(" ".join(reversed(comments)), indent) if comments else []
 
-    def _statement(self, one: ast.stmt, indent: str) -> Iterator[str]:
+    def _statement(self, statement: ast.stmt, indent: str) -> Iterator[str]:
         write, name = self.expressions.write, self.function.name
         inner = indent + "    "
-        match one:
+        match statement:
             case ast.For(target=ast.Name(id=index), iter=ast.Call(args=bounds), body=body):
                 index = self._name("turn" if index == "_" else index)
                 first, last, by = _bounds(bounds)
@@ -140,13 +140,13 @@ class _Body:
                     yield from self._block(orelse, inner)
                 yield f"{indent}}}"
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Call() as call):
-                yield from self._several(one, targets, call, indent)
+                yield from self._several(statement, targets, call, indent)
             case ast.Assign(targets=[target], value=ast.Call(func=func, args=[shape])) if (
                 ast.unparse(func) in ("np.empty", "np.zeros")
             ):
                 yield from self._array(target, func, shape, indent)
             case ast.Assign(targets=[target], value=value):
-                yield from self._assigned(one, target, write(value, name), indent)
+                yield from self._assigned(statement, target, write(value, name), indent)
             case ast.AugAssign(target=target, op=op, value=value):
                 sign = {ast.Add: "+=", ast.Sub: "-=", ast.Mult: "*=", ast.Div: "/="}[type(op)]
                 text = f"{write(target, name)} {sign} {write(value, name)};"
@@ -165,17 +165,19 @@ class _Body:
             case ast.Expr(value=ast.Call() as call):
                 yield from _broken(f"{write(call, name)};", indent)
             case _:
-                raise InputError(f"a line of {name} has no counterpart in C: {ast.unparse(one)}.")
+                raise InputError(
+                    f"a line of {name} has no counterpart in C: {ast.unparse(statement)}."
+                )
 
     def _several(
-        self, one: ast.stmt, targets: list[ast.expr], call: ast.Call, indent: str
+        self, statement: ast.stmt, targets: list[ast.expr], call: ast.Call, indent: str
     ) -> Iterator[str]:
         """Write a call that gives several numbers; sine and cosine are those of the C library."""
         write, name = self.expressions.write, self.function.name
         called, given = ast.unparse(call.func), [write(x, name) for x in call.args]
         if called == "sincos":
             for target, what in zip(targets, ("sin", "cos"), strict=True):
-                yield from self._assigned(one, target, f"{what}({given[0]})", indent)
+                yield from self._assigned(statement, target, f"{what}({given[0]})", indent)
             return
         self.pairs += 1
         place = f"{called}_{self.pairs}"
@@ -183,7 +185,7 @@ class _Body:
         called = self.expressions.called[called]
         yield from _broken(f"{called}({', '.join([*given, place])});", indent)
         for k, target in enumerate(targets):
-            yield from self._assigned(one, target, f"{place}[{k}]", indent)
+            yield from self._assigned(statement, target, f"{place}[{k}]", indent)
 
     def _array(
         self, target: ast.expr, func: ast.expr, shape: ast.expr, indent: str
@@ -193,13 +195,15 @@ class _Body:
         name = self._name(ast.unparse(target))
         yield f"{indent}double {name}[{size}]{' = {0}' if 'zeros' in ast.unparse(func) else ''};"
 
-    def _assigned(self, one: ast.stmt, target: ast.expr, value: str, indent: str) -> Iterator[str]:
+    def _assigned(
+        self, statement: ast.stmt, target: ast.expr, value: str, indent: str
+    ) -> Iterator[str]:
         """Write an assignment, and declare what first gets a value by it."""
         to = self.expressions.write(target, self.function.name)
         if isinstance(target, ast.Name):
-            if (target.id, id(one)) in self.scopes.unread:
+            if (target.id, id(statement)) in self.scopes.unread:
                 return
-            fixed = self.scopes.begins.get((target.id, id(one)))
+            fixed = self.scopes.begins.get((target.id, id(statement)))
             if fixed is not None:
                 kind = self.expressions.kinds.names[self.function.name][target.id]
                 to = _declared(kind, to, fixed=fixed)

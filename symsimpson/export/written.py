@@ -33,7 +33,7 @@ def write_files(program: Program, path: str | os.PathLike[str]) -> tuple[Path, P
             "Take letters and digits, and a letter first: 'firmware/top'."
         )
     texts = written_c(program, name)
-    made = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")
-    for target, text in zip(made, texts, strict=True):
+    paths = place.with_name(f"{name}.h"), place.with_name(f"{name}.c")
+    for target, text in zip(paths, texts, strict=True):
         write_text(target, text, "C file")
-    return made
+    return paths
