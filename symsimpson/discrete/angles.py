@@ -16,15 +16,15 @@ def halved(graph: Graph, symbols: Iterable[int]) -> dict[int, Value]:
 
     1 - cos x is 2 sin(x/2)^2 without a subtraction.
     """
-    found: dict[int, Value] = {}
+    replacements: dict[int, Value] = {}
     for x in symbols:
         sine = graph.function("sin", (Fraction(1, 2), x))
         cosine = graph.function("cos", (Fraction(1, 2), x))
-        found[graph.function("sin", (1, x))[1]] = graph.multiply([(2, 0), sine, cosine])
-        found[graph.function("cos", (1, x))[1]] = graph.add(
+        replacements[graph.function("sin", (1, x))[1]] = graph.multiply([(2, 0), sine, cosine])
+        replacements[graph.function("cos", (1, x))[1]] = graph.add(
             [ONE, graph.multiply([(-2, 0), sine, sine])]
         )
-    return found
+    return replacements
 
 
 def summed(graph: Graph, roots: Sequence[int]) -> dict[int, Value]:

@@ -75,8 +75,8 @@ def derive_curvatures(plain: Plain, varied: Sequence[sp.Symbol], cost: Cost | No
 
 def _second(graph: Graph, what: str, value: Value, symbols: Sequence[int]) -> dict[Key, Value]:
     """Differentiate a value twice; of two equal entries one is kept."""
-    found: dict[Key, Value] = {}
+    entries: dict[Key, Value] = {}
     for i, slope in enumerate(gradient(graph, value, symbols)):
         row = gradient(graph, slope, symbols[: i + 1])
-        found |= {(what, i, j): entry for j, entry in enumerate(row) if entry[0]}
-    return found
+        entries |= {(what, i, j): entry for j, entry in enumerate(row) if entry[0]}
+    return entries

@@ -112,13 +112,13 @@ class DiscreteEquations:
     @property
     def tables(self) -> Mapping[str, Any]:
         """The scheme's tables; rows for the points at which A v = b is asked for stand behind."""
-        found = dict(self.scheme.tables)
-        if found and self.plain.velocity_constraints:
+        tables = dict(self.scheme.tables)
+        if tables and self.plain.velocity_constraints:
             places, values, slopes = self.scheme.at_gauss_points
-            found["PLACES"] += places
-            found["BASIS"] += values
-            found["BASIS_SLOPE"] += slopes
-        return found
+            tables["PLACES"] += places
+            tables["BASIS"] += values
+            tables["BASIS_SLOPE"] += slopes
+        return tables
 
     @property
     def unknowns(self) -> Unknowns:
@@ -334,13 +334,13 @@ def _check_explicit(system: MechanicalSystem, scheme: Scheme) -> None:
         return
     for subsystem in structure.subsystems:
         if not subsystem.separable:
-            own = ", ".join(names[i] for i in subsystem.coordinates)
+            subsystem_names = ", ".join(names[i] for i in subsystem.coordinates)
             moving = plain.mass.free_symbols & {*plain.q, plain.t}
             on = "the time" if moving == {plain.t} else "positions"
             what = f"mass matrix depends on {on}" if moving else "force depends on velocities"
             raise SchemeError(
                 f"{scheme.name} is explicit: it takes a constant mass matrix and forces that "
                 f"depend on positions alone, beside friction in proportion to each momentum by a "
-                f"positive rate, but the {what} in {own}.\n"
+                f"positive rate, but the {what} in {subsystem_names}.\n"
                 "Choose a scheme of the family, as 'simpson' or 'gauss8'."
             )

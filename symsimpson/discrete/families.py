@@ -94,14 +94,14 @@ def constraint_families(plain: Plain) -> tuple[Family, ...]:
         draft.coordinates.append(tuple(reader.coordinates))
         draft.coefficients.append(tuple(reader.coefficients))
         members.append(c)
-    found = []
+    phi_families = []
     for draft, members in drafts.values():
         family = _family(plain, reader.graph, draft)
         alone = family.plain
         phi = scaled(-1, alone.V)  # the term as it was read, which has no velocities
-        own = replace(alone, V=ZERO, constraints={"phi": phi})
-        found.append(replace(family, plain=own, constraints=tuple(members)))
-    return tuple(found)
+        constrained = replace(alone, V=ZERO, constraints={"phi": phi})
+        phi_families.append(replace(family, plain=constrained, constraints=tuple(members)))
+    return tuple(phi_families)
 
 
 def _terms(plain: Plain) -> Iterator[Value]:
@@ -121,10 +121,10 @@ def _terms(plain: Plain) -> Iterator[Value]:
 
 def _collected(graph: Graph, value: Value, moving: frozenset[int]) -> list[Value]:
     """Split a sum by the coordinates that its terms stand for."""
-    found: dict[frozenset[int], list[Value]] = {}
+    groups: dict[frozenset[int], list[Value]] = {}
     for term in _split(graph, value, moving):
-        found.setdefault(graph.nodes[term[1]].symbols & moving, []).append(term)
-    return [term for terms in found.values() if (term := graph.add(terms))[0]]
+        groups.setdefault(graph.nodes[term[1]].symbols & moving, []).append(term)
+    return [term for terms in groups.values() if (term := graph.add(terms))[0]]
 
 
 def _split(graph: Graph, value: Value, moving: frozenset[int]) -> Iterator[Value]:
@@ -329,10 +329,10 @@ def _symbols(names: Sequence[str]) -> tuple[sp.Symbol, ...]:
     return tuple(sp.Symbol(name, real=True) for name in names)
 
 
-def neighbours(found: Iterable[Family], n: int) -> list[set[int]]:
+def neighbours(term_families: Iterable[Family], n: int) -> list[set[int]]:
     """List the coordinates that meet each one in some term."""
     near: list[set[int]] = [set() for _ in range(n)]
-    for family in found:
+    for family in term_families:
         for member in family.coordinates:
             for i in member:
                 near[i].update(member)

@@ -111,14 +111,14 @@ def derive_jet(
 
 
 def _shortest(plain: Plain, more: Mapping[Key, Value], half_angles: Sequence[int]) -> Jet:
-    found: list[Jet] = []
+    jets: list[Jet] = []
     by_mass = kinetic(plain)
     for ways in (FIRST, OTHERS):
         for way in ways:
             T = by_mass if way.by_mass else plain.T
             if not way.by_mass or T != plain.T:
-                found.append(_derived(plain, T, way, more, half_angles))
-        best = min(found, key=lambda jet: jet.operations)
+                jets.append(_derived(plain, T, way, more, half_angles))
+        best = min(jets, key=lambda jet: jet.operations)
         if best.operations > FEW_OPERATIONS:
             break
     return best

@@ -125,13 +125,13 @@ class Routh(BasePart):
 
     def factor_entries(self) -> dict[tuple[str, *tuple[int, ...]], sp.Expr]:
         """Map ("D", i), ("L", i, j), ("L0", i, j) to factors of the mass matrix of ``cyclic``."""
-        found: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
+        entries: dict[tuple[str, *tuple[int, ...]], sp.Expr] = {}
         for r, row in enumerate(self.cyclic):
-            found["D", row] = self.factors.pivots[r]
+            entries["D", row] = self.factors.pivots[r]
             for c, column in enumerate(self.cyclic[:r]):
-                found["L", row, column] = self.factors.moving[r][c]
-                found["L0", row, column] = self.factors.fixed[r][c]
-        return found
+                entries["L", row, column] = self.factors.moving[r][c]
+                entries["L0", row, column] = self.factors.fixed[r][c]
+        return entries
 
 
 @dataclass(frozen=True)

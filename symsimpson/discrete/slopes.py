@@ -62,10 +62,10 @@ def derive_slopes(plain: Plain, varied: Mapping[str, sp.Symbol]) -> Jet:
     by_size = _BySize(graph, plain, derivatives)
     for name, x in zip(varied, graph.numbers(s.name for s in varied.values()), strict=True):
         if varied[name] == plain.step[0]:
-            own = gradient(graph, L, moving)
-            forces = [graph.add([own[i], f[i]]) for i in range(n)]
+            L_gradient = gradient(graph, L, moving)
+            forces = [graph.add([L_gradient[i], f[i]]) for i in range(n)]
             outputs |= {("F_a", i, name): by_size(F, integrated=True) for i, F in enumerate(forces)}
-            outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(own[n:])}
+            outputs |= {("P_a", i, name): by_size(P) for i, P in enumerate(L_gradient[n:])}
             outputs |= {("phi_a", c, name): ZERO for c in range(len(phi))}
             outputs |= {(f"{what}_a", c, name): by_size(x) for (what, c), x in moved.items()}
             for i, pull in enumerate(pulls):
