@@ -14,33 +14,41 @@ __all__ = ["composition", "scheme"]
 MOST_NUMBERS = 42
 
 
-def scheme(one: Any) -> str:
+def scheme(method: Any) -> str:
     """Return order, nodes, weights and the tables A and B, where they are exact and few."""
     rows = [
-        ("", rf"\text{{{in_text(one.name)}: {one.quadrature.kind} quadrature, order {one.order}}}"),
-        ("d", str(one.degree)),
+        (
+            "",
+            rf"\text{{{in_text(method.name)}: {method.quadrature.kind} quadrature, "
+            rf"order {method.order}}}",
+        ),
+        ("d", str(method.degree)),
     ]
-    if one.exact and one.stages * (one.degree + 1) <= MOST_NUMBERS:
+    if method.exact and method.stages * (method.degree + 1) <= MOST_NUMBERS:
         rows += [
-            ("c_i", sp.latex(sp.Matrix([one.quadrature.nodes]))),
-            ("b_i", sp.latex(sp.Matrix([one.quadrature.weights]))),
-            ("A_{ik}", sp.latex(sp.Matrix(one.A))),
-            ("B_{ik}", sp.latex(sp.Matrix(one.B))),
+            ("c_i", sp.latex(sp.Matrix([method.quadrature.nodes]))),
+            ("b_i", sp.latex(sp.Matrix([method.quadrature.weights]))),
+            ("A_{ik}", sp.latex(sp.Matrix(method.A))),
+            ("B_{ik}", sp.latex(sp.Matrix(method.B))),
         ]
     else:
         rows += [
-            ("c_i", sp.latex(sp.Matrix([one.quadrature.nodes]).evalf(6))),
-            ("b_i", sp.latex(sp.Matrix([one.quadrature.weights]).evalf(6))),
+            ("c_i", sp.latex(sp.Matrix([method.quadrature.nodes]).evalf(6))),
+            ("b_i", sp.latex(sp.Matrix([method.quadrature.weights]).evalf(6))),
         ]
     return aligned(rows)
 
 
-def composition(one: Any) -> str:
+def composition(method: Any) -> str:
     """Return order, kicks and drifts."""
     return aligned(
         [
-            ("", rf"\text{{{in_text(one.name)}: {len(one.drifts)} drifts, order {one.order}}}"),
-            ("b_k", sp.latex(sp.Matrix([one.kicks]).evalf(6))),
-            ("a_k", sp.latex(sp.Matrix([one.drifts]).evalf(6))),
+            (
+                "",
+                rf"\text{{{in_text(method.name)}: {len(method.drifts)} drifts, "
+                rf"order {method.order}}}",
+            ),
+            ("b_k", sp.latex(sp.Matrix([method.kicks]).evalf(6))),
+            ("a_k", sp.latex(sp.Matrix([method.drifts]).evalf(6))),
         ]
     )

@@ -28,17 +28,17 @@ def read_scheme(scheme: str | Scheme) -> Scheme:
             return named[scheme]
         if scheme in COMPOSITIONS:
             return composition(scheme)
-        if found := re.fullmatch(r"(gauss|lobatto)([1-9][0-9]?)", scheme):
-            kind, order = found[1], int(found[2])
+        if parts := re.fullmatch(r"(gauss|lobatto)([1-9][0-9]?)", scheme):
+            kind, order = parts[1], int(parts[2])
             if order % 2 == 0:
                 nodes = order // 2 + (kind == "lobatto")
                 return galerkin(kind, nodes, nodes - (kind == "lobatto"))
-        if found := re.fullmatch(r"radau([1-9][0-9]?)", scheme):
-            order = int(found[1])
+        if parts := re.fullmatch(r"radau([1-9][0-9]?)", scheme):
+            order = int(parts[1])
             if order % 2 == 1:
                 return galerkin("radau", (order + 1) // 2, (order + 1) // 2)
-        if found := re.fullmatch(r"(gauss|lobatto|radau)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
-            return galerkin(found[1], int(found[2]), int(found[3]))
+        if parts := re.fullmatch(r"(gauss|lobatto|radau)_([1-9][0-9]?)_([1-9][0-9]?)", scheme):
+            return galerkin(parts[1], int(parts[2]), int(parts[3]))
     family = ["gauss4", "gauss6", "gauss8", "lobatto6", "lobatto8", "radau3", "radau5"]
     known = [*named, *COMPOSITIONS, *family]
     hint = did_you_mean(scheme, known) if isinstance(scheme, str) else ""
@@ -54,5 +54,5 @@ def named_schemes(order: int) -> tuple[Scheme, ...]:
     family = [MIDPOINT, SIMPSON]
     for nodes in range(2, order // 2 + 2):
         family += [galerkin("gauss", nodes, nodes), galerkin("lobatto", nodes, nodes - 1)]
-    found = [*family, *map(composition, COMPOSITIONS)]
-    return tuple(dict.fromkeys(scheme for scheme in found if scheme.order <= order))
+    schemes = [*family, *map(composition, COMPOSITIONS)]
+    return tuple(dict.fromkeys(scheme for scheme in schemes if scheme.order <= order))

@@ -68,8 +68,8 @@ def lobatto(nodes: int) -> Quadrature:
     """Return the Lobatto rule: both ends and the extrema of a Legendre polynomial, order 2s - 2."""
     _check("lobatto", nodes, 2)
     if nodes > CLOSED_FORM["lobatto"]:
-        found, weights = _decimal(gauss_lobatto(nodes, SHOWN_DIGITS))
-        points = (sp.S.Zero, *found[1:-1], sp.S.One)
+        abscissae, weights = _decimal(gauss_lobatto(nodes, SHOWN_DIGITS))
+        points = (sp.S.Zero, *abscissae[1:-1], sp.S.One)
         return Quadrature("lobatto", points, weights, 2 * nodes - 2)
     inner = _unit_roots(sp.diff(sp.legendre(nodes - 1, _x), _x)) if nodes > 2 else ()
     points = (sp.S.Zero, *inner, sp.S.One)
@@ -112,10 +112,10 @@ def _check(kind: str, nodes: int, least: int) -> None:
 
 
 def _decimal(
-    found: tuple[list[sp.Expr], list[sp.Expr]],
+    rule: tuple[list[sp.Expr], list[sp.Expr]],
 ) -> tuple[tuple[sp.Expr, ...], tuple[sp.Expr, ...]]:
     """Move nodes and weights from [-1, 1] to [0, 1]."""
-    nodes, weights = found
+    nodes, weights = rule
     return tuple((1 + x) / 2 for x in nodes), tuple(w / 2 for w in weights)
 
 
