@@ -41,15 +41,15 @@ ICONS = {
 def film_in_plane(scene: Scene, t: Any, fps: int, title: str) -> str:
     """Return a page with matplotlib's own player, that needs no connection."""
     film = library("matplotlib.animation", "an animation", "plot")
-    with _moving(scene, t, fps, title) as made, tempfile.TemporaryDirectory() as folder:
+    with _moving(scene, t, fps, title) as animation, tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "film.html"
         writer = film.HTMLWriter(fps=fps, embed_frames=True, default_mode="loop", embed_limit=500)
-        _save(made, path, writer, len(t))
+        _save(animation, path, writer, len(t))
         page = path.read_text(encoding="utf-8")
     page = re.sub(r'(?<=image/png;base64,)[^"]+', _smaller, page)
     page = re.sub(r"<link[^>]*>\s*", "", page)
     page = re.sub(r"(anim\w+) = new Animation\([^;]*;", r"\g<0> \1.play_animation();", page)
-    return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda found: ICONS[found[1]], page)
+    return re.sub(r'<i class="fa fa-([^"]*)"></i>', lambda tag: ICONS[tag[1]], page)
 
 
 def write_film(
@@ -68,17 +68,19 @@ def write_film(
         library("matplotlib", "an animation", "plot").rcParams["animation.ffmpeg_path"] = (
             ffmpeg.get_ffmpeg_exe()
         )
-    with _moving(scene, t, fps, title) as made:
+    with _moving(scene, t, fps, title) as animation:
         if kind == ".png":
-            made._func(frame)
-            made._fig.savefig(path, format="png", dpi=2 * DOTS)
+            animation._func(frame)
+            animation._fig.savefig(path, format="png", dpi=2 * DOTS)
         else:
-            _save(made, path, film.writers[KINDS[kind]](fps=fps), len(t))
+            _save(animation, path, film.writers[KINDS[kind]](fps=fps), len(t))
 
 
-def _save(made: Any, path: Path, writer: Any, frames: int) -> None:
+def _save(animation: Any, path: Path, writer: Any, frames: int) -> None:
     with Progress(frames, None, "frame") as bar:
-        made.save(path, writer=writer, dpi=DOTS, progress_callback=lambda frame, all_: bar.add(1))
+        animation.save(
+            path, writer=writer, dpi=DOTS, progress_callback=lambda frame, all_: bar.add(1)
+        )
 
 
 @contextmanager
@@ -96,9 +98,9 @@ def _moving(scene: Scene, t: Any, fps: int, title: str) -> Iterator[Any]:
         ax.set_aspect("equal")
         ax.grid(lw=0.4, alpha=0.6)
         draw = _painter(ax, scene, t, title)
-        made = film.FuncAnimation(figure, draw, frames=len(t), interval=1000 / fps, blit=False)
-        made._draw_was_started = True  # a single frame needs no film
-        yield made
+        animation = film.FuncAnimation(figure, draw, frames=len(t), interval=1000 / fps, blit=False)
+        animation._draw_was_started = True  # a single frame needs no film
+        yield animation
 
 
 def _painter(ax: Any, scene: Scene, t: Any, title: str) -> Callable[[int], list[Any]]:

@@ -95,11 +95,11 @@ def scene_of(some: Any, stride: int = 1) -> Scene:
         )
     if not len(some):
         raise InputError("there are no states to draw.\nTake a longer run, or another part of it.")
-    found = points_of(declared, some.t, some.q, some.parameter_values)
-    dimension = max(2, *(x.shape[-1] for x in found.values()))
+    places = points_of(declared, some.t, some.q, some.parameter_values)
+    dimension = max(2, *(x.shape[-1] for x in places.values()))
     flat = {
         name: np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, dimension - x.shape[-1])])
-        for name, x in found.items()
+        for name, x in places.items()
     }
     points = {name: x[:, None] for name, x in flat.items() if x.ndim == 2}
     bodies = [np.concatenate([x, x[:, :1]], axis=1) for x in flat.values() if x.ndim == 3]
@@ -125,15 +125,15 @@ def _links(points: Floats) -> tuple[Link, ...]:
 
     A single point that is free has a link that is not rigid.
     """
-    found = []
+    links = []
     size = np.ptp(points, axis=(0, 1)).max() if points.size else 0.0
     for k in range(points.shape[1]):
         for before in (k - 1, -1):
             start = points[:, before] if before >= 0 else 0.0
             distance = np.linalg.norm(points[:, k] - start, axis=-1)
             if np.ptp(distance) <= RIGID * size:
-                found.append(Link(before, k, True))
+                links.append(Link(before, k, True))
                 break
-    if not found and points.shape[1] == 1:
-        found.append(Link(-1, 0, False))
-    return tuple(found)
+    if not links and points.shape[1] == 1:
+        links.append(Link(-1, 0, False))
+    return tuple(links)

@@ -35,29 +35,29 @@ def plot(some: Any, names: Any = None, *, connected: bool = True, ax: Any = None
     """Draw quantities over time: all coordinates, unless some are named."""
     single = isinstance(names, str) or hasattr(names, "free_symbols")
     wanted = [names] if single else list(names or some.program.coordinates)
-    found, units = {spelled(name): some[name] for name in wanted}, some.program.units
+    values, units = {spelled(name): some[name] for name in wanted}, some.program.units
     by_unit: dict[str | None, list[str]] = {}
-    for name in found:
+    for name in values:
         by_unit.setdefault(units.get(name), []).append(name)
     title = f"{some.program.system}, {some.program.scheme}"
     if ax is None and len(by_unit) > 1:  # one above the other: lengths say nothing beside angles
         size = (7, 1.2 + 1.6 * len(by_unit))
         panels = list(axes(None, size, nrows=len(by_unit), sharex=True))
     else:
-        panels, by_unit = [axes(ax, (7, 3.5))], {None: list(found)}
+        panels, by_unit = [axes(ax, (7, 3.5))], {None: list(values)}
     how, drawn = ({"lw": 1.2} if connected else DOTS), 0
-    for own, (unit, together) in zip(panels, by_unit.items(), strict=True):
+    for panel, (unit, together) in zip(panels, by_unit.items(), strict=True):
         for name in together:
-            own.plot(some.t, found[name], label=label(name), color=f"C{drawn % 10}", **how)
+            panel.plot(some.t, values[name], label=label(name), color=f"C{drawn % 10}", **how)
             drawn += 1
-        own.grid(lw=0.4, alpha=0.6)
+        panel.grid(lw=0.4, alpha=0.6)
         if len(together) == 1:
-            own.set_ylabel(with_unit(together[0], units))
+            panel.set_ylabel(with_unit(together[0], units))
         else:
             same = {units.get(name) for name in together}
             shared = unit or (same.pop() if len(same) == 1 else None)
-            own.set_ylabel(f"[{shared}]" if shared else "")
-            own.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
+            panel.set_ylabel(f"[{shared}]" if shared else "")
+            panel.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1))
     panels[0].set_title(title)
     panels[-1].set_xlabel(with_unit("t", units))
     return panels[0]
@@ -87,9 +87,9 @@ def plot_phase(
     """Draw one quantity over another: a momentum over its coordinate, unless others are named."""
     x = some.program.coordinates[0] if x is None else x
     y = f"p_{spelled(x)}" if y is None else y
-    found = some[x], some[y]
+    curve = some[x], some[y]
     ax = axes(ax, (4.5, 4.5))
-    ax.plot(*found, **({"lw": 0.8} if connected else DOTS))
+    ax.plot(*curve, **({"lw": 0.8} if connected else DOTS))
     title = f"{some.program.system}, {some.program.scheme}"
     units = some.program.units
     ax.set(xlabel=with_unit(x, units), ylabel=with_unit(y, units), title=title)
