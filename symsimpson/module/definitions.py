@@ -59,13 +59,13 @@ def definitions(text: str) -> Mapping[str, tuple[int, int]]:
     SyntaxError, ValueError, RecursionError, MemoryError
         If the text is no Python.
     """
-    found = {}
+    spans = {}
     for node in outline(text).body:
         match node:
             case ast.FunctionDef(name=name) | ast.Assign(targets=[ast.Name(id=name)]):
                 first = first_line(node)
-                found[name] = first - 1, node.end_lineno or first
-    return MappingProxyType(found)
+                spans[name] = first - 1, node.end_lineno or first
+    return MappingProxyType(spans)
 
 
 def redefined(text: str, changes: Mapping[str, str]) -> str:

@@ -258,7 +258,7 @@ def _is_of(value: object, kind: str) -> bool:
         return type(value) is single[kind]
     inner = single[kind.removeprefix("tuple[").partition(",")[0]]
     return (value is None and optional) or (
-        isinstance(value, tuple) and all(type(one) is inner for one in value)
+        isinstance(value, tuple) and all(type(item) is inner for item in value)
     )
 
 
@@ -286,14 +286,14 @@ def digest(text: str) -> str:
 
 
 def _check_digest(text: str, where: str) -> None:
-    found = SIGNED.search(text)
-    if found is None:
+    banner = SIGNED.search(text)
+    if banner is None:
         raise StaleKernelError(
             f"{where}: this is no module that symsimpson generated: its banner has no digest.\n"
             "Only generated modules are loaded, because loading executes them. Generate one with "
             "symsimpson.generate(system, scheme)."
         )
-    if digest(text[found.end() :]) != found[1]:
+    if digest(text[banner.end() :]) != banner[1]:
         raise StaleKernelError(
             f"{where}: the module does not match the digest in its banner: it was edited or "
             "damaged.\nIts equations can no longer be trusted. Change the system, not the file, "

@@ -43,7 +43,7 @@ def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], N
     In the workspace they are divided by h, as what they stand beside.
     """
     at, n, d, m = header.layout, header.n, header.degree, len(header.constraints)
-    own_residual, own = equations_of(header, run)
+    own_residual, own_jacobian = equations_of(header, run)
     place = np.array(header.tables["HELD_PLACE"])
     place[:n] = place[np.argsort(header.coordinate_order)]
     blocks = np.arange(d)[:, None] * at["HELD_ROW_STEP"]
@@ -55,7 +55,7 @@ def held_equations_of(header: Header, run: Any, h: Any) -> tuple[NDArray[Any], N
     entries = rows[:, None] * at["SOLVE_STRIDE"] + at["SOLVE_OFFSET"] + columns
     matrix = run.rows("JACOBIAN", at["ROWS"] - at["JACOBIAN"])
     jacobian = np.where(near, matrix[np.where(near, entries, 0)], h * 0)
-    jacobian[: d * n, : d * n] += own.reshape(d * n, d * n)
+    jacobian[: d * n, : d * n] += own_jacobian.reshape(d * n, d * n)
     jacobian[d * n :] *= h
     jacobian[:, d * n :] *= h
     phi = run.rows("RESIDUAL", d * (n + m))[d * n :] * h

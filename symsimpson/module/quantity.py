@@ -70,8 +70,8 @@ class Quantity:
         return [f"{self.prefix}{x}" for x in self._axis(names).shown] if self.axis else [self.name]
 
     def _axis(self, names: Any) -> Named:
-        found: Named = getattr(names, self.axis)
-        return found
+        named: Named = getattr(names, self.axis)
+        return named
 
 
 _TABLE = (
@@ -98,7 +98,7 @@ _TABLE = (
         like="energy",
     ),
 )
-QUANTITIES = {one.name: one for one in _TABLE}
+QUANTITIES = {quantity.name: quantity for quantity in _TABLE}
 #: Those with a number for each coordinate, and those of one number.
-VECTORS = tuple(one for one in _TABLE if one.axis == "coordinates")
-SCALARS = tuple(one for one in _TABLE if not one.axis)
+VECTORS = tuple(quantity for quantity in _TABLE if quantity.axis == "coordinates")
+SCALARS = tuple(quantity for quantity in _TABLE if not quantity.axis)

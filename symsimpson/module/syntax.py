@@ -90,14 +90,14 @@ def check_structure(text: str, where: str) -> None:
     """
     try:
         tree = syntax(text)
-        found = next(_strange(tree), None) or next(_hidden(tree, outline(text)), None)
+        violation = next(_strange(tree), None) or next(_hidden(tree, outline(text)), None)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise StaleKernelError(
             f"{where}: this is no module that symsimpson generated: {type(error).__name__}.\n"
             "It was not executed. Generate one with symsimpson.generate(system, scheme)."
         ) from None
-    if found is not None:
-        node, what = found
+    if violation is not None:
+        node, what = violation
         raise StaleKernelError(
             f"{where}, line {getattr(node, 'lineno', 1)}: {what}, which no generated module has.\n"
             "It was not executed. Find out where the file comes from, and generate it anew."
