@@ -122,13 +122,13 @@ def compile(
     0.0999510356921338486240015870667
     """
     _check_system(system)
-    found = read_scheme(scheme)
+    method = read_scheme(scheme)
     numbers = None
     if precision is not None:
         from symsimpson.program.digits import read_precision  # loads mpmath
 
         numbers = read_precision(precision, arithmetic)
-    return Stepper(_compiled(system, found, read_exploit(exploit), numbers, progress, None))
+    return Stepper(_compiled(system, method, read_exploit(exploit), numbers, progress, None))
 
 
 def _compiled(
@@ -239,14 +239,14 @@ def generate(
     'pendulum__midpoint.py'
     """
     _check_system(system)
-    found = read_scheme(scheme)
-    path = read_path("directory", directory) / f"{system.name}__{found.name}.py"
+    method = read_scheme(scheme)
+    path = read_path("directory", directory) / f"{system.name}__{method.name}.py"
     if derivatives is not None and isinstance(system, RetimedSystem):
         raise GenerationError(
             f"{system.name} is retimed, and derivatives of its runs take more than one module.\n"
             "Make a stepper with symsimpson.compile, whose runs carry tangents= and sensitivities=."
         )
-    content = derive(system, found, exploit, derivatives).text.encode()
+    content = derive(system, method, exploit, derivatives).text.encode()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.is_file() or path.read_bytes() != content:
@@ -348,8 +348,8 @@ def resume(
     asked = read_asked(read_path("the checkpoint", path))
     stepper = Stepper(read_program(asked["source"], os.fspath(path), TOOLS))
     values = dict(zip(stepper.parameters, asked["parameters"], strict=True))
-    own = stepper.program.header.from_start
-    parameters = {name: value for name, value in values.items() if name not in own}
+    from_start = stepper.program.header.from_start
+    parameters = {name: value for name, value in values.items() if name not in from_start}
     end = {"t_end": asked["t_end"]} if "t_end" in asked else {"steps": asked["steps"]}
     return stepper.integrate(
         asked["q0"],

@@ -80,8 +80,8 @@ class Differentiating(Stepping):
         ((2, 3), 1.0)
         """
         n, given = self.n, (wrt,) if isinstance(wrt, str) else tuple(wrt)
-        own = [name for name in given if name not in ("q", "p")]
-        names = read_varied(self.program, own, of_steps=True)
+        varied = [name for name in given if name not in ("q", "p")]
+        names = read_varied(self.program, varied, of_steps=True)
         request = Request(
             q, v, p, h, steps=1, t0=t, parameters=parameters, inputs=of_a_step(inputs)
         )
@@ -91,7 +91,7 @@ class Differentiating(Stepping):
         places = {"q": range(n), "p": range(n, 2 * n)}
         columns: list[int] = []
         for name in given:
-            columns += places.get(name) or [2 * n + own.index(name)]
+            columns += places.get(name) or [2 * n + varied.index(name)]
         return end.q[0], end.p[0], D[:, columns]
 
     def gradient(
