@@ -141,23 +141,25 @@ def _problem(
     name = function.__qualname__.removesuffix(".__init__")
     method = "." in function.__qualname__ and "<locals>" not in function.__qualname__
     known = inspect.signature(function).parameters
-    own = [key for key in known if key not in ("self", "cls")]
-    placed = [key for key in own if known[key].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD]
+    arguments = [key for key in known if key not in ("self", "cls")]
+    placed = [
+        key for key in arguments if known[key].kind is inspect.Parameter.POSITIONAL_OR_KEYWORD
+    ]
     for key in named:
-        if key not in own:
+        if key not in arguments:
             here = ELSEWHERE.get(key, "")
-            hint = f" Did you mean {here}=?" if here in own else ""
-            hint = hint or did_you_mean(key, own).replace("?", "=?")
-            times = [text for time, text in TIMES.items() if time in own]
+            hint = f" Did you mean {here}=?" if here in arguments else ""
+            hint = hint or did_you_mean(key, arguments).replace("?", "=?")
+            times = [text for time, text in TIMES.items() if time in arguments]
             about = here in TIMES and len(times) > 1
             return (
                 f"{name} has no argument {key}=.{hint}\n"
                 + (f"{'; '.join(times).capitalize()}.\n" if about else "")
-                + f"It takes {', '.join(f'{other}=' for other in own)}."
+                + f"It takes {', '.join(f'{other}=' for other in arguments)}."
             )
     count = len(given) - int(method)
     if count > len(placed):
-        others = [key for key in own if key not in placed]
+        others = [key for key in arguments if key not in placed]
         return (
             f"{name} is given {count} arguments without a name, and takes at most {len(placed)}: "
             f"{', '.join(placed)}.\nName the others: "

@@ -56,12 +56,12 @@ class Report:
 
     def rows(self) -> list[tuple[str, str]]:
         """List names and values."""
-        found = [(stage, f"{value:.2f} s") for stage, value in self.seconds.items()]
+        pairs = [(stage, f"{value:.2f} s") for stage, value in self.seconds.items()]
         form = f", {self.form}" if self.form else ""
-        found.append(("module", f"{self.lines} lines{form}"))
+        pairs.append(("module", f"{self.lines} lines{form}"))
         if self.operations is not None:
-            found.append(("jet of L", f"{self.operations} operations at a node"))
-        return found
+            pairs.append(("jet of L", f"{self.operations} operations at a node"))
+        return pairs
 
     def __repr__(self) -> str:
         return "\n".join(f"{name:<12} {value}" for name, value in self.rows())

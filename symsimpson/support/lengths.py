@@ -33,14 +33,14 @@ def bending_length(slopes: Callable[[Reals], Reals], q: Reals) -> Reals:
     """
     first = slopes(q).astype(np.float64)
     size = np.linalg.norm(first, axis=-1)
-    found = np.zeros(size.shape)
+    lengths = np.zeros(size.shape)
     way = np.linspace(0.7, 1.3, q.shape[-1])  # along no axis
     for length in TRIED:
         with np.errstate(all="ignore"):
             change = np.linalg.norm(slopes(q + length * way).astype(np.float64) - first, axis=-1)
             part = change / size
-        new = (found == 0) & (part > CHANGED) & np.isfinite(part)
-        found[new] = length / part[new]
-        if (found > 0).all():
+        new = (lengths == 0) & (part > CHANGED) & np.isfinite(part)
+        lengths[new] = length / part[new]
+        if (lengths > 0).all():
             break
-    return found
+    return lengths

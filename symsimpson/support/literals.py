@@ -33,7 +33,7 @@ def float_literals(expression: Any) -> Any:
     import sympy as sp  # slow to import, and there by now
 
     if isinstance(expression, (list, tuple)):
-        return type(expression)(float_literals(one) for one in expression)
+        return type(expression)(float_literals(part) for part in expression)
     large = {
         x: sp.Float(x, 17) for x in expression.atoms(sp.Rational) if max(abs(x.p), x.q) > LARGEST
     }

@@ -43,7 +43,7 @@ class Named:
     ----------
     what : str
         What one of them is: "coordinate".
-    own : sequence of str
+    names : sequence of str
         Their names in the module.
     users : sequence of str, optional
         Those that the user gave them, which come first.
@@ -56,8 +56,8 @@ class Named:
         All names of them.
     """
 
-    def __init__(self, what: str, own: Sequence[str], users: Iterable[str] | None = None) -> None:
-        self.what, self.own = what, tuple(own)
+    def __init__(self, what: str, names: Sequence[str], users: Iterable[str] | None = None) -> None:
+        self.what, self.own = what, tuple(names)
         self.shown = self.own if users is None else tuple(users)
         self.places = {name: i for i, name in enumerate(self.own)}
         self.places |= {name: i for i, name in enumerate(self.shown)}
