@@ -102,12 +102,12 @@ def ball_on_turntable() -> CatalogueSystem:
     m, R, k = sp.symbols("m R k", positive=True)
     rate = sp.Symbol("Omega", real=True)
     a, b, c, d = q
-    da, db, dc, dd = (one.diff() for one in q)
+    da, db, dc, dd = (component.diff() for component in q)
     # the turning rate in space, 2 q' q^-1 of a unit quaternion
     w_x = 2 * (-da * b + db * a - dc * d + dd * c)
     w_y = 2 * (-da * c + db * d + dc * a - dd * b)
-    square = sp.Add(*(one**2 for one in q))
-    spin = 4 * square * sp.Add(*(one.diff() ** 2 for one in q))
+    square = sp.Add(*(component**2 for component in q))
+    spin = 4 * square * sp.Add(*(component.diff() ** 2 for component in q))
     return CatalogueSystem(
         "ball_on_turntable",
         coordinates=(x, y, *q),
