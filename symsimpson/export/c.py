@@ -33,7 +33,7 @@ from symsimpson.program.sets import KernelSets
 from symsimpson.program.status import Status
 from symsimpson.stepping.run import FALLBACK_STRETCH
 from symsimpson.walk.functions import read_functions
-from symsimpson.walk.text import read_text
+from symsimpson.walk.text import Text, read_text
 
 __all__ = ["HELPERS", "written_c"]
 
@@ -132,14 +132,18 @@ class _Writer:
         return _Sets(self._header, by_stages=self._header.by_stages).all
 
     @cached_property
+    def _driver(self) -> Text:
+        return read_functions(driver_text())
+
+    @cached_property
     def _expressions(self) -> Expressions:
         """Functions that a step calls, with the kinds of their numbers."""
-        text, driver = self.program.source, driver_text()
+        text, driver = self.program.source, self._driver
         told = dict(zip(TOLD, self._header.told.tolist(), strict=True))
-        module, drives = read_text(text), read_functions(driver)
+        module = read_text(text)
         sources = [
             Source(module.functions, module.constants, told, text.splitlines()),
-            Source(drives.functions, drives.constants, told, driver.splitlines()),
+            Source(driver.functions, driver.constants, told, driver_text().splitlines()),
         ]
         functions = Functions(sources)
         kinds = Kinds(functions)
@@ -178,7 +182,7 @@ class _Writer:
             for line in written_function(write.kinds.functions[name], write)
         ]
         step = self._filled("step.c").splitlines()
-        agreed = {**constants(), **self._header.layout}
+        agreed = {**self._driver.constants, **constants(), **self._header.layout}
         for name in re.findall(r"\b[A-Z][A-Z_]+\b", "\n".join(step)):  # constants that it names
             if name in agreed:
                 write.constants.setdefault(name, agreed[name])
