@@ -31,6 +31,13 @@ def is_reach(node):
     return node.attr.startswith("_") and not node.attr.startswith("__") and not own
 
 
+def is_vague(node):
+    """Whether a value has a name that says nothing of it."""
+    named = {ast.Name: "id", ast.arg: "arg", ast.MatchAs: "name"}.get(type(node), "")
+    read = isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+    return not read and getattr(node, named, "") in ("found", "made", "own", "one")
+
+
 #: Figures as they are. One that has fallen is written here, so that it cannot rise again.
 FIGURES = {
     "lines that no formatter may touch": (
@@ -40,6 +47,7 @@ FIGURES = {
     "functions with more than 8 arguments": (19, lambda: with_more_arguments(8)),
     "functions with more than 12 arguments": (10, lambda: with_more_arguments(12)),
     "private names asked of others": (27, lambda: sum(map(is_reach, nodes(ast.Attribute)))),
+    "values called found, made, own or one": (8, lambda: sum(map(is_vague, every_node()))),
     "modules at the root": (3, lambda: len(list(PACKAGE.glob("*.py")))),
     "docstrings that cannot be read alone": (
         0,

@@ -44,10 +44,10 @@ FILES = (
 @cache
 def library_sources() -> dict[str, str]:
     """Return the text of each function, by name."""
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for file in FILES:
         text = resources.files(__name__).joinpath(f"{file}.py").read_text("utf-8")
         lines = text.splitlines()
         for name, (first, end) in definitions(text).items():
-            found[name] = "\n".join(lines[first:end])
-    return found
+            sources[name] = "\n".join(lines[first:end])
+    return sources

@@ -26,10 +26,10 @@ def zeros(function, count):
     All are positive at 1.
     """
     one = 10**DIGITS
-    found = []
+    roots = []
     for degree in range(1, count + 1):
-        ends = [-one, *found, one]
-        found = []
+        ends = [-one, *roots, one]
+        roots = []
         for place in range(degree):
             low, high = ends[place], ends[place + 1]
             rising = (degree - place) % 2 == 1
@@ -39,27 +39,27 @@ def zeros(function, count):
                     high = middle
                 else:
                     low = middle
-            found.append(high)
-    return found
+            roots.append(high)
+    return roots
 
 
 def quadrature(kind, nodes):
     """Nodes and weights on [0, 1]."""
     one = 10**DIGITS
     if kind == "gauss":
-        found = zeros(lambda k, x: legendre_p(k, x)[0], nodes)
+        roots = zeros(lambda k, x: legendre_p(k, x)[0], nodes)
         # 2/((1 - x^2) P'^2) with (x^2 - 1) P' = n (x P - P_below)
-        weights = [(one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in found]
+        weights = [(one**2 - x * x) * one // (nodes * legendre_p(nodes, x)[1]) ** 2 for x in roots]
     else:
         # (x^2 - 1) P' where P' is zero
-        found = zeros(
+        roots = zeros(
             lambda k, x: legendre_p(k + 1, x)[1] * one - x * legendre_p(k + 1, x)[0], nodes - 2
         )
-        found = [-one, *found, one]
+        roots = [-one, *roots, one]
         weights = [
-            one**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in found
+            one**3 // (nodes * (nodes - 1) * legendre_p(nodes - 1, x)[0] ** 2) for x in roots
         ]
-    return [(x + one) // 2 for x in found], weights
+    return [(x + one) // 2 for x in roots], weights
 
 
 def basis(points, x):

@@ -12,13 +12,13 @@ At control points the multipliers u of the rows phi = 0 stand beside w of the ot
 @compiled
 def times_column(W, first, i, x, lane):
     """Multiply a column of derivatives of Phi^T lambda by q, or of Phi^T, with a vector."""
-    found = real(0)
+    total = real(0)
     for b in range(DIMENSION):
         j = HELD_PLACE[b]
         if abs(i - j) <= HELD_BAND:
             entry = first + j * HELD_STRIDE + HELD_OFFSET + i
-            found += W[entry, lane] * W[x + COORDINATE[b], lane]
-    return found
+            total += W[entry, lane] * W[x + COORDINATE[b], lane]
+    return total
 
 
 @compiled

@@ -15,13 +15,13 @@ def times_dq(W, first, i, dq, lane):
 
     Such matrices begin at ``first``: that of a point at hand, or one of those that are kept.
     """
-    found = real(0)
+    total = real(0)
     for b in range(DIMENSION):
         j = HELD_PLACE[b]
         if abs(i - j) <= HELD_BAND:
             entry = first + i * HELD_STRIDE + HELD_OFFSET + j
-            found += W[entry, lane] * W[dq + COORDINATE[b], lane]
-    return found
+            total += W[entry, lane] * W[dq + COORDINATE[b], lane]
+    return total
 
 
 @compiled
@@ -86,11 +86,11 @@ def choose_constraint(W, constraint, lane):
 @compiled
 def vary_curvature(W, constraint, dq, room, lane):
     """Find -(v.phi_qq) dq of a constraint, behind the right side for dv."""
-    found = real(0)
+    total = real(0)
     for s in range(DIMENSION):
         change = times_dq(W, CONSTRAINT_QQ, HELD_PLACE[s], dq, lane)
-        found -= W[VELOCITY + COORDINATE[s], lane] * change
-    W[room + DIMENSION + constraint, lane] = found
+        total -= W[VELOCITY + COORDINATE[s], lane] * change
+    W[room + DIMENSION + constraint, lane] = total
 
 
 @compiled
@@ -115,11 +115,11 @@ def momentum_taken(W, lane):
 @compiled
 def turned_momentum(W, s, dq, lane):
     """Multiply a row of P_q with a change of q."""
-    found = real(0)
+    total = real(0)
     for b in range(max(0, s - BAND), min(DIMENSION, s + BAND + 1)):
         slope = W[NODE_L_QV + b * NODE_STRIDE + s + NODE_OFFSET, lane]
-        found += slope * W[dq + COORDINATE[b], lane]
-    return found
+        total += slope * W[dq + COORDINATE[b], lane]
+    return total
 
 
 @compiled
