@@ -82,4 +82,4 @@ class LoopedStages:
         more = map(Call, ("extrapolate_stages", "check_stage_acceptance"))
         body = (Call("close_stages"), *left, *more)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
-        return Kernel("advance_stages", doc, lanes(body))
+        return Kernel("advance_stages", doc, lanes((When(body),)))

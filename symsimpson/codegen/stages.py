@@ -328,9 +328,9 @@ class StageKernels:
         )
         left = (Call("leave_path"),) if low.equations.looked_at else ()
         accepted = (Call("check_stage_acceptance"), *self._afresh())
-        body = [*closing, *left, extrapolated, *accepted]
+        body = (*closing, *left, extrapolated, *accepted)
         doc = "Close a step by compensated sums, then extrapolate to the nodes of the next."
-        return Kernel("advance_stages", doc, lanes(body))
+        return Kernel("advance_stages", doc, lanes((When(body),)))
 
     def _cyclic_jump(
         self, q: Sequence[Expression], p: Sequence[Expression], cyclic: Sequence[int]

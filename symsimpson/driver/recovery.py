@@ -234,6 +234,7 @@ def leave_to_others(kernels, h, t, W, at, event):
         for lane in range(LANES):
             if W[at[ACTIVE], lane] < 0.0:
                 W[at[STATUS], lane] = NOT_CONVERGED
+            W[at[ACTIVE], lane] = 1.0 if W[at[STATUS], lane] == 0.0 else 0.0
             left += W[at[STATUS], lane] == 0.0
         if left == 0:
             return

@@ -27,7 +27,7 @@ HOW = [
 
 
 @pytest.fixture(
-    scope="module", params=["simpson", pytest.param("kahan_li8", marks=pytest.mark.slow)]
+    scope="module", params=["simpson", "gauss8", pytest.param("kahan_li8", marks=pytest.mark.slow)]
 )
 def stepper(request):
     return ss.compile(KEPLER.retimed("encounters"), request.param)
