@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,25 +138,31 @@ class EventActions:
         """Return the rates of gaps, and 0 for other expressions."""
         return np.array([0.0 if place is None else row[place] for place in self._events.rate])
 
-    def dipping(self, first: Floats, last: Floats, small: Floats, span: float) -> list[int]:
-        """Return which gaps may pass through zero and come back between two states, by rates."""
-        gaps = []
-        for k, place in enumerate(self._events.rate):
-            if place is not None and min(first[k], last[k]) > small[k]:
-                down, up = span * first[place], span * last[place]
-                ends = first[k], last[k]
-                low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
-                if low < NEAR * min(first[k], last[k]):
-                    gaps.append(k)
-        return gaps
+    def dips(
+        self,
+        row: Callable[[float], Floats],
+        span: float,
+        first: Floats,
+        last: Floats,
+        small: Floats,
+    ) -> dict[int, tuple[float, Floats]]:
+        """Return where gaps pass through zero and come back between two states, by their rates.
 
-    def lowest(
-        self, row: Callable[[float], Floats], k: int, span: float, first: Floats, last: Floats
-    ) -> float:
-        """Return where from 0 to a span a gap is lowest, between rates of both signs."""
-        place = self.rate(k)
-        ends = float(first[place]), float(last[place])
-        return ridders(lambda x: float(row(x)[place]), 0.0, span, ends, LOWEST * abs(span))
+        It is where they are lowest, with all that is asked for there.
+        """
+        lowest: dict[int, tuple[float, Floats]] = {}
+        for k, place in enumerate(self._events.rate):
+            if place is None or min(first[k], last[k]) <= small[k]:
+                continue
+            ends, rates = (first[k], last[k]), (float(first[place]), float(last[place]))
+            down, up = span * rates[0], span * rates[1]
+            low = lowest_of_cubic.py_func(*ends, down, up) if down < 0 < up else np.inf
+            if low < NEAR * min(ends):
+                rate = partial(lambda place, x: float(row(x)[place]), place)
+                x = ridders(rate, 0.0, span, rates, LOWEST * abs(span))
+                if x == x and (there := row(x))[k] < -small[k]:
+                    lowest[k] = x, there
+        return lowest
 
     def root(
         self,

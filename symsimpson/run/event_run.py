@@ -229,6 +229,8 @@ class EventRun(Run):
                 return self._fail(status)
             crossing = self._located(step, t0, done, rest, state, end)
             if crossing is None:
+                if self._code:
+                    return None
                 row = self._actions.row(t0 + h, end)
                 values = row[: len(self._value)]
                 if np.isnan(values[self._actions.impacts]).any():
@@ -262,11 +264,15 @@ class EventRun(Run):
         self, step: int, t0: float, done: float, rest: float, start: Any, end: Any
     ) -> tuple[float, Any, list[int]] | None:
         """Find the first events of the rest of a step: when, where, and which."""
-        h = float(self.h)
+        h, lost = float(self.h), list[float]()
 
         def after(part: float) -> Any:
-            state, status = self._parts(start, t0 + done, part, step, done / h)
-            return state if status is Status.SUCCESS else (np.nan * start[0], np.nan * start[1])
+            state, status = self._parts.beside(start, t0 + done, part, step, done / h)
+            if status is Status.SUCCESS:
+                return state
+            if part == part:  # else nothing was asked for
+                lost.append(part)
+            return np.nan * start[0], np.nan * start[1]
 
         def row(part: float) -> Floats:
             return self._actions.row(t0 + done + part, after(part))
@@ -275,19 +281,17 @@ class EventRun(Run):
         small = ZERO * self.sides.faded(last, end[0])
         behind = self.sides.of(last[: len(small)], small)
         met = np.flatnonzero(self.sides.acts(behind)).tolist()
-        ends = dict.fromkeys(met, (rest, last))
-        small = self.sides.small
-        for k in self._actions.dipping(first, last, small, rest):
-            if k not in met:
-                lowest = self._actions.lowest(row, k, rest, first, last)
-                if lowest == lowest and (there := row(lowest))[k] < -small[k]:
-                    ends[k] = lowest, there
+        ends = self._actions.dips(row, rest, first, last, self.sides.small)
+        ends |= dict.fromkeys(met, (rest, last))
         sides = self.sides.side.tolist()
         roots = {
-            k: x
+            k: self._actions.root(row, k, until, (first, there), sides[k])
             for k, (until, there) in ends.items()
-            if (x := self._actions.root(row, k, until, (first, there), sides[k])) == x  # no jump
         }
+        if lost and np.isnan([*roots.values()]).any():
+            self._fail(Status.NOT_FINITE, "A part of a step to an event has no value. ")
+            return None
+        roots = {k: x for k, x in roots.items() if x == x}  # else it jumps there
         if not roots:
             return None
         part = min(roots.values(), key=lambda x: abs(x))

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Parts", "steps_from"]
 
+#: Parts of steps that end beside a place are shorter, or longer, by so much.
+NUDGES = (-(2.0**-50), 2.0**-50, -(2.0**-46))
+
 Floats = NDArray[np.float64]
 
 
@@ -84,6 +87,20 @@ class Parts:
         if fine[0]:
             return (ends[0, 0], ends[1, 0]), Status.SUCCESS
         return steps_from(self._program, self.parameters, t, state, size, 1, rests)
+
+    def beside(
+        self, state: Any, t: float, size: float, step: int, share: float
+    ) -> tuple[Any, Status]:
+        """Take a part of a step, or one that ends beside it where the equations have no value.
+
+        They have none on a kink that is written as sqrt(x**2), and events are looked for there.
+        """
+        end, status = self(state, t, size, step, share)
+        for nudge in NUDGES:
+            if status is Status.SUCCESS:
+                break
+            end, status = self(state, t, size * (1 + nudge), step, share)
+        return end, status
 
     def work(self, state: Any, t: float, size: float, step: int, share: float) -> Floats:
         """Return the work of forces and the integral of dL/dt, if that is asked for."""

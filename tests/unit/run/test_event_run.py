@@ -291,3 +291,27 @@ def test_an_impact_that_is_not_allowed_lets_a_run_pass_on_a_time_of_its_grid():
     run = ss.compile(free).integrate([0.0], v0=[1.0], h=0.1, steps=30, events=[later])
     assert run.success
     assert abs(run.q[-1, 0] - 3) < 1e-12
+
+
+KINKED = ss.MechanicalSystem(
+    "kinked",
+    coordinates=(x,),
+    kinetic=x.diff() ** 2 / 2,
+    potential=x**2 + sp.Rational(5, 4) * x * sp.sqrt(x**2),  # its derivative has no value at 0
+)
+
+
+@pytest.mark.parametrize("scheme", ["lobatto2", "simpson"])
+def test_an_event_at_a_kink_of_a_force_is_found(scheme):
+    stepper = ss.compile(KINKED, scheme)
+    for steps in (57, 67, 80):
+        given = {"v0": [0.3], "h": 2 / steps, "steps": steps}
+        end = stepper.integrate([1.0], events=[ss.Event(x, name="end", terminal=True)], **given)
+        assert end.ended_by == "end"
+        wall = ss.Event(x, name="wall", action=ss.Impact(0.8))
+        bounced = stepper.integrate([1.0], events=[wall], **given)
+        assert len(bounced.events("wall").t) == 1
+        assert bounced.q.min() > -1e-12
+        kink = ss.Event(x, name="kink", action=ss.Switch())
+        passed = stepper.integrate([1.0], events=[kink], **given)
+        assert passed.events("kink").t == pytest.approx(end.t[-1:], abs=1e-12)
