@@ -25,8 +25,8 @@ FOLDERS = ("discrete", "schemes", "codegen")
 #: Of these files all tests that are fast or plain, by folders of tests and of tests/unit.
 FILES = """
 codegen/coefficients codegen/counting codegen/emit codegen/expression codegen/forms_and_bindings
-codegen/held codegen/looped_stages codegen/lower codegen/printer codegen/storage codegen/turning
-codegen/untrusted_names derivatives/gradients derivatives/linearised discrete/angles
+codegen/held codegen/looped_stages codegen/lower codegen/printer codegen/sincos codegen/storage
+codegen/turning codegen/untrusted_names derivatives/gradients derivatives/linearised discrete/angles
 discrete/families discrete/jet discrete/reductions schemes/schemes stepping/held
 oracle/chains oracle/compositions oracle/conformal oracle/constrained_golden oracle/curvatures
 oracle/damped oracle/family oracle/forced_golden oracle/geometry oracle/reductions oracle/retimed
@@ -49,7 +49,7 @@ oracle/compositions loops_are_straight_lines[suzuki4] oracle/family
 stages_solve_the_equations[top-gauss6] oracle/reductions chain[lobatto2] oracle/rolling_orders
 work_of_constraints_has_the_order_of_the_scheme[gauss4]
 oracle/rolling_golden golden_runs[affine_forced_simpson] golden_runs[turntable_simpson]
-oracle/tangents_constrained derivatives_by_parameters[quaternion_top-midpoint]
+oracle/tangents_constrained derivatives_by_parameters[four_bar-gauss4]
 derivatives_by_the_state[four_bar-gauss4] derivatives_in_bands_are_those_of_the_whole_matrix
 the_adjoint_is_the_transpose_of_the_tangent[four_bar-gauss4]
 the_adjoint_is_the_transpose_of_the_tangent[quaternion_top-midpoint]
