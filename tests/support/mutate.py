@@ -150,7 +150,7 @@ def run(copy, tests, limit):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    numbers = {"mutants": 200, "first": 0, "seed": 1, "limit": 60.0, "minutes": 1e9}
+    numbers = {"mutants": 200, "first": 0, "seed": 1, "limit": 240.0, "minutes": 1e9}
     for name, default in numbers.items():  # limit: in seconds; first: so many were run before
         parser.add_argument(f"--{name}", type=type(default), default=default)
     parser.add_argument("tests", nargs="*", help="default: the selection")
