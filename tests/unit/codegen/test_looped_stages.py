@@ -5,8 +5,11 @@ import pytest
 import sympy as sp
 from support.cases import sweep
 from support.forms import limited
+from support.workspace import block, new_workspace
 
 import symsimpson as ss
+from symsimpson.codegen import pipeline
+from symsimpson.module.binding import bind_float
 from symsimpson.run.requested import program_for
 from symsimpson.stepping.request import Request
 
@@ -71,6 +74,23 @@ def test_they_take_as_many_iterations_as_straight_lines(monkeypatch):
     for h in (H, 8 * H):
         one, other = (stepper.integrate(**given, h=h) for stepper in (straight, loops))
         assert one.newton_iterations.tolist() == other.newton_iterations.tolist()
+
+
+def test_they_measure_their_corrections_alike(monkeypatch):
+    """By the masses of all coordinates, at each node."""
+    found = []
+    for limits in ({}, {"STAGE_COORDINATES": 0}):
+        limited(monkeypatch, **limits)
+        module = bind_float(pipeline.derive(model(), "gauss10").text)
+        W = new_workspace(module, [0.3, -0.5, 0.2], [0.7, 0.1, -0.4], [0.5])
+        module.prepare(8 * H, 0.0, W)
+        module.start_stages(8 * H, 0.0, W)
+        for _ in range(2):
+            module.iterate(8 * H, 0.0, W)
+        rows = [block(module, name, 5) for name in ("STAGE_CORRECTION", "STAGE_SIZE")]
+        found.append(np.array([W[row, 0] for row in rows]))
+    assert found[0].min() > 0
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
 
 
 @pytest.mark.slow
