@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from symsimpson.derivatives.chaos import run_lyapunov
 from symsimpson.ensemble.task import Results, Task
 from symsimpson.errors import ConstraintWarning, InputError, ResolutionWarning, StabilityWarning
-from symsimpson.program.evaluating import evaluate_members, watching
-from symsimpson.program.observed import OF_EVENTS, reduce_values
+from symsimpson.program.evaluating import evaluate_members
 from symsimpson.program.program import Program
 from symsimpson.program.status import Status
 from symsimpson.run.folds import SINGULAR, close, independence_of
@@ -46,7 +45,7 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
     if len(program.header.constraints) > 1 and task.every:
         good &= _unfolded(program, task, results)
     good |= (status == Status.BAD_INPUT) & small
-    every = 1 if task.reductions else task.every or None
+    reductions = tuple(x for x in task.reductions if not x.of_variations) or None
     for member in np.flatnonzero(~good):
         try:
             with warnings.catch_warnings():
@@ -54,7 +53,8 @@ def run_singly(program: Program, task: Task, results: Results) -> bool:
                 warnings.simplefilter("ignore", StabilityWarning)  # not one for each member
                 warnings.simplefilter("ignore", ConstraintWarning)
                 carried = {"record": task.record, **_carrying(program, task)}
-                asked = task.of_member(member, program, every=every, **carried)
+                carried |= {"every": task.every or None, "reduce": reductions}
+                asked = task.of_member(member, program, **carried)
                 trajectory = run(program, asked, on_failure="return")
         except InputError:
             for array in (results.q, results.p, results.recorded, results.seen):
@@ -78,14 +78,10 @@ def _put(program: Program, task: Task, results: Results, member: Any, run: Traje
     kept = np.concatenate([np.zeros((len(run), 0)), *left], axis=1)
     whole = run.steps // run.every + 1 if run.every else 1  # behind them, the end if retimed
     if task.reductions:
-        t, q, p = (x[:whole] for x in (run.t, run.q, run.p))
-        seen = watching(program, task.reductions, run.parameter_values)(t, q, p)
-        values = reduce_values(task.reductions, t, seen)
+        known = dict(run.reduced_values)
+        values = [known.get(reduction.name, np.nan) for reduction in task.reductions]
         if task.of_variations and run.success:
             values = _of_variations(program, task, member, values)
-        for k, reduction in enumerate(task.reductions):
-            if reduction.kind == OF_EVENTS:
-                values[k] = len(run.events(reduction.expression))
         results.seen[member, : 2 * len(values) : 2] = values
     if task.retimed:
         results.part[member] = run.tau[-1] - run.h * run.steps

@@ -7,9 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from symsimpson.errors import InputError
 from symsimpson.module.header import Header
 from symsimpson.module.interface import MET, WATCHED, ZERO
@@ -28,7 +25,6 @@ __all__ = [
     "observing_kernel",
     "read_expression",
     "read_reductions",
-    "reduce_values",
     "refuse_constant",
     "watchers",
 ]
@@ -343,30 +339,3 @@ def _kernel(doc: str, names: Sequence[str], lines: Iterable[str]) -> str:
             "",
         ]
     )
-
-
-def reduce_values(
-    reductions: Sequence[Reduction], t: NDArray[np.float64], values: NDArray[np.float64]
-) -> list[float]:
-    """Reduce values of quantities at the states of a run, shape (len(t), len(reductions)).
-
-    What variations and events tell is not known of states.
-    """
-    return [
-        float("nan")
-        if not reduction.of_states
-        else _first_crossing(t, value)
-        if reduction.kind == "first"
-        else float(getattr(value, reduction.kind)())
-        for reduction, value in zip(reductions, values.T, strict=True)
-    ]
-
-
-def _first_crossing(t: NDArray[np.float64], value: NDArray[np.float64]) -> float:
-    positive = np.flatnonzero(value > 0)
-    if positive.size == 0:
-        return float("nan")
-    k = int(positive[0])
-    if k == 0:
-        return float(t[0])
-    return float(t[k] - (t[k] - t[k - 1]) * value[k] / (value[k] - value[k - 1]))

@@ -87,10 +87,9 @@ class EventRun(Run):
         small = sides.small_at(t, state)
         sides.side[:] = sides.of(values, small, 0 * values)  # a zero there is no event
         for k, event in enumerate(self._events.events):
-            off = BEHIND * sides.size[k]
             if not (isinstance(event.action, Impact) and self._actions.allowed(row, k)):
                 continue
-            if values[k] < -off:
+            if values[k] < -BEHIND * sides.size[k]:
                 raise InputError(
                     f"{self._system}: the start is behind the wall {event.key!r}: the gap "
                     f"is {values[k]:g}.\nBegin where it is positive, or turn its sign."
@@ -165,10 +164,11 @@ class EventRun(Run):
         state = self._split(step, start)
         if state is None:
             self._worked[:] = worked if self.ended_by is None else self._worked
-            if self.end_within is not None:  # recorders of states see it
-                t, *end = self.end_within
+            t, *end = self.end_within or (float(self._time()),)
+            part = t - float(self._time())
+            if abs(part) > TOGETHER * max(abs(t), abs(float(self.h))):  # recorders of states see it
                 self._go_on((end[0], end[1]))
-                self._call(t, of_states=True, h=t - float(self._time()))
+                self._call(t, of_states=True, h=part)
             self._go_on(start)
             self._column[self._status] = self._code
             if self._code == ARRIVED and self._saltation is not None:
