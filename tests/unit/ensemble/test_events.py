@@ -17,7 +17,7 @@ def test_reductions_of_members_see_the_state_that_ends_them():
     }
     stepper = ss.compile(free)
     speeds = np.array([[30.0], [3.0], [1.0], [0.1]])  # of the third it is a state of the grid
-    many = stepper.ensemble([[0.5]], v0=speeds, **asked)
+    many = stepper.ensemble([0.5], v0=speeds, **asked)
     assert many.reduced["mean"][:3] == pytest.approx([0.75, 2.3 / 3, 0.75], abs=1e-12)
     for member, v0 in enumerate(speeds):
         single = stepper.integrate([0.5], v0=v0, **asked).reduced
